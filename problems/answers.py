@@ -234,6 +234,35 @@ def closed_form(
     return {g: array(rows, f"exact()[{g!r}]", (count, sizes[g])) for g, rows in groups.items()}
 
 
+def points(value: object, count: int) -> dict[str, Float[np.ndarray, "count n"]]:
+    """Return named points in ``count`` rows as arrays of floats, in m."""
+    if not isinstance(value, Mapping) or not value or len(value) > MOST_TEXTS:
+        raise refused("points()", value, f"a dictionary of 1 to {MOST_TEXTS} points by name")
+    found = {}
+    for name, rows in value.items():
+        what = f"points()[{name!r}]"
+        size = np.shape(rows)[-1:]
+        if size not in ((2,), (3,)):
+            raise refused(what, size, "2 or 3 coordinates in m")
+        found[text(name, "the name of a point")] = array(rows, what, (count, *size))
+    return found
+
+
+def published(value: object) -> tuple[Any, ...]:
+    """Return the published digits of a scene, of which every number is finite."""
+    if not isinstance(value, tuple | list) or len(value) > MOST_TEXTS:
+        raise refused("published", value, f"at most {MOST_TEXTS} entries Published(...)")
+    for entry in value:
+        if getattr(entry, "_fields", ()) != ("quantity", "t", "values", "tolerance"):
+            raise refused("published", entry, "Published(quantity, t, values, tolerance)")
+        text(entry.quantity, "a quantity of published")
+        array(entry.values, f"published {entry.quantity}", np.shape(entry.values))
+        number(entry.t, f"the time of published {entry.quantity}")
+        if not number(entry.tolerance, f"the tolerance of published {entry.quantity}") > 0:
+            raise refused("tolerance of published", entry.tolerance, "a positive number")
+    return tuple(value)
+
+
 def drawing(value: object) -> list[list[list[float]]]:
     """Return the lines of a picture as lists of points [x, y] in m."""
     if not isinstance(value, list | tuple) or len(value) > MOST_LINES:

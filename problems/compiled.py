@@ -44,6 +44,8 @@ class Compiled(NamedTuple):
         each ``(k, nl)``
     ``invariants[block](p, q, v)``
         one of `INVARIANTS` at k times, ``(k,)`` or ``(k, n)``
+    ``points(p, q)``
+        the named points at k times, each ``(k, 2)`` or ``(k, 3)``
     ``iterations(p, q, v, x, t)``
         iterations in `formulations.complete` at k times, ``(k,)``; for scenes with outputs
     """
@@ -54,6 +56,7 @@ class Compiled(NamedTuple):
     complete: Callable[..., tuple[Variables, Float[np.ndarray, "k nx"]]]
     levels: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]
     invariants: Mapping[str, Callable[..., Float[np.ndarray, "k ..."]]]
+    points: Callable[..., dict[str, Float[np.ndarray, "k n"]]]
     iterations: Callable[..., Int[np.ndarray, " k"]]
 
 
@@ -96,6 +99,7 @@ def _compiled(template: MechatronicSystem) -> Compiled:
             block: over_rows(block, lambda p, q, v, block=block: getattr(at(p), block)(q, v))
             for block in INVARIANTS
         },
+        points=over_rows("points", lambda p, q: at(p).points(q)),
         iterations=over_rows(
             "iterations", lambda p, q, v, x, t: algebraic_iterations(at(p), q, v, x, t)
         ),

@@ -119,6 +119,25 @@ class Invariant(NamedTuple):
 INVARIANTS = {"energy": Invariant("W", kinetic=True), "momentum": Invariant("N (or N m)")}
 
 
+class Published(NamedTuple):
+    """Published values of a quantity at a time, for the scene's default parameters.
+
+    ``quantity``
+        a group of variables, or a named point
+    ``t``
+        time in s
+    ``values``
+        all its entries, in their units
+    ``tolerance``
+        difference in the same units up to which the values hold
+    """
+
+    quantity: str
+    t: float
+    values: tuple[float, ...]
+    tolerance: float
+
+
 class Sizes(NamedTuple):
     """Numbers of coordinates, multipliers, controller states and outputs; ``nv`` of velocities."""
 
@@ -170,8 +189,8 @@ class MechatronicSystem:
 
     Required: ``mass``, ``force`` and ``initial_state``. Everything else is stated only by the
     scenes that have it: ``constraint``; ``state_rate`` (controller states); ``output`` together
-    with ``actuation``; ``energy``; ``momentum``; ``exact``; ``draw``. An override may leave out
-    annotations.
+    with ``actuation``; ``energy``; ``momentum``; ``points``; ``exact``; ``draw``. An override may
+    leave out annotations.
 
     The class attributes say how to use the scene:
 
@@ -190,6 +209,8 @@ class MechatronicSystem:
         divided; without one, an error is relative to the largest value in the reference
     ``source``
         publication of the equations and data
+    ``published``
+        published digits, which runs are shown beside and the reference is checked by
     """
 
     name: ClassVar[str]
@@ -202,6 +223,7 @@ class MechatronicSystem:
     states: ClassVar[tuple[str, ...]] = ()
     outputs: ClassVar[tuple[str, ...]] = ()
     source: ClassVar[str] = ""
+    published: ClassVar[tuple[Published, ...]] = ()
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -258,6 +280,10 @@ class MechatronicSystem:
 
     def momentum(self, q: Float[Array, " nq"], v: Float[Array, " nv"]) -> Float[Array, " k"]:
         """Those linear and angular momenta that the motion conserves, in kg m/s or kg m^2/s."""
+        raise NotImplementedError
+
+    def points(self, q: Float[Array, " nq"]) -> dict[str, Float[Array, " 2 or 3"]]:
+        """Named points in m, which are printed and judged where coordinates have no meaning."""
         raise NotImplementedError
 
     def exact(self, t: Float[np.ndarray, " k"]) -> dict[str, Float[np.ndarray, "k n"]]:

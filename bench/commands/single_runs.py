@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import click
+import msgspec
 
 from bench.commands import completion, options, sweeps
 from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.results.orders import order_summary
+from bench.results.published import published_table
 from bench.results.quantities import NORMS
 from bench.results.records import UNSUPPORTED, Record, Rows
 from bench.results.table import NO_VALUE, Table, formatted
@@ -95,7 +97,8 @@ def solve_(
     if as_json:
         click.echo(json.dumps(_solution(record, rows), indent=2))
     else:
-        show(_end_values(record, rows, names), *_facts(record))
+        published = published_table(record.published)
+        show(_end_values(record, rows, names), *filter(None, [published]), *_facts(record))
     if record.status != "ok":
         raise click.ClickException(f"{record.status}: {record.message}")
 
@@ -113,10 +116,16 @@ def _solution(record: Record, rows: Rows) -> dict[str, Any]:
         "notes": record.notes,
         "t": rows.t[-1] if rows.t else None,
         **{name: last.get(name, []) for name in ("q", "v", "a", "lam", "x", "xdot", "y")},
+        "points": record.points,
+        "published": [
+            msgspec.to_builtins(digits) | {"difference": digits.difference}
+            for digits in record.published
+        ],
         "errors": record.errors,
         "reference_error": record.reference_error,
         "constraint": record.constraint,
         "energy_drift": record.energy_drift,
+        "history_error": record.history_error,
         "work": record.work,
         "time": {
             "compile_s": record.compile_s,
@@ -135,6 +144,9 @@ def _end_values(record: Record, rows: Rows, names: Mapping[str, Sequence[str]]) 
             own = (formatted(errors[norm][i] if norm in errors else None, ".2e") for norm in NORMS)
             cells.append([group, name, f"{value:.10g}", *own])
     end = f"at t={rows.t[-1]:.6g} s" if rows.t else "at the end"
+    for name, place in record.points.items():
+        for axis, value in zip("xyz", place, strict=False):
+            cells.append([name, f"{axis} [m]", f"{value:.10g}", *(NO_VALUE for _ in NORMS)])
     title = f"{record.integrator} on {record.problem}, {record.resolution}: {record.status}"
     return Table(title, ["group", "component", end, *NORMS], cells)
 
@@ -159,6 +171,8 @@ def _facts(record: Record) -> list[str]:
         if known:
             lines.append(f"{title}: {', '.join(known)}")
     lines += [f"note: {note}" for note in record.notes]
+    if record.history_error is not None:
+        lines.append(f"error of the named points, IFToMM's rule: {record.history_error:.3g}")
     if record.energy_drift is not None:
         lines.append(f"energy drift: {record.energy_drift:.3g}")
     if record.run_s:

@@ -18,6 +18,7 @@ from problems import answers, jax, jnp
 from problems.compiled import compiled
 from problems.initial_values import consistent_start
 from problems.system import INVARIANTS, MechatronicSystem
+from problems.witnesses import published_digits
 
 #: Largest estimated error of a reference in q and v, relative to their largest values.
 _REFERENCE_ERROR = 1e-8
@@ -220,6 +221,27 @@ def _agree(
         )
 
 
+def check_published(registry: Registry, scene: MechatronicSystem) -> str:
+    """The reference has the published digits, up to their tolerances."""
+    if not (own := answers.published(scene.published)):
+        raise DoesNotApply("It states no published digits.")
+    end = max(scene.interval[1], *(p.t for p in own))
+    t = np.unique([p.t for p in own])
+    found = published_digits(scene, t, reference(scene, end)(t))
+    parts = []
+    for stated, computed in found:
+        difference = np.abs(computed - stated.values).max()
+        if not difference <= stated.tolerance:
+            raise Failed(
+                f"{stated.quantity} at t={stated.t:g} s differs from the published digits by "
+                f"{difference:.2g}, more than the tolerance of {stated.tolerance:.2g}."
+            )
+        parts.append(difference / stated.tolerance)
+    if not parts:
+        raise DoesNotApply("Published digits belong to its default parameters.")
+    return f"{len(parts)} published values agree, up to {max(parts):.2g} of their tolerances."
+
+
 def check_drawing(registry: Registry, scene: MechatronicSystem) -> str:
     """The picture consists of lines of finite points."""
     if not scene.has("draw"):
@@ -245,5 +267,6 @@ SCENE_CHECKS = {
     "reference": check_reference,
     "constraints": check_constraints,
     **{block: partial(check_invariant, block=block) for block in INVARIANTS},
+    "published": check_published,
     "drawing": check_drawing,
 }

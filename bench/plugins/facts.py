@@ -41,6 +41,7 @@ class SceneFacts(msgspec.Struct, frozen=True, kw_only=True):
     interval: tuple[float, float]
     nominal_step: float
     constrained: bool
+    points: bool
     fingerprint: str
     sources: Sources = Sources()
 
@@ -95,6 +96,7 @@ def scene_facts(registry: Registry, text: str, parameters: dict[str, Any]) -> Sc
         interval=scene.interval,
         nominal_step=step(scene.nominal_step),
         constrained=scene.has("constraint"),
+        points=scene.has("points"),
         fingerprint=fingerprint(type(scene)),
         sources=registry.problems[scene.name].sources,
     )

@@ -10,6 +10,7 @@ from typing import Annotated, Any, TypedDict
 import msgspec
 from msgspec import Meta
 
+from bench.results.published import Digits
 from bench.results.quantities import (
     ASKED,
     GROUPS,
@@ -84,6 +85,9 @@ class Record(msgspec.Struct, kw_only=True):
     ``energy_drift`` is the largest change relative to the motion's largest kinetic energy, for
     scenes that conserve it. ``reference_error[group][norm]`` is the reference's own estimated
     error, relative like ``errors``: below a hundred times that, an error says nothing.
+    ``points`` are the coordinates of the named points at the end, in m; ``history_error`` is the
+    error of `bench.running.errors.history_error` over time; ``published`` has the published digits
+    for which the run has a row.
     ``operations`` is the bill of the run: floating-point operations by part, empty where a part is
     not known.
     ``claims`` are the orders that the integrator claims on the scene at equal steps, by group; None
@@ -119,6 +123,9 @@ class Record(msgspec.Struct, kw_only=True):
     constraint: dict[str, NotNegative | None] = {}
     constraint_unit: Name = ""
     energy_drift: NotNegative | None = None
+    points: dict[Name, list[float]] = {}
+    history_error: NotNegative | None = None
+    published: list[Digits] = []
     work: dict[str, Count | None] = {}
     operations: dict[str, Annotated[float, Meta(ge=0, le=1e100)]] = {}
     compile_s: NotNegative | None = None
@@ -243,6 +250,7 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     reference_method: str = ""
     reference_error: dict[str, float] = {}
     reference: Rows = msgspec.field(default_factory=lambda: Rows(t=[]))
+    published: list[Digits] = []
     drawings: list[Drawing] = []
     fingerprint: str = ""
     stopped: str = ""

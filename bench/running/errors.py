@@ -14,6 +14,7 @@ from integrators.contract import Trajectory
 from problems.compiled import compiled
 from problems.reference import Reference
 from problems.runtime import Float
+from problems.witnesses import named_points
 
 #: "settled" is the last part of the interval, where the start transient has died out.
 SETTLED_PART = 0.25
@@ -21,6 +22,8 @@ SETTLED_PART = 0.25
 _SMALL_PART = 1e-6
 #: Relative rounding of Phi: violations below a hundred times that say nothing.
 ROUNDING = 1e-15
+#: Errors of a point's coordinate that is smaller than this, in m, are divided by this.
+THRESHOLD = 1e-3
 #: Times at which the sizes of constraints are taken.
 _SIZED_AT = 65
 
@@ -112,6 +115,23 @@ def whole_error(
 ) -> Float[np.ndarray, "*runs"]:
     """Return the relative error of a group in the Euclidean norm of its components."""
     return norms(t)[norm](np.linalg.norm(difference, axis=-1)) / sizes.group
+
+
+def history_error(trajectory: Trajectory, reference: Reference) -> float | None:
+    """Return the error of the named points by the rule of the IFToMM benchmark library.
+
+    It is the root of the mean of e^2 over time and over the coordinates y of all points, with
+    e = abs(y - y_ref) / max(abs(y_ref), `THRESHOLD`). The rule takes equally spaced times; the mean
+    over time is here the integral over all steps by the trapezoidal rule. None if the scene has no
+    points, or if it is not finite.
+    """
+    scene, t = reference.scene, trajectory.t
+    if not scene.has("points"):
+        return None
+    of = (named_points(scene, q) for q in (trajectory.q, reference(t)["q"]))
+    found, exact = (np.hstack([*points.values()]) for points in of)
+    errors = np.abs(found - exact) / np.maximum(np.abs(exact), THRESHOLD)
+    return finite(np.sqrt(np.mean(norms(t)["rms"](errors.T) ** 2)))
 
 
 def relative_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.results.published import Digits
 from bench.results.quantities import GROUPS, LEVELS, NORM, error_note
 from bench.results.records import Rows
 from bench.running.errors import constraint_errors, finite, relative_errors
@@ -22,6 +23,7 @@ from problems.reference import Reference
 from problems.runtime import Float
 from problems.system import INVARIANTS, MechatronicSystem, State
 from problems.usage import computed_seconds
+from problems.witnesses import published_digits
 
 #: A run whose speed or change of energy is so many times the motion's largest has blown up.
 BLOWN_UP = 100.0
@@ -182,6 +184,22 @@ def errors_from_later_starts(
             errors = {g: norms[NORM] for each in tables for g, norms in each.errors.items()}
         found.append(errors)
     return found
+
+
+def digits(
+    scene: MechatronicSystem, t: Float[np.ndarray, " k"], values: Mapping[str, np.ndarray]
+) -> list[Digits]:
+    """Return the published digits for which there is a row at t in s, beside its values."""
+    return [
+        Digits(
+            quantity=own.quantity,
+            t=own.t,
+            published=list(own.values),
+            computed=computed.tolist(),
+            tolerance=own.tolerance,
+        )
+        for own, computed in published_digits(scene, t, values)
+    ]
 
 
 #: Notes that are errors: three digits of them take half the room, and no chart shows more.

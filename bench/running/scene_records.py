@@ -9,6 +9,7 @@ import numpy as np
 
 from bench.plugins.fingerprint import fingerprint
 from bench.plugins.reasons import why
+from bench.results.published import Digits
 from bench.results.records import Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import relative_reference_error
@@ -104,7 +105,15 @@ def _motion(scene: MechatronicSystem, reference: Reference) -> dict[str, Any]:
         "reference_method": reference.method,
         "reference_error": relative_reference_error(reference),
         "reference": measure.stored_rows({"t": t} | reference(t)),
+        "published": _published(reference),
     }
+
+
+def _published(reference: Reference) -> list[Digits]:
+    """Return the published digits up to the end of the reference, beside its values."""
+    scene, t_end = reference.scene, reference.t_end
+    t = np.array([p.t for p in answers.published(scene.published) if p.t <= t_end])
+    return measure.digits(scene, t, reference(t)) if len(t) else []
 
 
 def _missing_rank(scene: MechatronicSystem) -> int:

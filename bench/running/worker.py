@@ -23,7 +23,7 @@ from bench.plugins.registry import Registry
 from bench.results.quantities import PARTS
 from bench.results.records import TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.running import measure
-from bench.running.errors import constraint_errors, finite, relative_errors
+from bench.running.errors import constraint_errors, finite, history_error, relative_errors
 from bench.running.inventory import load_registry
 from bench.running.linearisation import uncontrolled
 from bench.running.plan import Cell
@@ -38,6 +38,7 @@ from problems.runtime import check_runtime, jax, one_thread
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 from problems.usage import computed_seconds, undisturbed
+from problems.witnesses import named_points
 
 #: Processor time in s for which a timing sample repeats short runs; longer ones warm their caches
 #: themselves. Beside busy processes, seven samples of 1 ms spread by 30 %, those of 10 ms by 12 %.
@@ -149,9 +150,21 @@ class Worker:
             if held:
                 record.errors |= held.errors
                 record.reference_error |= held.reference_errors
+            record.history_error = part(no_points, lambda: history_error(run, reference), None)
             return found.histories
 
+        def points() -> dict[str, Any]:
+            along = named_points(scene, run.q)
+            record.points = {name: rows[-1].tolist() for name, rows in along.items()}
+            record.published = measure.digits(scene, run.t, vars(run))
+            return {
+                f"{name} {axis} [m]": column
+                for name, rows in along.items()
+                for axis, column in zip("xyz", rows.T, strict=False)
+            }
+
         residuals = "No residual of the constraints is known"
+        no_points = "No named points or published digits are known"
         no_errors, blocks = "No errors are known, the reference failed", ["energy"]
         reference = part(no_errors, motion, None) if errors else None
         fault = "No energy drift is known"
@@ -168,7 +181,7 @@ class Worker:
         largest = {name: finite(values.max()) for name, values in drift.items()}
         record.energy_drift = largest.pop("energy", None)
         record.constraint = largest
-        run.notes |= noted | drift
+        run.notes |= noted | drift | part(no_points, points, {})
 
         def operations() -> dict[str, float]:
             return answers.checked_bill(self.prepared[record.key].bill(run), PARTS)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jax, jnp, parameter
+from problems import MechatronicSystem, Published, State, jax, jnp, parameter
 
 # Data of the source in kg, m and kg m^2; lengths that stand in the constraints are no parameters,
 # as the start would have to follow them.
@@ -59,6 +59,15 @@ class Andrews(MechatronicSystem):
         "Mazzia & Magherini, Test Set for IVP Solvers, problem andrews; Schiehlen (1990); "
         "Hairer & Wanner, Solving ODEs II, section VII.7"
     )
+    published = (
+        Published(
+            "q", 0.03,
+            (15.81077119629904, -15.75637105984298, 0.04082224013073101, -0.5347301163226948,
+             0.5244099658805304, 0.5347301163226948, 1.048080741042263), 5e-9,
+        ),
+        Published("a", 0.0, (14222.4439199541139, -10666.8329399655854, 0, 0, 0, 0, 0), 1e-8),
+        Published("lam", 0.0, (98.5668703962410896, -6.12268834425566265, 0, 0, 0, 0), 1e-10),
+    )  # fmt: skip
 
     mom: float = parameter(0.033, "N m", "torque of the motor")
     c0: float = parameter(4530.0, "N/m", "stiffness of the spring", low=0.0)

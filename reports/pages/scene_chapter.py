@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from bench.results.published import published_table
 from bench.results.records import SceneRecord, Study
 from reports.charts.mechanism import mechanism
 from reports.formatting import number, paragraphs
@@ -60,6 +61,7 @@ class SceneChapter:
         self.picture = _picture(new, f"{anchor}-scene") if new else None
         self.parameters = parameters_table(new) if new else None
         self.motion = motion_table(new) if new else None
+        self.published = published_table(self.scene.published) if self.scene else None
         names = {label: style.name for label, style in sections.styles.items()}
         self.targets = targets_table(series, names) if series else None
         self.summary = summary_table(series) if series else None

@@ -1,0 +1,145 @@
+"""Published digits and named points: of scenes, in checks, records and `solve`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from helpers import long, reference
+
+from bench.conformance.scenes import check_published
+from bench.conformance.verdicts import DoesNotApply, Failed
+from bench.plugins.registry import Registry
+from bench.running.errors import THRESHOLD, history_error
+from integrators import Steps, Tolerances
+from integrators.methods.ali3p import ALI3P
+from integrators.methods.generalized_alpha import GeneralizedAlpha
+from integrators.methods.half_explicit import PHEM56
+from integrators.methods.rodas5p import Rodas5P
+from problems import Published, answers, jax
+from problems.scenes.andrews import Andrews
+from problems.scenes.iftomm_pendulum import IFToMMPendulum
+from problems.scenes.n_four_bar import NFourBar
+from problems.scenes.planar_truck import PlanarTruck, PlanarTruckJoint
+from problems.witnesses import published_digits
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [IFToMMPendulum(), NFourBar(), *long(PlanarTruck(), PlanarTruckJoint(), Andrews())],
+    ids=str,
+)
+def test_references_have_the_published_digits(scene):
+    assert "published values agree" in check_published(Registry(), scene)
+
+
+def test_published_digits_that_differ_are_a_fault():
+    @dataclass(frozen=True)
+    class Wrong(IFToMMPendulum):
+        name = "wrong"
+        published = (Published("P", 1.0, (0.9862917, -0.165010853), 1e-6),)
+
+    with pytest.raises(Failed, match="P at t=1 s differs from the published digits by 2"):
+        check_published(Registry(), Wrong())
+    with pytest.raises(DoesNotApply, match="default parameters"):
+        check_published(Registry(), IFToMMPendulum(g=9.8))
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        (Published("P", 1.0, (1.0,), 1e-6), "expected real numbers of shape"),
+        (Published("Q", 1.0, (1.0, 0.0), 1e-6), "expected one of q, v, a, lam, P"),
+        (Published("P", 1.0, (1.0, 0.0), 0.0), "expected a positive number"),
+        ("P", "expected Published"),
+    ],
+)
+def test_entries_that_are_none_are_refused(entry, message):
+    @dataclass(frozen=True)
+    class Wrong(IFToMMPendulum):
+        name = "wrong"
+        published = (entry,)
+
+    scene, t = Wrong(), np.array([1.0])
+    with pytest.raises(answers.FalseAnswer, match=message):
+        published_digits(scene, t, reference(IFToMMPendulum(), 10.0)(t))
+
+
+@pytest.mark.parametrize("scene", [PlanarTruck(), PlanarTruckJoint()], ids=str)
+def test_all_springs_of_the_truck_are_in_equilibrium_at_its_start(scene):
+    q, v, _ = scene.initial_state()
+    residual = scene.force(q, v, 0.0)
+    if scene.sizes.nl:
+        pull = jax.vjp(lambda q: scene.constraint(q, 0.0), q)[1]
+        residual = residual - pull(np.array([0.0, -68056.2089]))[0]
+    assert np.abs(residual).max() < 1e-3  # of forces up to 3e5 N
+    stiffness = jax.jacfwd(lambda q: scene.force(q, v, 0.0))(q)
+    assert np.abs(stiffness - stiffness.T).max() < 1e-6 * np.abs(stiffness).max()
+
+
+def test_the_eigenvalues_of_the_truck_are_the_published_ones():
+    scene = PlanarTruck()
+    q = scene.initial_state().q
+    of_q, of_v = jax.jacfwd(scene.force, argnums=(0, 1))(q, np.zeros(9), 0.0)
+    inverse = np.diag(1 / np.diag(scene.mass(q)))
+    zero, one = np.zeros((9, 9)), np.eye(9)
+    found = np.linalg.eigvals(np.block([[zero, one], [inverse @ of_q, inverse @ of_v]]))
+    wanted = [-88.29, -11.67, -36.11 + 22.0j, -21.73 + 48.3j, -9.17 + 10.97j, -8.57 + 14.45j,
+              -7.74 + 57.9j, -3.118 + 4.844j, -0.825 + 6.532j, -0.3446 + 1.336j]  # fmt: skip
+    for value in wanted:
+        assert np.abs(found - value).min() < 2e-3 * abs(value)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("scene", "method", "resolution", "at", "limit"),
+    [
+        (IFToMMPendulum(), PHEM56(), Tolerances(1e-11), 10.0, 1e-7),
+        (IFToMMPendulum(), Rodas5P(), Tolerances(1e-11), 10.0, 1e-7),
+        (NFourBar(), GeneralizedAlpha(rho_inf=0.95), Steps(5e-4), 1.0, 1e-5),
+        (NFourBar(), ALI3P(), Steps(5e-4), 1.0, 1e-5),
+        (PlanarTruckJoint(), Rodas5P(), Tolerances(1e-8), 5.0, 1e-6),
+    ],
+)
+def test_methods_of_different_families_reach_the_digits(scene, method, resolution, at, limit):
+    run = method.prepare(scene, at, resolution).measure()
+    assert run.status == "ok", run.message
+    found = published_digits(scene, run.t, vars(run))
+    assert found
+    for stated, computed in found:
+        if stated.quantity not in ("lam", "a"):
+            assert np.abs(computed - stated.values).max() < limit
+
+
+def test_the_row_of_four_bars_runs_as_the_published_refinement_does():
+    # EXUDYN, generalized-alpha with 0.95, t = 10 s: B0 at three steps.
+    scene, published = NFourBar(), {1e-3: 0.3284112372, 5e-4: 0.3284465114}
+    for h, x in published.items():
+        run = GeneralizedAlpha(rho_inf=0.95).prepare(scene, 10.0, Steps(h)).measure()
+        # Its coordinates are those of rigid bodies: the error is of the same kind and size.
+        error, theirs = run.q[-1, 0] - 0.3284580975, x - 0.3284580975
+        assert 0.2 < error / theirs < 5
+
+
+def test_the_error_by_the_rule_of_the_library_is_its_formula():
+    scene = IFToMMPendulum()
+    run = GeneralizedAlpha(rho_inf=0.8).prepare(scene, 2.0, Steps(0.02)).measure()
+    exact = reference(scene, 2.0)
+    points = exact(run.t)["q"]
+    e = np.abs(run.q - points) / np.maximum(np.abs(points), THRESHOLD)
+    assert history_error(run, exact) == pytest.approx(np.sqrt(np.mean(e**2)), rel=0.02)
+
+
+@pytest.mark.usefixtures("without_processes")
+def test_solve_prints_points_and_published_digits(stepbench):
+    words = "solve iftomm_pendulum generalized_alpha[rho_inf=0.8] --t-end 1 --step 0.01 --json"
+    found = stepbench(*words.split())
+    answer = json.loads(found.stdout)
+    assert answer["points"]["P"] == pytest.approx([-0.98629, -0.16501], abs=0.02)
+    (digits,) = answer["published"]
+    assert digits["published"] == [-0.9862917511318753, -0.16501085312554117]
+    errors = np.abs(np.subtract(digits["published"], digits["computed"]))
+    assert digits["difference"] == pytest.approx(errors.max())
+    assert 0 < answer["history_error"] < 0.1
