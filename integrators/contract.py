@@ -45,6 +45,14 @@ STATUSES = (
 )
 
 
+#: Blocks of a scene that widen the equations of motion, and their meanings.
+WIDER = {
+    "kinematics": "rates dq/dt = T(q) v of the coordinates",
+    "velocity_constraint": "constraints of velocities alone",
+    "coupled_force": "forces that depend on lam, x or y",
+}
+
+
 def option(
     default: Any,
     doc: str,
@@ -196,7 +204,7 @@ def _of_taken_scenes(prepare: Callable[..., PreparedRun]) -> Callable[..., Prepa
     def asking(
         self: Integrator, scene: MechatronicSystem, t_end: float, resolution: Any
     ) -> PreparedRun:
-        if reason := self.supports(scene):
+        if reason := self.why_not(scene):
             raise spec.SpecError(f"{self.spec} does not take {scene.spec}: {reason}")
         return prepare(self, scene, t_end, resolution)
 
@@ -224,6 +232,8 @@ class Integrator(ABC):
         Publication of the method, with its DOI if there is one.
     formulation
         Equations that the method solves on a constrained scene (see problems.formulations).
+    takes
+        Blocks of `WIDER` that the method handles; it refuses scenes that state others of them.
     drift
         Treatment of constraints that these equations do not hold: "unprojected", "projected" or
         "baumgarte"; empty if there are none, or it is not stated.
@@ -236,6 +246,7 @@ class Integrator(ABC):
     family: ClassVar[str] = ""
     orders: ClassVar[dict[str, int]] = {}
     source: ClassVar[str] = ""
+    takes: ClassVar[tuple[str, ...]] = ()
     # Without annotations: a subclass may replace these by a constant, an option or a property.
     calls = ""
     controls = "step"
@@ -281,6 +292,19 @@ class Integrator(ABC):
         It is a `NativeMethod` of `integrators.native.step_method`; None if there is none.
         """
         return None
+
+    def why_not(self, scene: MechatronicSystem) -> str | None:
+        """Return None if the integrator takes the scene, else the reason in one sentence.
+
+        The reason is a block that it does not handle, or that of `supports`.
+        """
+        for block, meaning in WIDER.items():
+            if scene.has(block) and block not in self.takes:
+                return (
+                    f"the scene states {block}, {meaning}, which the method does not handle; take "
+                    f"generalized_alpha, phem56 or ida."
+                )
+        return self.supports(scene)
 
     def supports(self, scene: MechatronicSystem) -> str | None:
         """Return None if the integrator can take the scene, else the reason in one sentence."""

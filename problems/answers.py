@@ -194,20 +194,20 @@ def step(value: object) -> float:
     return found
 
 
-def state(value: object) -> list[Float[np.ndarray, " n"]]:
-    """Return q, v and x of an initial state as arrays of floats."""
+def state(value: object, rates: bool = True) -> list[Float[np.ndarray, " n"]]:
+    """Return q, v and x of an initial state as arrays of floats; v is dq/dt if they are rates."""
     what = "initial_state()"
     if not isinstance(value, tuple) or getattr(value, "_fields", ()) != ("q", "v", "x"):
         raise refused(what, value, "State(q, v), or State(q, v, x)")
     q, v, x = value
     shapes = []
-    for name, part in (("q", q), ("x", x)):
+    for name, part in (("q", q), ("v", q if rates else v), ("x", x)):
         found = _numbers(part, f"{name} of {what}", f"real numbers of shape (n{name},)")
-        if found.ndim != 1 or (name == "q" and not len(found)):
+        if found.ndim != 1 or (name != "x" and not len(found)):
             raise refused(f"{name} of {what}", found, f"real numbers of shape (n{name},)")
         shapes.append(found.shape)
-    nq, nx = shapes
-    wanted = ("q", q, nq), ("v = dq/dt", v, nq), ("x", x, nx)
+    nq, nv, nx = shapes
+    wanted = ("q", q, nq), ("v = dq/dt" if rates else "v", v, nv), ("x", x, nx)
     return [array(part, f"{name} of {what}", shape) for name, part, shape in wanted]
 
 

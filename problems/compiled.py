@@ -18,7 +18,7 @@ from problems.formulations import (
     ode_rate,
     with_rates,
 )
-from problems.runtime import Array, Float, Int, jax
+from problems.runtime import Array, Float, Int, jax, jnp
 from problems.system import INVARIANTS, MechatronicSystem, Variables
 
 #: Rows are taken in blocks of these sizes, so that two programs serve any number of rows.
@@ -40,8 +40,8 @@ class Compiled(NamedTuple):
     ``complete(p, q, v, x, t)``
         `formulations.complete` at k times; arrays of shape ``(k, n)``, t of shape ``(k,)``
     ``levels(p, q, v, a, t)``
-        residuals of the constraints and of their first two derivatives by time, at k times;
-        each ``(k, nl)``
+        residuals of the constraints ``(k, nh)`` and of their first two derivatives by time, beside
+        those of velocities and their first one, each ``(k, nl)``, at k times
     ``invariants[block](p, q, v)``
         one of `INVARIANTS` at k times, ``(k,)`` or ``(k, n)``
     ``points(p, q)``
@@ -78,7 +78,7 @@ def _compiled(template: MechatronicSystem) -> Compiled:
     def levels(p: Mapping, q: Array, v: Array, a: Array, t: Array) -> tuple[Array, Array, Array]:
         s = at(p)
         return (
-            s.constraint(q, t),
+            s.constraint(q, t) if s.sizes.nh else jnp.zeros(0),
             constraint_velocity(s, q, v, t),
             constraint_acceleration(s, q, v, a, t),
         )

@@ -63,5 +63,4 @@ def _takes(block: Callable, scene: MechatronicSystem, groups: Iterable[str]) -> 
 
 
 def _motion(scene: MechatronicSystem) -> tuple[np.ndarray, ...]:
-    q = np.zeros(scene.sizes.nq)
-    return q, q, np.zeros(())
+    return np.zeros(scene.sizes.nq), np.zeros(scene.sizes.nv), np.zeros(())

@@ -14,7 +14,7 @@ Arnold (2008).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from problems.kinematics import q_rate
 from problems.layouts import algebraic_layout, dae_layout, state_layout
@@ -33,16 +33,50 @@ def constraint_force(
     t: Float[Array, ""],
     lam: Float[Array, " nl"],
 ) -> Float[Array, " nv"]:
-    """Compute Phi_q(q, t)^T lam, which eq. (1) subtracts, in N (or N m), shape ``(nv,)``."""
-    return jax.vjp(lambda q: scene.constraint(q, t), q)[1](lam)[0]
+    """Compute Phi_q(q, t)^T lam, which eq. (1) subtracts, in N (or N m), shape ``(nv,)``.
+
+    With ``kinematics`` it is T^T Phi_q^T lam. The entries of lam behind those of Phi, if there are
+    any, are of the velocity constraints A v = b and add A^T lam.
+    """
+    nh, force = scene.sizes.nh, jnp.zeros(())
+    if nh:
+        own = lam if len(lam) == nh else lam[:nh]
+        force = jax.vjp(lambda q: scene.constraint(q, t), q)[1](own)[0]
+        if scene.has("kinematics"):
+            still = jnp.zeros(scene.sizes.nv)
+            force = jax.vjp(lambda v: scene.kinematics(q, v), still)[1](force)[0]
+    if len(lam) > nh:
+        still = jnp.zeros(scene.sizes.nv)
+        along = jax.vjp(lambda v: scene.velocity_constraint(q, v, t), still)[1]
+        force = force + along(lam[nh:])[0]
+    return force
 
 
 @equation
 def constraint_velocity(
     scene: MechatronicSystem, q: Float[Array, " nq"], v: Float[Array, " nv"], t: Float[Array, ""]
 ) -> Float[Array, " nl"]:
-    """Compute d/dt Phi = Phi_q v + Phi_t, in units of Phi per s, shape ``(nl,)``."""
-    return jax.jvp(scene.constraint, (q, t), (q_rate(scene, q, v), jnp.ones_like(t)))[1]
+    """Compute d/dt Phi = Phi_q v + Phi_t, in units of Phi per s, and A v - b, shape ``(nl,)``."""
+    rows = []
+    if scene.sizes.nh:
+        rates = q_rate(scene, q, v), jnp.ones_like(t)
+        rows.append(jax.jvp(scene.constraint, (q, t), rates)[1])
+    if scene.has("velocity_constraint"):
+        rows.append(scene.velocity_constraint(q, v, t))
+    return rows[0] if len(rows) == 1 else jnp.concatenate(rows)
+
+
+def constraint_change(
+    scene: MechatronicSystem, q: Float[Array, " nq"], t: Float[Array, ""], w: Float[Array, " nv"]
+) -> Float[Array, " nl"]:
+    """Compute the part of `constraint_velocity` that is linear in v, for w in its place."""
+    rows = []
+    if scene.sizes.nh:
+        rate = q_rate(scene, q, w)
+        rows.append(jax.jvp(lambda q: scene.constraint(q, t), (q,), (rate,))[1])
+    if scene.has("velocity_constraint"):
+        rows.append(jax.jvp(lambda v: scene.velocity_constraint(q, v, t), (w,), (w,))[1])
+    return rows[0] if len(rows) == 1 else jnp.concatenate(rows)
 
 
 @equation
@@ -72,7 +106,7 @@ def largest_inertia(scene: MechatronicSystem, q: Float[Array, " nq"]) -> Float[A
     It is the largest entry of M, or the largest row sum if the scene states ``mass_product``.
     """
     if scene.has("mass_product"):
-        return jnp.max(jnp.abs(scene.mass_product(q, jnp.ones_like(q))))
+        return jnp.max(jnp.abs(scene.mass_product(q, jnp.ones(scene.sizes.nv))))
     return jnp.max(jnp.abs(scene.mass(q)))
 
 
@@ -80,10 +114,12 @@ def largest_inertia(scene: MechatronicSystem, q: Float[Array, " nq"]) -> Float[A
 def dynamics_residual(scene: MechatronicSystem, z: Variables) -> Float[Array, " nv"]:
     """Compute M a - g + Phi_q^T lam - L y of eq. (1), in N (or N m), shape ``(nv,)``."""
     r = inertia(scene, z.q, z.a) - scene.force(z.q, z.v, z.t)
-    if scene.has("constraint"):
+    if scene.sizes.nl:
         r = r + constraint_force(scene, z.q, z.t, z.lam)
     if scene.has("output"):
-        r = r - scene.actuation() @ z.y
+        r = r - scene.actuation_at(z.q) @ z.y
+    if scene.has("coupled_force"):
+        r = r - scene.coupled_force(z)
     return r
 
 
@@ -157,11 +193,21 @@ def algebraic_residual(
         row = constraint_acceleration(scene, q, v, a, t)
         if baumgarte:
             row = row + 2 * baumgarte.alpha * constraint_velocity(scene, q, v, t)
-            row = row + baumgarte.beta**2 * scene.constraint(q, t)
+            row = pulled(scene, row, baumgarte.beta**2, q, t)
         rows.append(row)
     if scene.sizes.ny:
         rows.append(y - scene.output(z))
     return jnp.concatenate(rows)
+
+
+def pulled(scene: MechatronicSystem, row: Array, weight: Any, q: Array, t: Array) -> Array:
+    """Add weight times Phi to the rows of Phi."""
+    nh = scene.sizes.nh
+    if not nh:
+        return row
+    if nh == len(row):
+        return row + weight * scene.constraint(q, t)
+    return row.at[:nh].add(weight * scene.constraint(q, t))
 
 
 def _solution(
@@ -170,8 +216,8 @@ def _solution(
     """The solution of the index-1 equations; NaN where Newton's method fails.
 
     The augmented matrix [[M, Phi_q^T], [Phi_q, 0]] has to be regular, M alone need not be. Without
-    outputs the equations are linear and take one solve. With outputs they are solved by Newton's
-    method, and differentiated by the implicit function theorem.
+    outputs and coupled forces the equations are linear and take one solve. With them they are
+    solved by Newton's method, and differentiated by the implicit function theorem.
     """
     if linear:
         return -solve(*_jacobian_and_residual(residual, guess))
@@ -248,7 +294,8 @@ def complete(
         return algebraic_residual(scene, u, q, v, x, t, baumgarte)
 
     solve = solve or jnp.linalg.solve
-    u = _solution(residual, jnp.zeros(layout.size), not scene.sizes.ny, solve)
+    linear = not (scene.sizes.ny or scene.has("coupled_force"))
+    u = _solution(residual, jnp.zeros(layout.size), linear, solve)
     a, lam, y = layout.split(u)
     z = Variables(q, v, a, lam, x, y, t)
     return z, scene.state_rate(z) if scene.sizes.nx else jnp.zeros(0)
@@ -296,6 +343,38 @@ def with_rates(
 
 
 # ---- DAE residuals for general-purpose solvers -----------------------------------------
+def constraint_rows(
+    scene: MechatronicSystem,
+    formulation: str,
+    z: Variables,
+    of_q: Array | float | None = None,
+    of_v: Array | float | None = None,
+) -> list[Array]:
+    """Compute the residuals of the constraints that a formulation holds.
+
+    Constraints of velocities alone hold as they are on index 3, too.
+
+    Parameters
+    ----------
+    of_q, of_v
+        Numbers by which residuals of positions and of velocities are divided, if given.
+    """
+    q, v, t, positions, velocities = z.q, z.v, z.t, [], []
+    if formulation == "index1":
+        return [constraint_acceleration(scene, q, v, z.a, t)]
+    if formulation in ("index3", "stabilised_index2") and scene.sizes.nh:
+        positions.append(scene.constraint(q, t))
+    if formulation in ("index2", "stabilised_index2"):
+        velocities.append(constraint_velocity(scene, q, v, t))
+    elif scene.has("velocity_constraint"):
+        velocities.append(scene.velocity_constraint(q, v, t))
+    return [
+        row if by is None else row / by
+        for rows, by in ((positions, of_q), (velocities, of_v))
+        for row in rows
+    ]
+
+
 @equation
 def dae_residual(
     scene: MechatronicSystem,
@@ -328,12 +407,7 @@ def dae_residual(
     kinematic = wdot[at.q] - q_rate(scene, q, v)
     rows = [dynamics_residual(scene, z), *control_residuals(scene, z, wdot[at.x])]
     if scene.sizes.nl:
-        if formulation in ("index3", "stabilised_index2"):
-            rows.append(scene.constraint(q, t))
-        if formulation in ("index2", "stabilised_index2"):
-            rows.append(constraint_velocity(scene, q, v, t))
-        if formulation == "index1":
-            rows.append(constraint_acceleration(scene, q, v, a, t))
-        if formulation == "stabilised_index2":
-            kinematic = kinematic + constraint_force(scene, q, t, w[at.mu])
+        rows += constraint_rows(scene, formulation, z)
+        if formulation == "stabilised_index2" and scene.sizes.nh:
+            kinematic = kinematic + q_rate(scene, q, constraint_force(scene, q, t, w[at.mu]))
     return jnp.concatenate([kinematic, *rows])

@@ -50,12 +50,12 @@ def consistent_start(scene: MechatronicSystem) -> Start:
         If an array has a wrong shape.
     """
     t0 = scene.interval[0]
-    state = State(*answers.state(scene.initial_state()))
+    state = scene.start()
     _check_dimensions(scene, state)
-    if scene.has("constraint"):
+    if scene.sizes.nl:
         _check_constraints(scene, state, t0)
     start = jax.tree.map(np.asarray, _completed(scene, state, t0))
-    if scene.has("constraint") and not _solves(scene, start):
+    if scene.sizes.nl and not _solves(scene, start):
         start = jax.tree.map(np.asarray, least_start(scene, state, t0))
     if not _is_finite(start):
         raise NoConsistentStart(
@@ -92,12 +92,12 @@ def _completed(scene: MechatronicSystem, state: State, t: float) -> Start:
 
 
 def _check_constraints(scene: MechatronicSystem, state: State, t: float) -> None:
-    position, velocity, _ = _levels(scene, state.q, state.v, 0 * state.q, t)
+    position, velocity, _ = _levels(scene, state.q, state.v, 0 * state.v, t)
     for level, group, residual, values in (
         ("position", "q", position, state.q),
         ("velocity", "v", velocity, state.v),
     ):
-        violation, scale = np.abs(residual).max(), max(1.0, np.abs(values).max())
+        violation, scale = np.abs(residual).max(initial=0.0), max(1.0, np.abs(values).max())
         if not violation <= CONSISTENCY_TOLERANCE * scale:
             raise InconsistentStart(
                 f"The initial {group} of {scene.spec} violates the constraints at {level} "
@@ -107,21 +107,26 @@ def _check_constraints(scene: MechatronicSystem, state: State, t: float) -> None
 
 
 def _check_dimensions(scene: MechatronicSystem, state: State) -> None:
-    nq = len(state.q)
-    mass, force = _block_shapes(scene.template(), nq)
-    shapes = {"mass": (mass, (nq, nq)), "force": (force, (nq,))}
+    nq, nv = len(state.q), len(state.v)
+    found = _block_shapes(scene.template(), nq, nv)
+    wanted = {"mass": (nv, nv), "force": (nv,), "kinematics": (nq,), "move": (nq,)}
+    shapes = {block: (shape, wanted[block]) for block, shape in found.items()}
     if scene.has("output"):
-        shapes["actuation"] = (np.shape(scene.actuation())[:1], (nq,))
+        shapes["actuation"] = (np.shape(scene.actuation_at(state.q))[:1], (nv,))
     for block, (found, wanted) in shapes.items():
         if found != wanted:
             raise ValueError(f"{scene.spec}: {block} has shape {found}, expected {wanted}.")
 
 
 @cache  # they are found by tracing, and every run asks for them
-def _block_shapes(template: MechatronicSystem, nq: int) -> tuple[tuple, tuple]:
-    q = np.zeros(nq)
-    mass, force = jax.eval_shape(template.mass, q), jax.eval_shape(template.force, q, q, 0.0)
-    return mass.shape, force.shape
+def _block_shapes(template: MechatronicSystem, nq: int, nv: int) -> dict[str, tuple]:
+    q, v = np.zeros(nq), np.zeros(nv)
+    given = {"mass": (q,), "force": (q, v, 0.0), "kinematics": (q, v), "move": (q, v)}
+    return {
+        block: jax.eval_shape(getattr(template, block), *arguments).shape
+        for block, arguments in given.items()
+        if template.has(block)
+    }
 
 
 # ---- many scenes of one kind ------------------------------------------------------------
@@ -171,10 +176,10 @@ def _starts(template: MechatronicSystem) -> Callable[..., tuple[Start, Array]]:
         worst = jnp.asarray(0.0)
         start = with_rates(scene, q, v, x, now)
         if scene.sizes.nl:
-            levels = (scene.constraint(q, now), q), (constraint_velocity(scene, q, v, now), v)
-            for residual, of in levels:
+            position = scene.constraint(q, now) if scene.sizes.nh else jnp.zeros(0)
+            for residual, of in ((position, q), (constraint_velocity(scene, q, v, now), v)):
                 scale = jnp.maximum(1.0, jnp.max(jnp.abs(of)))
-                worst = jnp.maximum(worst, jnp.max(jnp.abs(residual)) / scale)
+                worst = jnp.maximum(worst, jnp.max(jnp.abs(residual), initial=0.0) / scale)
         return start, worst
 
     return jax.jit(jax.vmap(one, in_axes=(0, 0, 0, 0, None)))

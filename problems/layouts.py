@@ -67,7 +67,7 @@ def stage_layout(sizes: Sizes, formulation: str = "index3") -> Layout:
 
 
 def dae_layout(sizes: Sizes, formulation: str) -> Layout:
-    """Lay out w = [q, v, x, lam, y, mu]; "stabilised_index2" alone has multipliers mu ``(nl,)``."""
+    """Lay out w = [q, v, x, lam, y, mu]; "stabilised_index2" alone has multipliers mu ``(nh,)``."""
     n_mu = _multipliers(sizes, formulation)
     s = sizes
     return Layout(q=s.nq, v=s.nv, x=s.nx, lam=s.nl, y=s.ny, mu=n_mu)
@@ -80,4 +80,4 @@ def row_layout(sizes: Sizes, notes: int = 0) -> Layout:
 
 
 def _multipliers(sizes: Sizes, formulation: str) -> int:
-    return sizes.nl if formulation == "stabilised_index2" else 0
+    return sizes.nh if formulation == "stabilised_index2" else 0

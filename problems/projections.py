@@ -5,8 +5,8 @@ Shapes and units are those of `problems.formulations`.
 
 from __future__ import annotations
 
-from problems.formulations import constraint_velocity
-from problems.kinematics import advance, q_rate
+from problems.formulations import constraint_change, constraint_velocity
+from problems.kinematics import advance
 from problems.layouts import state_layout
 from problems.named_equations import equation
 from problems.runtime import Array, Float, jax, jnp
@@ -17,13 +17,16 @@ _PROJECTIONS = 3
 
 
 def _least_change(scene: MechatronicSystem, q: Array, t: Array, r: Array) -> Array:
-    """The w of least norm w^T M w with Phi_q w = r.
+    """The w of least norm w^T M w with Phi_q w = r, of the first constraints if r has fewer rows.
 
     It lies in the range of M^-1 Phi_q^T, the directions in which constraints act. One solve with
     the augmented matrix, so that M need not be regular.
     """
-    nv, nl = scene.sizes.nv, scene.sizes.nl
-    jacobian = jax.jacfwd(lambda q: scene.constraint(q, t))(q)
+    nv, nl = scene.sizes.nv, len(r)
+    if nl == scene.sizes.nh and not scene.has("kinematics"):
+        jacobian = jax.jacfwd(lambda q: scene.constraint(q, t))(q)
+    else:
+        jacobian = jax.jacfwd(lambda w: constraint_change(scene, q, t, w))(jnp.zeros(nv))[:nl]
     augmented = jnp.block([[scene.mass(q), jacobian.T], [jacobian, jnp.zeros((nl, nl))]])
     return jnp.linalg.solve(augmented, jnp.concatenate([jnp.zeros(nv), r]))[:nv]
 
@@ -33,8 +36,7 @@ def constrained_part(
     scene: MechatronicSystem, q: Float[Array, " nq"], t: Float[Array, ""], w: Float[Array, " nv"]
 ) -> Float[Array, " nv"]:
     """Project w on the range of M^-1 Phi_q^T, the directions of constraint forces; ``(nv,)``."""
-    along = jax.jvp(lambda q: scene.constraint(q, t), (q,), (q_rate(scene, q, w),))[1]
-    return _least_change(scene, q, t, along)
+    return _least_change(scene, q, t, constraint_change(scene, q, t, w))
 
 
 @equation
@@ -49,7 +51,7 @@ def projected_state(
     if not scene.sizes.nl:
         return s
     q, v, x = state_layout(scene.sizes).split(s)
-    for _ in range(_PROJECTIONS):
+    for _ in range(_PROJECTIONS if scene.sizes.nh else 0):
         q = advance(scene, q, -_least_change(scene, q, t, scene.constraint(q, t)))
     v = v - _least_change(scene, q, t, constraint_velocity(scene, q, v, t))
     return jnp.concatenate([q, v, x])

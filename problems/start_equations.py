@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from problems.exported_programs import exported
-from problems.formulations import Start, algebraic_residual
+from problems.formulations import Start, algebraic_residual, constraint_change
 from problems.kinematics import q_rate
 from problems.layouts import algebraic_layout
 from problems.runtime import Array, Float, jax, jnp
@@ -97,10 +97,12 @@ def missing_rank(scene: MechatronicSystem, q: np.ndarray, t: float) -> int:
 
 @cache
 def _rows(template: MechatronicSystem) -> Callable:
-    """The compiled derivatives of the constraints by q."""
+    """The compiled derivatives of the constraints along velocities."""
+    still = np.zeros(template.sizes.nv)
 
     def rows(p: Any, q: Any, t: Any) -> Any:
-        return jax.jacfwd(lambda q: template.with_parameters(p).constraint(q, t))(q)
+        scene = template.with_parameters(p)
+        return jax.jacfwd(lambda w: constraint_change(scene, q, jnp.asarray(t), w))(still)
 
     return exported(rows, ("rows of the constraints", template))
 
@@ -147,10 +149,8 @@ def _equations(template: MechatronicSystem, sparse: bool) -> _Equations:
         rates = q_rate(scene, z.q, z.v), z.a, xdot, jnp.ones_like(z.t)
         return jax.jvp(lambda *state: at(p, *state)(u), (z.q, z.v, z.x, z.t), rates)[1]
 
-    def constraint_change(p: Mapping, z: Variables, w: Array) -> Array:
-        scene = template.with_parameters(p)
-        rate = q_rate(scene, z.q, w)
-        return jax.jvp(lambda q: scene.constraint(q, z.t), (z.q,), (rate,))[1]
+    def change(p: Mapping, z: Variables, w: Array) -> Array:
+        return constraint_change(template.with_parameters(p), z.q, z.t, w)
 
     pattern = None
     if sparse:
@@ -162,7 +162,7 @@ def _equations(template: MechatronicSystem, sparse: bool) -> _Equations:
         residual=jax.jit(lambda p, u, *state: at(p, *state)(u)),
         jacobian=jax.jit(jacobian),
         drift=jax.jit(drift),
-        constraint_change=jax.jit(constraint_change),
+        constraint_change=jax.jit(change),
     )
 
 

@@ -7,6 +7,11 @@ A mechatronic system in the sense of Bruels & Arnold (2008), eqs (1)-(4)::
       xdot = f(q, v, a, lam, x, y, t)                    controller states
          y = h(q, v, a, lam, x, y, t)                    outputs, possibly implicit
 
+Three more blocks widen it. ``kinematics`` gives dq/dt = T(q) v in place of v, so that rotations in
+space have four coordinates and three velocities; Phi_q then means Phi_q T. ``velocity_constraint``
+gives 0 = A(q) v - b(t), as of rolling wheels, whose multipliers follow those of Phi and act by A^T.
+``coupled_force`` adds forces that depend on lam, x or y to g, as friction in joints.
+
 A scene is a frozen dataclass: its parameters are fields, its blocks are methods written in
 ``jax.numpy``. Blocks that it does not define do not exist, and cost nothing.
 """
@@ -14,6 +19,7 @@ A scene is a frozen dataclass: its parameters are fields, its blocks are methods
 from __future__ import annotations
 
 import dataclasses
+import inspect
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -38,7 +44,8 @@ class Variables(NamedTuple):
     ``q``
         coordinates, in m, rad or as the scene says
     ``v``, ``a``
-        velocities and accelerations: q per s and per s^2
+        velocities and their rates, the accelerations: q per s and per s^2, or what ``kinematics``
+        takes for velocities
     ``lam``
         multipliers: Phi_q^T lam is a force in N (or a torque in N m)
     ``x``, ``y``
@@ -139,17 +146,15 @@ class Published(NamedTuple):
 
 
 class Sizes(NamedTuple):
-    """Numbers of coordinates, multipliers, controller states and outputs; ``nv`` of velocities."""
+    """Numbers of coordinates, of velocities (as many as accelerations and equations of motion), of
+    multipliers, controller states and outputs; ``nh`` of multipliers that belong to Phi."""
 
     nq: int
+    nv: int
     nl: int
     nx: int
     ny: int
-
-    @property
-    def nv(self) -> int:
-        """Number of velocities, accelerations and equations of motion."""
-        return self.nq
+    nh: int
 
     def of(self, group: str) -> int:
         """Number of entries of a group, or of "xdot"."""
@@ -188,9 +193,10 @@ class MechatronicSystem:
     """Base class of all scenes.
 
     Required: ``mass``, ``force`` and ``initial_state``. Everything else is stated only by the
-    scenes that have it: ``constraint``; ``state_rate`` (controller states); ``output`` together
-    with ``actuation``; ``energy``; ``momentum``; ``points``; ``exact``; ``draw``. An override may
-    leave out annotations.
+    scenes that have it: ``constraint``; ``velocity_constraint``; ``kinematics``, perhaps with
+    ``move``; ``coupled_force``; ``state_rate`` (controller states); ``output`` together with
+    ``actuation``; ``energy``; ``momentum``; ``points``; ``exact``; ``draw``. An override may leave
+    out annotations.
 
     The class attributes say how to use the scene:
 
@@ -203,10 +209,11 @@ class MechatronicSystem:
         measures their orders on those with "orders", too
     ``difficulties``
         a sentence for each difficulty, and the methods that it concerns
-    ``coordinates``, ``multipliers``, ``states``, ``outputs``
-        names of the entries of q, lam, x and y, as "heave [m]" or "heave [m] ~ 0.05, 0.3, 2": the
-        unit, and natural sizes of the values, their rates and accelerations, by which errors are
-        divided; without one, an error is relative to the largest value in the reference
+    ``coordinates``, ``velocities``, ``multipliers``, ``states``, ``outputs``
+        names of the entries of q, v (only with ``kinematics``), lam, x and y, as "heave [m]" or
+        "heave [m] ~ 0.05, 0.3, 2": the unit, and natural sizes of the values, their rates and
+        accelerations, by which errors are divided; without one, an error is relative to the largest
+        value in the reference
     ``source``
         publication of the equations and data
     ``published``
@@ -219,6 +226,7 @@ class MechatronicSystem:
     tags: ClassVar[tuple[str, ...]] = ()
     difficulties: ClassVar[tuple[str, ...]] = ()
     coordinates: ClassVar[tuple[str, ...]] = ()
+    velocities: ClassVar[tuple[str, ...]] = ()
     multipliers: ClassVar[tuple[str, ...]] = ()
     states: ClassVar[tuple[str, ...]] = ()
     outputs: ClassVar[tuple[str, ...]] = ()
@@ -257,6 +265,24 @@ class MechatronicSystem:
         """Holonomic constraints Phi(q, t), zero when satisfied; their units fix those of lam."""
         raise NotImplementedError
 
+    def velocity_constraint(
+        self, q: Float[Array, " nq"], v: Float[Array, " nv"], t: Float[Array, ""]
+    ) -> Float[Array, " n"]:
+        """Nonholonomic constraints A(q) v - b(t), zero when satisfied and linear in v."""
+        raise NotImplementedError
+
+    def kinematics(self, q: Float[Array, " nq"], v: Float[Array, " nv"]) -> Float[Array, " nq"]:
+        """dq/dt = T(q) v, linear in v, in units of q per s."""
+        raise NotImplementedError
+
+    def move(self, q: Float[Array, " nq"], w: Float[Array, " nv"]) -> Float[Array, " nq"]:
+        """Coordinates after a displacement w, where ``kinematics`` leads in 1 s at velocity w/s."""
+        raise NotImplementedError
+
+    def coupled_force(self, z: Variables) -> Float[Array, " nv"]:
+        """Forces that depend on lam, x or y, in N (or N m), beside ``force``; not on z.a."""
+        raise NotImplementedError
+
     def state_rate(self, z: Variables) -> Float[Array, " nx"]:
         """Rate f of the controller states per s."""
         raise NotImplementedError
@@ -265,8 +291,8 @@ class MechatronicSystem:
         """Outputs h; may use z.a, z.lam and, implicitly, z.y."""
         raise NotImplementedError
 
-    def actuation(self) -> Float[Array | np.ndarray, "nq ny"]:
-        """Constant matrix L; L y is the force of the outputs in N (or N m)."""
+    def actuation(self) -> Float[Array | np.ndarray, "nv ny"]:
+        """Matrix L, or L(q) if it takes q; L y is the force of the outputs in N (or N m)."""
         raise NotImplementedError
 
     def initial_state(self) -> State:
@@ -323,7 +349,7 @@ class MechatronicSystem:
         SpecError
             If blocks are missing that belong together, or a method looks like a block and is none.
         """
-        fault, start = self.fault(), State(*answers.state(self.initial_state()))
+        fault, start = self.fault(), self.start()
         nx = len(start.x)
         if nx and not self.has("state_rate"):
             fault = f"its initial_state has x of length {nx}, but it does not state state_rate."
@@ -331,19 +357,38 @@ class MechatronicSystem:
             fault = "it states state_rate, but its initial_state has no x."
         if fault:
             raise spec.SpecError(f"{self.spec}: {fault}")
-        nl = ny = 0
-        if self.has("constraint"):
-            shape = jax.eval_shape(self.constraint, start.q, self.interval[0]).shape
-            if len(shape) != 1:
-                raise spec.SpecError(f"{self.spec}: constraint has shape {shape}, expected (nl,).")
-            nl = shape[0]
+        q, t0, ny = start.q, self.interval[0], 0
+        rows = {"constraint": 0, "velocity_constraint": 0}
+        for block, given in zip(rows, ((q, t0), (q, start.v, t0)), strict=True):
+            if self.has(block):
+                shape = jax.eval_shape(getattr(self, block), *given).shape
+                if len(shape) != 1:
+                    raise spec.SpecError(f"{self.spec}: {block} has shape {shape}, expected (n,).")
+                rows[block] = shape[0]
         if self.has("output"):
-            shape, rows = np.shape(self.actuation()), len(start.q)
+            shape = np.shape(self.actuation_at(q))
             if len(shape) != 2:
-                fault = f"actuation has shape {shape}, expected ({rows}, ny)."
+                fault = f"actuation has shape {shape}, expected ({len(start.v)}, ny)."
                 raise spec.SpecError(f"{self.spec}: {fault}")
             ny = shape[1]
-        return Sizes(len(start.q), nl, nx, ny)
+        return Sizes(len(q), len(start.v), sum(rows.values()), nx, ny, rows["constraint"])
+
+    def start(self) -> State:
+        """Return the initial state as arrays of floats.
+
+        Raises
+        ------
+        FalseAnswer
+            If it is none.
+        """
+        return State(*answers.state(self.initial_state(), not self.has("kinematics")))
+
+    def actuation_at(
+        self, q: Float[Array | np.ndarray, " nq"]
+    ) -> Float[Array | np.ndarray, "nv ny"]:
+        """Return L at q, whether it depends on q or not."""
+        actuation: Any = self.actuation
+        return actuation(q) if inspect.signature(actuation).parameters else actuation()
 
     def parameters(self) -> dict[str, float]:
         """The traced parameters by name."""
@@ -351,11 +396,13 @@ class MechatronicSystem:
 
     def components(self, group: str) -> list[Component]:
         """Return the components of a group, named by numbers where the scene gives no names."""
-        stated = {"lam": self.multipliers, "x": self.states, "y": self.outputs}
-        named = stated.get(group, self.coordinates)
+        own_velocities = self.has("kinematics") and group in ("v", "a")
+        named = {
+            "lam": self.multipliers, "x": self.states, "y": self.outputs, "q": self.coordinates,
+        }.get(group, self.velocities if own_velocities else self.coordinates)  # fmt: skip
         texts = answers.texts(named, f"names of {group}", answers.MOST_COMPONENTS)
         found = [Component.read(text) for text in texts]
-        for _ in range("qva".find(group)):
+        for _ in range("qva".find(group) - own_velocities):
             found = [component.rate() for component in found]
         numbers = range(len(found), self.sizes.of(group))
         return found[: self.sizes.of(group)] + [Component(str(k + 1)) for k in numbers]

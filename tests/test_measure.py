@@ -139,7 +139,7 @@ class Named(MechatronicSystem):
     """Two coordinates without equations; only their names matter."""
 
     coordinates = ("x [m]", "y [m]")
-    sizes = Sizes(2, 0, 0, 0)
+    sizes = Sizes(2, 2, 0, 0, 0, 0)
 
 
 class Scaled(Named):

@@ -24,6 +24,9 @@ _ARGUMENTS = {
     "mass": "q",
     "force": "qvt",
     "constraint": "qt",
+    "velocity_constraint": "qvt",
+    "kinematics": "qv",
+    "coupled_force": "z",
     **dict.fromkeys(INVARIANTS, "qv"),
     "state_rate": "z",
     "output": "z",
@@ -53,7 +56,7 @@ def _points(scene: MechatronicSystem) -> list[Variables]:
         sizes = scene.sizes
     except Exception as error:
         raise Failed(f"constraint or actuation cannot be traced: {shortly(error)}") from error
-    a, lam, y = (np.zeros(n) for n in (sizes.nq, sizes.nl, sizes.ny))
+    a, lam, y = (np.zeros(n) for n in (sizes.nv, sizes.nl, sizes.ny))
     start = (state.q, state.v, a, lam, state.x, y, np.float64(scene.interval[0]))
     points: list[tuple[Any, ...]] = [start]
     for _ in range(_POINTS - 1):

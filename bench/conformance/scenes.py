@@ -16,6 +16,7 @@ from bench.results.quantities import LEVELS
 from bench.running.errors import relative_reference_error
 from problems import answers, jax, jnp
 from problems.compiled import compiled
+from problems.formulations import constraint_change
 from problems.initial_values import consistent_start
 from problems.system import INVARIANTS, MechatronicSystem
 from problems.witnesses import published_digits
@@ -82,7 +83,8 @@ def check_start(registry: Registry, scene: MechatronicSystem) -> str:
         shape = jax.eval_shape(getattr(scene, block), z).shape if scene.has(block) else (size,)
         if shape != (size,):
             raise Failed(f"{block} has shape {shape}, expected {(size,)}.")
-    shown = ", ".join(f"{name}={size}" for name, size in sizes._asdict().items() if size)
+    own = sizes._asdict() | {"nh": 0} | ({"nv": 0} if sizes.nv == sizes.nq else {})
+    shown = ", ".join(f"{name}={size}" for name, size in own.items() if size)
     return f"Consistent at t={scene.interval[0]:g} s: {shown}."
 
 
@@ -101,7 +103,9 @@ def check_mass(registry: Registry, scene: MechatronicSystem) -> str:
     nl = scene.sizes.nl
     augmented = mass / size
     if nl:
-        jacobian = np.asarray(jax.jacfwd(scene.constraint)(q, scene.interval[0]))
+        t0, still = jnp.asarray(scene.interval[0]), jnp.zeros(scene.sizes.nv)
+        change = partial(constraint_change, scene, q, t0)
+        jacobian = np.asarray(jax.jacfwd(change)(still))
         # Rows of any unit: each is scaled to its own size, and a row of zeros stays one.
         rows = np.abs(jacobian).max(axis=1, keepdims=True)
         jacobian = jacobian / np.where(rows > 0, rows, 1.0)
@@ -113,7 +117,7 @@ def check_mass(registry: Registry, scene: MechatronicSystem) -> str:
             "constraints, or give every coordinate a mass or a constraint."
         )
     if scene.has("mass_product"):
-        a = jnp.asarray(np.random.default_rng(1).normal(size=len(q)))
+        a = jnp.asarray(np.random.default_rng(1).normal(size=scene.sizes.nv))
         difference = np.abs(np.asarray(scene.mass_product(q, a)) - mass @ np.asarray(a)).max()
         if not difference <= 1e-12 * size * len(q):
             raise Failed(f"mass_product differs from mass times a vector by {difference:.2g}.")
@@ -148,13 +152,13 @@ def check_invariant(registry: Registry, scene: MechatronicSystem, block: str) ->
 
 def check_constraints(registry: Registry, scene: MechatronicSystem) -> str:
     """Phi and its first two time derivatives vanish along the reference."""
-    if not scene.has("constraint"):
+    if not scene.sizes.nl:
         raise DoesNotApply("It has no constraint.")
     t, values = _along(scene)
     rows = [values[group] for group in ("q", "v", "a")]
     levels = compiled(scene).levels(scene.parameters(), *rows, t)
     for name, residual, row in zip(LEVELS, levels, rows, strict=True):
-        worst, size = np.abs(residual).max(), max(1.0, np.abs(row).max())
+        worst, size = np.abs(residual).max(initial=0.0), max(1.0, np.abs(row).max())
         if not worst <= _CONSTRAINT_ERROR * size:
             at = t[np.abs(residual).max(axis=1).argmax()]
             raise Failed(

@@ -87,6 +87,8 @@ def _moved_class(cls: type, by: float) -> type:
     blocks = {
         "force": lambda self, q, v, t: cls.force(self, q, v, t - by),
         "constraint": lambda self, q, t: cls.constraint(self, q, t - by),
+        "velocity_constraint": lambda self, q, v, t: cls.velocity_constraint(self, q, v, t - by),
+        "coupled_force": lambda self, z: cls.coupled_force(self, z._replace(t=z.t - by)),
         "state_rate": lambda self, z: cls.state_rate(self, z._replace(t=z.t - by)),
         "output": lambda self, z: cls.output(self, z._replace(t=z.t - by)),
         # It may ask for the interval, which has moved.

@@ -95,7 +95,7 @@ def scene_facts(registry: Registry, text: str, parameters: dict[str, Any]) -> Sc
         name=scene.name,
         interval=scene.interval,
         nominal_step=step(scene.nominal_step),
-        constrained=scene.has("constraint"),
+        constrained=bool(scene.sizes.nl),
         points=scene.has("points"),
         fingerprint=fingerprint(type(scene)),
         sources=registry.problems[scene.name].sources,

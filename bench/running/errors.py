@@ -175,10 +175,12 @@ def constraint_errors(trajectory: Trajectory, reference: Reference) -> ErrorTabl
     `ROUNDING`: a method that holds a constraint exactly has its place there on a logarithmic axis.
     """
     scene, run, table = reference.scene, trajectory, ErrorTable({}, {}, {}, {})
-    if not scene.has("constraint"):
+    if not scene.sizes.nl:
         return table
     rows = compiled(scene).levels(scene.parameters(), run.q, run.v, run.a, run.t)
     for name, residuals, sizes in zip(VIOLATIONS, rows, constraint_sizes(reference), strict=False):
+        if not residuals.shape[1]:
+            continue
         each = {n: component_errors(residuals, run.t, Scales(sizes, 1.0), n) for n in NORMS}
         table.errors[name] = {n: finite(e.max(initial=ROUNDING)) for n, e in each.items()}
         table.reference_errors[name] = dict.fromkeys(NORMS, ROUNDING)
@@ -205,8 +207,14 @@ def constraint_sizes(reference: Reference) -> tuple[Float[np.ndarray, " nl"], ..
     columns = np.abs(rates[:, 1:] - rates[:, :1])
     of_q, of_v = (scales(reference, group).components for group in "qv")
     turns = [component.unit == "rad" for component in scene.components("q")]
+    if scene.has("kinematics"):  # ways along the velocities
+        from scipy.integrate import cumulative_trapezoid  # slow to import
+
+        of_q = np.abs(cumulative_trapezoid(reference(t)["v"], t, axis=0)).max(axis=0)
+        turns = [component.unit == "rad/s" for component in scene.components("v")]
     of_q = np.where(turns, np.minimum(of_q, 1.0), of_q)
-    largest = (np.einsum("kji,j->ki", columns, s).max(axis=0) for s in (of_q, of_v))
+    largest = [np.einsum("kji,j->ki", columns, s).max(axis=0) for s in (of_q, of_v)]
+    largest[0] = largest[0][: scene.sizes.nh]
     return tuple(np.where(sizes > 0, sizes, 1.0) for sizes in largest)
 
 

@@ -11,6 +11,7 @@ from bench.running.errors import scales
 from integrators.contract import Trajectory
 from problems.exported_programs import exported
 from problems.formulations import constraint_velocity, ode_rate
+from problems.kinematics import q_rate
 from problems.layouts import state_layout
 from problems.reference import Reference
 from problems.runtime import Float, jax, jnp
@@ -162,18 +163,27 @@ def _states(reference: Reference, t: Float[np.ndarray, " k"]) -> Float[np.ndarra
 def _admitted(
     scene: MechatronicSystem, s: Float[np.ndarray, " n"], size: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n m"]:
-    """An orthonormal basis of the relative changes that the constraints admit at the start."""
+    """An orthonormal basis of the relative changes that constraints and kinematics admit at the
+    start."""
+    at, admitted = state_layout(scene.sizes), np.eye(len(s))
+    if scene.has("kinematics"):  # coordinates change along velocities, as quaternions of unit norm
+        from scipy.linalg import block_diag, orth  # slow to import
+
+        q, still = jnp.asarray(s[at.q]), jnp.zeros(scene.sizes.nv)
+        along = np.asarray(jax.jacfwd(lambda v: q_rate(scene, q, v))(still)) / size[at.q, None]
+        admitted = block_diag(orth(along), np.eye(len(s) - at.q.stop))
     if not scene.sizes.nl:
-        return np.eye(len(s))
+        return admitted
 
     def levels(s: Any) -> Any:
-        q, v, _ = state_layout(scene.sizes).split(s)
+        q, v, _ = at.split(s)
         t = jnp.asarray(scene.interval[0])
-        return jnp.concatenate([scene.constraint(q, t), constraint_velocity(scene, q, v, t)])
+        rows = [scene.constraint(q, t)] if scene.sizes.nh else []
+        return jnp.concatenate([*rows, constraint_velocity(scene, q, v, t)])
 
-    rows = np.asarray(jax.jacfwd(levels)(jnp.asarray(s))) * size
+    rows = np.asarray(jax.jacfwd(levels)(jnp.asarray(s))) * size @ admitted
     _, parts, basis = np.linalg.svd(rows / np.linalg.norm(rows, axis=1, keepdims=True))
-    return basis[np.count_nonzero(parts > 1e-9) :].T
+    return np.asarray(admitted @ basis[np.count_nonzero(parts > 1e-9) :].T)
 
 
 def _largest(

@@ -38,10 +38,10 @@ _LONGEST = 0.25
 def violations(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.ndarray, " k"]]:
     """Measure the largest absolute residuals of Phi and of its first two time derivatives.
 
-    "position", "velocity" and "acceleration" in each of the k rows of a run; nothing if the scene
-    has no constraints.
+    "position", "velocity" and "acceleration" in each of the k rows of a run, the last two also of
+    constraints of velocities; nothing if the scene has no constraints.
     """
-    if not scene.has("constraint"):
+    if not scene.sizes.nl:
         return {}
     levels = compiled(scene).levels(scene.parameters(), run.q, run.v, run.a, run.t)
     return {

@@ -26,7 +26,9 @@ GHOSTS, FRAMES = 7, 61
 MOST_POINTS = 20_000
 
 _BLOCKS = {
+    "kinematics": "dq/dt = T(q) v",
     "constraint": "0 = Phi(q, t)",
+    "velocity_constraint": "0 = A(q) v - b(t)",
     "state_rate": "xdot = f(q, v, a, lam, x, y, t)",
     "output": "y = h(q, v, a, lam, x, y, t)",
 }
@@ -133,8 +135,11 @@ def _components(scene: MechatronicSystem) -> dict[str, list[str]]:
 def equations(scene: MechatronicSystem) -> list[str]:
     """Return the equations that a scene has, in the symbols of the contract."""
     motion = "M(q) a = g(q, v, t)"
-    motion += " - Phi_q^T lam" if scene.has("constraint") else ""
+    of_q = "(Phi_q T)^T" if scene.has("kinematics") else "Phi_q^T"
+    motion += f" - {of_q} lam" if scene.has("constraint") else ""
+    motion += " - A^T lam" if scene.has("velocity_constraint") else ""
     motion += " + L y" if scene.has("output") else ""
+    motion += " + g_c(q, v, lam, x, y, t)" if scene.has("coupled_force") else ""
     return [motion, *(text for block, text in _BLOCKS.items() if scene.has(block))]
 
 

@@ -32,7 +32,7 @@ class LinearSystem(MechatronicSystem):
     def layout(self) -> Layout:
         """Places of q, v and x in a deviation."""
         nq, nx = self.size
-        return state_layout(Sizes(nq, 0, nx, 0))
+        return state_layout(Sizes(nq, nq, 0, nx, 0, 0))
 
     def from_deviation(self, s: np.ndarray) -> Self:
         """Return the same system, started from s = [q, v, x] instead of rest."""

@@ -279,7 +279,7 @@ def _split(table: np.ndarray, sizes: Sizes) -> dict[str, np.ndarray]:
 def _lanes(sizes: Sizes, count: int) -> int:
     backend = jax.default_backend()
     lanes = _MOST_LANES.get(backend, _MOST_LANES_GPU)
-    unknowns = sum(sizes) + sizes.nl
+    unknowns = sizes.nv + 2 * sizes.nl + sizes.nx + sizes.ny
     each = 8 * (4 * unknowns**2 + _ROWS * 4 * unknowns)
     most = _MOST_BYTES.get(backend, _MOST_BYTES_GPU) // each
     while lanes > max(1, most) or lanes // 2 >= count:

@@ -15,6 +15,7 @@ from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import Trajectory
 from problems.formulations import dae_residual
 from problems.initial_values import consistent_start
+from problems.kinematics import q_rate
 from problems.layouts import Layout, dae_layout
 from problems.runtime import jax, jnp
 from problems.sparsity import Pattern
@@ -144,7 +145,8 @@ def start_vectors(
     w, wdot = np.zeros(layout.size), np.zeros(layout.size)
     for name in ("q", "v", "x", "lam", "y"):
         w[getattr(layout, name)] = getattr(start.z, name)
-    wdot[layout.q], wdot[layout.v], wdot[layout.x] = start.z.v, start.z.a, start.xdot
+    wdot[layout.q] = q_rate(scene, start.z.q, start.z.v)
+    wdot[layout.v], wdot[layout.x] = start.z.a, start.xdot
     return w, wdot
 
 

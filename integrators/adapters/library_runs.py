@@ -15,7 +15,7 @@ import numpy as np
 from integrators.adapters.packed_functions import PackedFunction, same_to_rounding
 from integrators.adapters.trajectories import early_end_message
 from integrators.adapters.vector_work import VECTOR_WORK
-from integrators.contract import Integrator, PreparedRun, Trajectory, Work, option
+from integrators.contract import WIDER, Integrator, PreparedRun, Trajectory, Work, option
 from integrators.kept_rows import RowKeeper, width_of
 from integrators.lowering.graph import NotLowered
 from integrators.program_costs import OWN, Algebra, Cost, bill, of_calls
@@ -59,6 +59,7 @@ class LibrarySolver(Integrator):
     `callbacks_option`."""
 
     controls = "tolerance"
+    takes: ClassVar[tuple[str, ...]] = tuple(WIDER)
     #: A solver, as a clause that goes on with "calls ...".
     loop: ClassVar[str]
     callbacks: str

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from integrators.adapters.library_runs import GivenEquations
 from integrators.adapters.packed_functions import PackedFunction
 from integrators.adapters.trajectories import trajectory_from_states
-from integrators.contract import Trajectory
+from integrators.contract import WIDER, Trajectory
 from integrators.native.own_values import DriftHandling
 from problems.formulations import Baumgarte, ode_rate
 from problems.initial_values import consistent_start
@@ -26,6 +26,7 @@ class ODEMethod(DriftHandling):
     """Base of methods on the explicit ODE."""
 
     formulation = "ode"
+    takes: ClassVar[tuple[str, ...]] = tuple(WIDER)
 
 
 def given_ode(scene: MechatronicSystem, baumgarte: Baumgarte | None) -> GivenEquations:

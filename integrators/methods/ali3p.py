@@ -140,7 +140,9 @@ class ALI3P(StageMethod, ImplicitStepMethod):
 
         def by_outputs(y: Array) -> Array:
             """Force of the change of outputs from those of the step."""
-            return jnp.asarray(scene.actuation()) @ (y - z.y) if scene.has("output") else 0.0 * z.a
+            if not scene.has("output"):
+                return 0.0 * z.a
+            return jnp.asarray(scene.actuation_at(q)) @ (y - z.y)
 
         def of_v(v: Array, mu: Array) -> list[Array]:
             return [h / 2 * by_outputs(y), formulations.constraint_velocity(scene, q, v, t)]

@@ -45,6 +45,7 @@ class BDF2(OwnValues, Formulated, ImplicitStepMethod):
 
     name: ClassVar[str] = "bdf2"
     family: ClassVar[str] = "backward differences"
+    takes: ClassVar[tuple[str, ...]] = ("velocity_constraint", "coupled_force")
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
     source: ClassVar[str] = (
         "Gear (1971), doi:10.1109/TCT.1971.1083221; variable steps after Hairer, Norsett & Wanner "

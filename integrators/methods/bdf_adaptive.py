@@ -73,6 +73,7 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
 
     name: ClassVar[str] = "bdf_adaptive"
     family: ClassVar[str] = "backward differences"
+    takes: ClassVar[tuple[str, ...]] = ("velocity_constraint", "coupled_force")
     source: ClassVar[str] = (
         "Brenan, Campbell & Petzold (1996), doi:10.1137/1.9781611971224, ch. 5; Jackson & "
         "Sacks-Davis (1980), doi:10.1145/355900.355903"

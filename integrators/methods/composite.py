@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from integrators.contract import option
+from integrators.contract import WIDER, option
 from integrators.native.guesses import Guess
 from integrators.native.own_values import Formulated, RatesMethod, RatesState, rho_inf_option
 from integrators.native.stage_equations import Base, Slopes, stage_equations
@@ -16,7 +16,7 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Scalar, Time
 from integrators.native.step_work import StepWork
 from problems.dependence import output_takes
-from problems.kinematics import advance
+from problems.kinematics import displaced
 from problems.runtime import Array, jnp
 from problems.system import MechatronicSystem, Variables
 
@@ -38,6 +38,7 @@ class CompositeMethod(RatesMethod, Formulated, ImplicitStepMethod):
     """
 
     family: ClassVar[str] = "composite"
+    takes: ClassVar[tuple[str, ...]] = tuple(WIDER)
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
 
     @abstractmethod
@@ -63,13 +64,14 @@ class CompositeMethod(RatesMethod, Formulated, ImplicitStepMethod):
         begun, half = (now.v, state.a, state.xdot), gamma * h / 2
 
         def substep(
-            known: tuple, tau: Scalar, length: Scalar, end: Time, q: Array, guess: Guess
+            known: tuple, tau: Scalar, length: Scalar, end: Time, before: Array, guess: Guess
         ) -> tuple[Variables, Array, Guess]:
             """Take u0 + known + tau f at the end for each of q, v and x."""
             v_base = now.v + known[1]
-            base = Base(advance(scene, now.q, known[0], tau * v_base), v_base, now.x + known[2])
+            q = displaced(scene, now.q, known[0], tau * v_base)
+            base = Base(q, v_base, now.x + known[2])
             slopes = Slopes(tau**2, tau, tau)
-            e = stage_equations(scene, self.formulation, base, slopes, end, (q, end - length))
+            e = stage_equations(scene, self.formulation, base, slopes, end, (before, end - length))
             return e.solve_from(work, guess, length)
 
         known = tuple(half * f for f in begun)

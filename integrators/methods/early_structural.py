@@ -59,6 +59,7 @@ class ThreeStepMethod(OwnValues, Formulated, ImplicitStepMethod):
     """
 
     family: ClassVar[str] = "early structural"
+    takes: ClassVar[tuple[str, ...]] = ("velocity_constraint", "coupled_force")
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
 
     @abstractmethod

@@ -10,7 +10,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from integrators.contract import option
+from integrators.contract import WIDER, option
 from integrators.methods.generalized_alpha_parameters import (
     FirstOrder,
     Scheme,
@@ -34,6 +34,7 @@ class AlphaMethod(NewtonOptions):
     """Base of the members of the family: a member only gives its algorithmic parameters."""
 
     family: ClassVar[str] = "generalized-alpha"
+    takes: ClassVar[tuple[str, ...]] = tuple(WIDER)
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
     noted: ClassVar[tuple[str, ...]] = ("h", "gamma", "theta")
     classical: ClassVar[bool] = False

@@ -36,7 +36,7 @@ from integrators.native.step_functions import StepFunctions
 from integrators.native.step_records import Reading, Scalar, Time
 from integrators.native.step_work import StepWork
 from problems.formulations import Start
-from problems.kinematics import advance
+from problems.kinematics import displaced
 from problems.projections import constrained_part
 from problems.runtime import Array, jnp
 from problems.system import MechatronicSystem, Variables
@@ -157,7 +157,7 @@ class AlphaStep(StepFunctions):
         auxx_base = (s.delta_f * state.xdot - s.delta_m * auxx) / (1 - s.delta_m)
         change = h**2 * ((0.5 - s.beta) * aux + s.beta * aux_base)
         base = Base(
-            advance(scene, state.q, h * state.v, change),
+            displaced(scene, state.q, h * state.v, change),
             state.v + h * ((1 - w.gamma) * aux + w.gamma * aux_base),
             state.x + h * ((1 - w.theta) * auxx + w.theta * auxx_base),
         )

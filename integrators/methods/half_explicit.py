@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
-from integrators.contract import option
+from integrators.contract import WIDER, option
 from integrators.native.own_values import EndMethod, EndState, FreeSteps, moved_onto_constraints
 from integrators.native.step_method import NewtonSettings, StepMethod, linear_solver_option
 from integrators.native.step_records import Scalar, Time
@@ -20,7 +20,7 @@ from problems import formulations
 from problems.dependence import output_takes
 from problems.kinematics import advance, q_rate
 from problems.layouts import algebraic_layout
-from problems.runtime import Array, jax, jnp
+from problems.runtime import Array, jnp
 from problems.system import MechatronicSystem, Variables
 
 #: Relative error that the iteration for outputs may leave, and its most turns.
@@ -48,7 +48,7 @@ def stage(
     z
         Its a, lam and y are where an iteration for y begins.
     """
-    layout, (_, nl, nx, ny) = algebraic_layout(scene.sizes), scene.sizes
+    layout, sizes = algebraic_layout(scene.sizes), scene.sizes
     guess = jnp.concatenate([z.a, z.lam, z.y])
 
     def at(u: Array) -> Variables:
@@ -58,18 +58,18 @@ def stage(
     def residual(u: Array) -> Array:
         z = at(u)
         rows = [formulations.dynamics_residual(scene, z)]
-        if nl:
+        if sizes.nl:
             v = ahead.base + ahead.slope * z.a
             velocity = formulations.constraint_velocity(scene, ahead.q, v, ahead.t)
             rows.append(velocity / ahead.slope)
-        if ny:
+        if sizes.ny:
             rows.append(z.y - scene.output(z))
         return jnp.concatenate(rows)
 
-    iterated = output_takes(scene, "a", "lam", "y")
+    iterated = output_takes(scene, "a", "lam", "y") or scene.has("coupled_force")
     u = work.solve(residual, guess, groups=layout.cuts) if iterated else work.once(residual, guess)
     z = at(u)
-    return z, scene.state_rate(z) if nx else jnp.zeros(0)
+    return z, scene.state_rate(z) if sizes.nx else jnp.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,7 @@ class HalfExplicit(EndMethod, StepMethod):
     """Base of the methods."""
 
     family: ClassVar[str] = "half-explicit"
+    takes: ClassVar[tuple[str, ...]] = tuple(WIDER)
     formulation: ClassVar[str] = "index2"  # pyright: ignore[reportIncompatibleVariableOverride]
     drift = "unprojected"
 
@@ -153,8 +154,7 @@ def _projected(scene: MechatronicSystem, z: Variables, w: Array, work: StepWork)
     def residual(u: Array) -> Array:
         w_now, lam = jnp.split(u, [scene.sizes.nv])
         change = formulations.inertia(scene, z.q, w_now - w)
-        rate = q_rate(scene, z.q, w_now)
-        along = jax.jvp(lambda q: scene.constraint(q, z.t), (z.q,), (rate,))[1]
+        along = formulations.constraint_change(scene, z.q, z.t, w_now)
         return jnp.concatenate(
             [change + formulations.constraint_force(scene, z.q, z.t, lam), along]
         )
@@ -221,17 +221,17 @@ class PHEM56(FreeSteps, HalfExplicit):
     ) -> EndState:
         z, xdot, t0 = state.z, state.xdot, t - h
         q, v, x = z.q, z.v, z.x
-        of_q, of_v, of_x = [v], [z.a], [xdot]
+        of_q, of_v, of_x = [q_rate(scene, q, v)], [z.a], [xdot]
         for a, c, ahead, c_ahead in zip((*_A, _B), (*_C, 1.0), _A_AHEAD, _C_AHEAD, strict=True):
             z = z._replace(
-                q=advance(scene, q, _change(h, a, of_q)),
+                q=q + _change(h, a, of_q),
                 v=v + _change(h, a, of_v),
                 x=x + _change(h, a, of_x),
                 t=t0 + c * h,
             )
-            of_q.append(z.v)
+            of_q.append(q_rate(scene, z.q, z.v))
             there = Ahead(
-                advance(scene, q, _change(h, ahead, of_q)),
+                q + _change(h, ahead, of_q),
                 v + _change(h, ahead, of_v),
                 h * ahead[-1],
                 t0 + c_ahead * h,

@@ -18,7 +18,7 @@ from integrators.native.step_work import StepWork
 from integrators.resolutions import Steps, Tolerances
 from problems.dependence import mass_varies
 from problems.formulations import Start, dynamics_residual, inertia
-from problems.kinematics import advance
+from problems.kinematics import displaced
 from problems.runtime import Array, jnp
 from problems.spec import SpecError, validate
 from problems.system import MechatronicSystem, Variables
@@ -87,6 +87,7 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
     longest: ClassVar[Scalar] = 0.0
     name: ClassVar[str] = "hht_i3"
     family: ClassVar[str] = "generalized-alpha"
+    takes: ClassVar[tuple[str, ...]] = ("velocity_constraint", "coupled_force")
     source: ClassVar[str] = (
         "Negrut, Rampalli, Ottarsson & Sajdak (2007), doi:10.1115/1.2389231; control=chrono as "
         "ChTimestepperHHT of Project Chrono"
@@ -170,7 +171,7 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
         gamma, beta, part = 0.5 - alpha, (1 - alpha) ** 2 / 4, alpha / (1 + alpha)
         # The rate of x at t + alpha h: (1 + alpha) xdot+ - alpha xdot.
         base = Base(
-            advance(scene, now.q, h * now.v, h**2 * (0.5 - beta) * state.a),
+            displaced(scene, now.q, h * now.v, h**2 * (0.5 - beta) * state.a),
             now.v + h * (1 - gamma) * state.a,
             now.x + h * ((1 - gamma) * state.rate_x - gamma * alpha * state.xdot),
         )

@@ -125,6 +125,7 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
 
     name: ClassVar[str] = "radau_iia"
     family: ClassVar[str] = "implicit Runge-Kutta"
+    takes: ClassVar[tuple[str, ...]] = ("coupled_force",)
     source: ClassVar[str] = (
         "Hairer, Lubich & Roche (1989), doi:10.1007/BFb0093947; Hairer & Wanner (1999), "
         "doi:10.1016/S0377-0427(99)00134-X"

@@ -96,6 +96,7 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
 
     name: ClassVar[str] = "rodas5p"
     family: ClassVar[str] = "Rosenbrock"
+    takes: ClassVar[tuple[str, ...]] = ("velocity_constraint", "coupled_force")
     source: ClassVar[str] = "Steinebach (2023), doi:10.1007/s10543-023-00967-x"
     orders: ClassVar[dict[str, int]] = {"q": 5, "v": 5, "a": 5, "lam": 5, "x": 5, "y": 5}
 
@@ -195,7 +196,7 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
         rates = self.baumgarte(scene)
         if rates:
             row = row + 2 * rates.alpha * formulations.constraint_velocity(scene, z.q, z.v, z.t)
-            row = row + rates.beta**2 * scene.constraint(z.q, z.t)
+            row = formulations.pulled(scene, row, rates.beta**2, z.q, z.t)
         return row
 
 

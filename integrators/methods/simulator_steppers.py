@@ -32,6 +32,7 @@ from problems.formulations import (
     constraint_velocity,
     control_residuals,
     inertia,
+    pulled,
 )
 from problems.kinematics import advance
 from problems.layouts import stage_layout
@@ -81,11 +82,10 @@ class SimulatorStepper(OwnValues, StepMethod):
             rows = []
             if scene.sizes.nl:
                 balance = balance + constraint_force(scene, now.q, now.t, lam)
-                drift = self.erp / h * scene.constraint(now.q, now.t)
                 speed = constraint_velocity(scene, now.q, now.v + h * a, now.t)
-                rows.append((speed + drift) / h)
+                rows.append(pulled(scene, speed, self.erp / h, now.q, now.t) / h)
             if scene.sizes.ny:
-                balance = balance - scene.actuation() @ y
+                balance = balance - scene.actuation_at(now.q) @ y
             rows += self.control(scene, now, now._replace(a=a, lam=lam, y=y), xdot, h)
             return jnp.concatenate([balance, *rows])
 
@@ -122,6 +122,7 @@ class SemiImplicitEuler(SimulatorStepper):
     """
 
     name: ClassVar[str] = "semi_implicit_euler"
+    takes: ClassVar[tuple[str, ...]] = ("kinematics", "velocity_constraint")
     source: ClassVar[str] = (
         "Hairer, Lubich & Wanner (2003), doi:10.1017/S0962492902000144; constraints after "
         "Baumgarte (1972), doi:10.1016/0045-7825(72)90018-7"

@@ -238,12 +238,19 @@ def moved_onto_constraints(scene: MechatronicSystem, z: Variables, work: StepWor
         w, mu = jnp.split(u, [nv])
         force = formulations.constraint_force(scene, z.q, z.t, mu)
         motion = formulations.inertia(scene, z.q, w) + force
-        return jnp.concatenate([motion, scene.constraint(advance(scene, z.q, w), z.t)])
+        return jnp.concatenate([motion, position(advance(scene, z.q, w), w)])
+
+    def position(q: Array, w: Array) -> Array:
+        """Residuals of Phi; a displacement keeps to the constraints of velocities."""
+        rows = [scene.constraint(q, z.t)] if scene.sizes.nh else []
+        if scene.has("velocity_constraint"):
+            rows.append(formulations.constraint_change(scene, q, z.t, w)[scene.sizes.nh :])
+        return rows[0] if len(rows) == 1 else jnp.concatenate(rows)
 
     solution = work.factorised(least_change, jnp.zeros(nv + scene.sizes.nl))
     q, v = z.q, z.v
     for _ in range(_PROJECTIONS):
-        change = solution(jnp.concatenate([nothing, scene.constraint(q, z.t)]))[:nv]
+        change = solution(jnp.concatenate([nothing, position(q, nothing)]))[:nv]
         q = advance(scene, q, -change)
         drift = formulations.constraint_velocity(scene, q, v, z.t)
         v = v - solution(jnp.concatenate([nothing, drift]))[:nv]

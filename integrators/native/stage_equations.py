@@ -30,7 +30,7 @@ from integrators.native.guesses import Guess
 from integrators.native.step_records import Scalar, Time, largest
 from integrators.native.step_work import StepWork
 from problems import formulations
-from problems.kinematics import advance
+from problems.kinematics import Place, advance, origin
 from problems.layouts import Layout, stage_layout
 from problems.runtime import Array, Float, jnp
 from problems.system import MechatronicSystem, Variables
@@ -47,7 +47,7 @@ _REST = 1e-4
 class Base(NamedTuple):
     """Values of q, v and x at the end of a stage for a, mu and xdot of zero."""
 
-    q: Float[Array, " nq"]
+    q: Place
     v: Float[Array, " nv"]
     x: Float[Array, " nx"]
 
@@ -149,22 +149,16 @@ def stage_equations(
     def at(u: Array) -> tuple[Variables, Array]:
         a, lam, mu, xdot, y = layout.split(u)
         v, x = base.v + slopes.v * a, base.x + slopes.x * xdot
-        q = advance(scene, base.q, slopes.q * a)
+        changes = [slopes.q * a]
         if mu.size:
-            force = formulations.constraint_force(scene, *before, mu)
-            q = advance(scene, q, -(slopes.q * force))
-        return Variables(q, v, a, lam, x, y, t), xdot
+            changes.append(-(slopes.q * formulations.constraint_force(scene, *before, mu)))
+        return Variables(advance(scene, base.q, *changes), v, a, lam, x, y, t), xdot
 
     def residual(u: Array) -> Array:
         z, xdot = at(u)
         rows = [motion(z)]
         if scene.sizes.nl:
-            if formulation in ("index3", "stabilised_index2"):
-                rows.append(scene.constraint(z.q, t) / slopes.q)
-            if formulation in ("index2", "stabilised_index2"):
-                rows.append(formulations.constraint_velocity(scene, z.q, z.v, t) / slopes.v)
-            if formulation == "index1":
-                rows.append(formulations.constraint_acceleration(scene, z.q, z.v, z.a, t))
+            rows += formulations.constraint_rows(scene, formulation, z, slopes.q, slopes.v)
         rows += formulations.control_residuals(scene, for_controller(z), xdot)
         return jnp.concatenate(rows)
 
@@ -189,7 +183,8 @@ def resting(scene: MechatronicSystem, base: Base, slopes: Slopes) -> tuple[Scala
     """
     of_a = jnp.minimum(8 * _of_position(base, slopes), _REST)
     of_x = jnp.minimum((16 * _EPS * largest(base.x, 1.0) + of_a) / slopes.x, _REST)
-    return of_a, of_a * formulations.largest_inertia(scene, base.q), of_a, of_x, math.inf
+    of_lam = of_a * formulations.largest_inertia(scene, origin(base.q))
+    return of_a, of_lam, of_a, of_x, math.inf
 
 
 def _rounding(
@@ -203,10 +198,10 @@ def _rounding(
     of_q = _of_position(base, slopes)
     of_v = 2 * _EPS * largest(base.v) / slopes.v
     of_a = {"index3": of_q, "index1": 0.0}.get(formulation, of_v) if scene.sizes.nl else 0.0
-    return of_a, of_a * formulations.largest_inertia(scene, base.q), of_q
+    return of_a, of_a * formulations.largest_inertia(scene, origin(base.q)), of_q
 
 
 def _of_position(base: Base, slopes: Slopes) -> Scalar:
     """The acceleration that moves q by its rounding error."""
     # Scenes also contain lengths, which do not vanish with q: the size is at least one unit.
-    return 2 * _EPS * largest(base.q, 1.0) / slopes.q
+    return 2 * _EPS * largest(origin(base.q), 1.0) / slopes.q

@@ -1,0 +1,257 @@
+"""Scenes that state more: rotations, rolling, friction in joints, actuators that turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from helpers import long, slope
+
+from bench.conformance.scenes import check_start
+from bench.plugins.registry import Registry
+from bench.running.errors import relative_errors
+from bench.running.linearisation import growth
+from integrators import Steps, Tolerances
+from integrators.adapters.cvode import CVODE
+from integrators.adapters.ida import IDA
+from integrators.methods.bdf2 import BDF2
+from integrators.methods.composite import Bathe
+from integrators.methods.generalized_alpha import GeneralizedAlpha
+from integrators.methods.half_explicit import PHEM56
+from integrators.methods.radau_iia import RadauIIA
+from integrators.methods.rodas5p import Rodas5P
+from integrators.methods.simulator_steppers import SemiImplicitEuler
+from problems import MechatronicSystem, State, answers, formulations, jax, jnp, parameter
+from problems.kinematics import advance, displaced
+from problems.layouts import state_layout
+from problems.projections import projected_state
+from problems.reference import Reference
+from problems.spec import SpecError
+
+
+@dataclass(frozen=True)
+class Sleigh(MechatronicSystem):
+    """Chaplygin's sleigh: a blade at distance ``arm`` behind the centre of mass does not slide
+    sideways. The velocities are those along and across the blade, and the turn rate."""
+
+    interval = (0.0, 1.0)
+    nominal_step = 0.02
+    arm: float = parameter(0.5, "m", "distance")
+
+    def mass(self, q):
+        return jnp.diag(jnp.array([1.0, 1.0, 0.3]))
+
+    def kinematics(self, q, v):
+        c, s = jnp.cos(q[2]), jnp.sin(q[2])
+        return jnp.stack([c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]])
+
+    def force(self, q, v, t):
+        return v[2] * jnp.stack([v[1], -v[0], 0.0])
+
+    def velocity_constraint(self, q, v, t):
+        return (v[1] - self.arm * v[2])[None]
+
+    def energy(self, q, v):
+        return 0.5 * v @ self.mass(q) @ v
+
+    def initial_state(self):
+        return State(q=np.array([0.2, 0.1, 0.3]), v=np.array([-1.0, self.arm, 1.0]))
+
+
+@dataclass(frozen=True)
+class SleighOfRates(Sleigh):
+    """The same with dq/dt for velocities."""
+
+    kinematics = None
+
+    def force(self, q, v, t):
+        return jnp.zeros(3)
+
+    def velocity_constraint(self, q, v, t):
+        return (-jnp.sin(q[2]) * v[0] + jnp.cos(q[2]) * v[1] - self.arm * v[2])[None]
+
+    def initial_state(self):
+        q, v, _ = Sleigh(self.arm).initial_state()
+        return State(q=q, v=np.asarray(Sleigh.kinematics(self, q, v)))
+
+
+@dataclass(frozen=True)
+class Rubbing(MechatronicSystem):
+    """A pendulum whose bearing rubs: the torque is mu times the smoothed force of the rod."""
+
+    interval = (0.0, 1.0)
+    nominal_step = 0.02
+    mu: float = parameter(0.1, "m", "friction radius")
+
+    def mass(self, q):
+        return jnp.eye(2)
+
+    def force(self, q, v, t):
+        return jnp.array([0.0, -9.81])
+
+    def constraint(self, q, t):
+        return 0.5 * (q @ q - 1.0)[None]
+
+    def coupled_force(self, z):
+        speed = (z.q[0] * z.v[1] - z.q[1] * z.v[0]) / (z.q @ z.q)
+        size = self.mu * jnp.sqrt(z.lam[0] ** 2 + 1e-2) * jnp.tanh(speed)
+        return -size * jnp.stack([-z.q[1], z.q[0]])
+
+    def initial_state(self):
+        return State(q=np.array([1.0, 0.0]), v=np.zeros(2))
+
+
+@dataclass(frozen=True)
+class Turret(MechatronicSystem):
+    """A unit mass in the plane pushed by an output along a direction that depends on q."""
+
+    interval = (0.0, 1.0)
+    nominal_step = 0.02
+
+    def mass(self, q):
+        return jnp.eye(2)
+
+    def force(self, q, v, t):
+        return -q
+
+    def output(self, z):
+        return jnp.stack([jnp.sin(z.t) - 0.1 * z.a[0]])
+
+    def actuation(self, q):
+        return jnp.stack([-jnp.sin(q[0]), jnp.cos(q[0])])[:, None]
+
+    def initial_state(self):
+        return State(q=np.array([0.3, 0.1]), v=np.zeros(2))
+
+
+METHODS = [
+    GeneralizedAlpha(rho_inf=0.8),
+    Bathe(),
+    GeneralizedAlpha(formulation="stabilised_index2"),
+]
+TIGHT = [PHEM56(), IDA(), CVODE()]
+
+
+def orders(method, scene, steps=(0.02, 0.01, 0.005)):
+    """Slopes of errors over the last quarter."""
+    exact = Reference(scene, 1.0)
+    runs = [method.prepare(scene, 1.0, Steps(h)).measure() for h in steps]
+    assert all(run.status == "ok" for run in runs), runs[0].message
+    tables = [relative_errors(run, exact).errors for run in runs]
+    return {g: slope(list(steps), [t[g]["settled"] for t in tables]) for g in tables[0]}
+
+
+@pytest.mark.parametrize("scene", [Sleigh(), Rubbing(), *long(SleighOfRates(), Turret())], ids=str)
+@pytest.mark.parametrize("method", [METHODS[0], *long(*METHODS[1:])], ids=str)
+def test_methods_of_order_two_keep_it(method, scene):
+    found = orders(method, scene)
+    named = [g for g in ("q", "v", "a", "lam", "y") if g in found]
+    assert all(1.8 < found[g] < 2.6 for g in named if g != "lam" or method.name != "bathe")
+
+
+@pytest.mark.parametrize("scene", [Sleigh(), Rubbing(), *long(SleighOfRates(), Turret())], ids=str)
+@pytest.mark.parametrize("method", [TIGHT[0], *long(*TIGHT[1:], Rodas5P(), RadauIIA())], ids=str)
+def test_tolerances_are_followed(method, scene):
+    if method.why_not(scene):
+        pytest.skip(method.why_not(scene))
+    run = method.prepare(scene, 1.0, Tolerances(1e-8)).measure()
+    assert run.status == "ok", run.message
+    errors = relative_errors(run, Reference(scene, 1.0)).errors
+    assert max(errors[g]["max"] for g in ("q", "v")) < 1e-5
+
+
+def test_both_forms_of_the_sleigh_move_alike_and_keep_the_energy():
+    t = np.linspace(0.0, 1.0, 11)
+    one, other = (Reference(scene, 1.0)(t) for scene in (Sleigh(), SleighOfRates()))
+    assert one["q"] == pytest.approx(other["q"], abs=1e-12)
+    # The blade's force along the other sleigh's directions is the same.
+    assert one["lam"] == pytest.approx(other["lam"], abs=1e-11)
+    v = one["v"]
+    energy = 0.5 * (v[:, 0] ** 2 + v[:, 1] ** 2 + 0.3 * v[:, 2] ** 2)
+    assert energy == pytest.approx(np.full(11, energy[0]), rel=1e-13)
+    # Published (Neimark & Fufaev): (J + m a^2) w' = -m a u w, u' = a w^2.
+    a, (u, _, w) = 0.5, v.T
+    assert one["a"][:, 0] == pytest.approx(a * w**2, abs=1e-11)
+    assert one["a"][:, 2] == pytest.approx(-a * u * w / (0.3 + a**2), abs=1e-11)
+
+
+def test_the_friction_in_the_joint_is_that_of_its_force():
+    t = np.linspace(0.0, 1.0, 11)
+    z = Reference(Rubbing(), 1.0)(t)
+    # Along the rod: lam = v^2 + weight; across: the torque of friction and of the weight.
+    q, v, a = z["q"], z["v"], z["a"]
+    lam = (v**2).sum(axis=1) - 9.81 * q[:, 1]
+    assert z["lam"][:, 0] == pytest.approx(lam, abs=1e-10)
+    turn = q[:, 0] * v[:, 1] - q[:, 1] * v[:, 0]
+    torque = -0.1 * np.sqrt(lam**2 + 1e-2) * np.tanh(turn) - 9.81 * q[:, 0]
+    assert q[:, 0] * a[:, 1] - q[:, 1] * a[:, 0] == pytest.approx(torque, abs=1e-10)
+
+
+def test_actuators_act_along_directions_that_depend_on_q():
+    z = Reference(Turret(), 1.0)(np.linspace(0.0, 1.0, 5))
+    angle = z["q"][:, :1]
+    push = z["y"] * np.hstack([-np.sin(angle), np.cos(angle)])
+    assert z["a"] == pytest.approx(push - z["q"], abs=1e-12)
+
+
+def test_displacements_add_up_before_they_move():
+    scene, q, w = Sleigh(), jnp.array([0.2, 0.1, 0.3]), jnp.array([0.03, 0.01, 0.05])
+    at_once = np.asarray(advance(scene, q, 2 * w))
+    assert np.asarray(advance(scene, displaced(scene, q, w), w)) == pytest.approx(
+        at_once, abs=1e-15
+    )
+    # The general movement follows dq/dt = T(q) w; here the arc of a circle, in closed form.
+    turn, angle = float(2 * w[2]), np.array([0.3, 0.3 + float(2 * w[2])])
+    s, c = np.diff(np.sin(angle))[0] / turn, -np.diff(np.cos(angle))[0] / turn
+    u = np.asarray(2 * w[:2])
+    wanted = [0.2 + s * u[0] - c * u[1], 0.1 + c * u[0] + s * u[1], angle[1]]
+    assert at_once == pytest.approx(wanted, abs=1e-7)
+
+
+def test_projections_keep_to_the_constraints_of_velocities():
+    scene = Sleigh()
+    s = np.array([0.2, 0.1, 0.3, -1.0, 0.9, 1.0])
+    q, v, _ = state_layout(scene.sizes).split(projected_state(scene, jnp.zeros(()), jnp.asarray(s)))
+    assert np.asarray(q) == pytest.approx(s[:3])
+    assert float(scene.velocity_constraint(q, v, 0.0)[0]) == pytest.approx(0.0, abs=1e-15)
+    force = formulations.constraint_force(scene, q, jnp.zeros(()), jnp.ones(1))
+    assert np.cross(scene.mass(q) @ (v - s[3:]), force) == pytest.approx(np.zeros(3), abs=1e-15)
+
+
+def test_methods_that_cannot_take_a_block_say_so():
+    for method, scene, block in (
+        (BDF2(), Sleigh(), "kinematics"),
+        (RadauIIA(), SleighOfRates(), "velocity_constraint"),
+        (SemiImplicitEuler(), Rubbing(), "coupled_force"),
+    ):
+        with pytest.raises(SpecError, match=f"the scene states {block}.* take generalized_alpha"):
+            method.prepare(scene, 1.0, Steps(0.1))
+
+
+def test_a_start_that_slides_sideways_is_refused():
+    @dataclass(frozen=True)
+    class Sliding(Sleigh):
+        def initial_state(self):
+            return State(q=np.zeros(3), v=np.array([0.0, 1.0, 0.0]))
+
+    with pytest.raises(Exception, match="velocity level by"):
+        GeneralizedAlpha().prepare(Sliding(), 1.0, Steps(0.1))
+
+
+def test_v_of_another_length_needs_kinematics():
+    @dataclass(frozen=True)
+    class Short(Turret):
+        def initial_state(self):
+            return State(q=np.zeros(2), v=np.zeros(1))
+
+    with pytest.raises(answers.FalseAnswer, match=r"v = dq/dt of initial_state\(\)"):
+        assert Short().sizes
+
+
+def test_checks_and_condition_know_the_wider_blocks():
+    scene = Sleigh()
+    assert check_start(Registry(), scene).endswith("nq=3, nl=1.")
+    assert 1.0 <= growth(scene, Reference(scene, 1.0)) < 100.0
+    found = jax.eval_shape(lambda q: scene.kinematics(q, q), np.zeros(3)).shape
+    assert found == (3,)
