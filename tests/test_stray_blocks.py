@@ -30,7 +30,7 @@ class Sleigh(MechatronicSystem):
     def force(self, q, v, t):
         return jnp.zeros(3)
 
-    def velocity_constraint(self, q, v, t):
+    def slip(self, q, v, t):
         return jnp.atleast_1d(v[1] * jnp.cos(q[2]) - v[0] * jnp.sin(q[2]))
 
     def initial_state(self):
@@ -53,9 +53,9 @@ def test_none_leaves_out_an_inherited_block():
 @pytest.mark.parametrize(
     ("name", "method", "nearest"),
     [
-        ("velocity_constraint", lambda self, q, v, t: v, "constraint"),
+        ("velocity_constraints", lambda self, q, v, t: v, "velocity_constraint"),
         ("nonholonomic", lambda self, q, v, t: v, "force"),
-        ("rolling", lambda self, z: z.v, "state_rate"),
+        ("rolling", lambda self, z: z.v, "coupled_force"),
         ("constraints", lambda self, q, t: q, "constraint"),
         ("mass_matrix", lambda self, q: q, "mass"),
         ("state_rates", lambda self, z: z.x, "state_rate"),
@@ -164,7 +164,7 @@ def test_all_built_in_scenes_state_their_blocks():
 def test_a_sleigh_without_its_constraint_passes_nowhere(refused, tmp_path, arguments):
     file = tmp_path / "sleigh.py"
     file.write_text(SLEIGH)
-    assert "its method velocity_constraint is no block" in refused(
+    assert "its method slip is no block" in refused(
         *(file if word == "FILE" else word for word in arguments)
     )
 
@@ -172,6 +172,6 @@ def test_a_sleigh_without_its_constraint_passes_nowhere(refused, tmp_path, argum
 @pytest.mark.usefixtures("without_processes")
 def test_a_scene_whose_controller_has_no_rate_is_told_by_a_run(refused, tmp_path):
     file = tmp_path / "halves.py"
-    file.write_text(SLEIGH.replace("velocity_constraint", "_slip").replace(
+    file.write_text(SLEIGH.replace("slip", "_slip").replace(
         "0.5]))", "0.5]), x=np.zeros(2))"))  # fmt: skip
     assert "does not state state_rate" in refused("solve", "sleigh", "newmark", "--plugins", file)

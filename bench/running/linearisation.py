@@ -171,7 +171,7 @@ def _admitted(
 
         q, still = jnp.asarray(s[at.q]), jnp.zeros(scene.sizes.nv)
         along = np.asarray(jax.jacfwd(lambda v: q_rate(scene, q, v))(still)) / size[at.q, None]
-        admitted = block_diag(orth(along), np.eye(len(s) - at.q.stop))
+        admitted = np.asarray(block_diag(orth(along), np.eye(len(s) - at.q.stop)))
     if not scene.sizes.nl:
         return admitted
 
