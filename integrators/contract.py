@@ -237,6 +237,8 @@ class Integrator(ABC):
     drift
         Treatment of constraints that these equations do not hold: "unprojected", "projected" or
         "baumgarte"; empty if there are none, or it is not stated.
+    takes_redundant
+        Whether it takes scenes with redundant constraints; methods on the explicit ODE do.
     calls
         How a step calls the scene's equations, a clause after the method's name ("it ..."); reports
         say it where seconds and operations disagree. Empty if not stated.
@@ -251,6 +253,7 @@ class Integrator(ABC):
     calls = ""
     controls = "step"
     drift = ""
+    takes_redundant = False
     formulation = _stated_by_subclass()
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
@@ -296,7 +299,7 @@ class Integrator(ABC):
     def why_not(self, scene: MechatronicSystem) -> str | None:
         """Return None if the integrator takes the scene, else the reason in one sentence.
 
-        The reason is a block that it does not handle, or that of `supports`.
+        The reason is a block that it does not handle, redundant constraints, or that of `supports`.
         """
         for block, meaning in WIDER.items():
             if scene.has(block) and block not in self.takes:
@@ -304,6 +307,13 @@ class Integrator(ABC):
                     f"the scene states {block}, {meaning}, which the method does not handle; take "
                     f"generalized_alpha, phem56 or ida."
                 )
+        if scene.redundant and not (self.takes_redundant or self.formulation == "ode"):
+            nl = scene.sizes.nl
+            return (
+                f"its constraints are redundant (rank {nl - scene.redundant} of {nl}), so that the "
+                f"method's equations have no unique multipliers; take ali3p, or a method on the "
+                f"explicit ODE such as dopri8."
+            )
         return self.supports(scene)
 
     def supports(self, scene: MechatronicSystem) -> str | None:

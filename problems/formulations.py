@@ -22,6 +22,9 @@ from problems.named_equations import EQUATIONS, INDEX1, equation, jitted
 from problems.runtime import Array, Float, Int, jax, jnp
 from problems.system import MechatronicSystem, Variables
 
+#: Part of the constraints' derivatives, squared, that is nothing beside them.
+_SMALL = 1e-8
+
 FORMULATIONS = ("index3", "index2", "stabilised_index2", "index1", "ode")
 
 
@@ -98,6 +101,48 @@ def inertia(
 ) -> Float[Array, " nv"]:
     """Compute M(q) a in N (or N m), shape ``(nv,)``; by the scene's ``mass_product`` if stated."""
     return scene.mass_product(q, a) if scene.has("mass_product") else scene.mass(q) @ a
+
+
+def idle_multipliers(
+    scene: MechatronicSystem, rows: Float[Array, "nl nv"]
+) -> Float[Array, "nl nl"]:
+    """Compute the projection on multipliers that exert no force, from rows Phi_q.
+
+    It is a power of e (Phi_q Phi_q^T + e)^-1, and vanishes where violated constraints have full
+    rank. Derivatives take it as constant.
+    """
+    rows = jax.lax.stop_gradient(rows)
+    squares = rows @ rows.T
+    small = _SMALL * jnp.trace(squares)
+    part = small * jnp.linalg.inv(squares + small * jnp.eye(scene.sizes.nl))
+    part = part @ part
+    return part @ part.T  # columns of the inverse are longer or shorter by rounding, rows are not
+
+
+@equation
+def least_multipliers(
+    scene: MechatronicSystem,
+    q: Float[Array, " nq"],
+    t: Float[Array, ""],
+    lam: Float[Array, " nl"],
+) -> Float[Array, " nl"]:
+    """Compute the least multipliers that exert the same force."""
+    idle = idle_multipliers(scene, jax.jacfwd(lambda q: scene.constraint(q, t))(q))
+    lam = lam - idle @ lam
+    return lam - idle @ lam  # what the powers' rounding left
+
+
+def regular(scene: MechatronicSystem, matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Make the matrix of the index-1 equations regular if constraints are redundant.
+
+    Of their solutions the one with the least multipliers is left.
+    """
+    if not scene.redundant:
+        return matrix
+    nv, lam = scene.sizes.nv, algebraic_layout(scene.sizes).lam
+    rows, mass = matrix[lam, :nv], matrix[:nv, :nv]
+    pull = jnp.sum(rows**2) / jnp.max(jnp.abs(mass))
+    return matrix.at[lam, lam].add(pull * idle_multipliers(scene, rows))
 
 
 def largest_inertia(scene: MechatronicSystem, q: Float[Array, " nq"]) -> Float[Array, ""]:
@@ -268,7 +313,13 @@ def algebraic_iterations(
     def residual(u: Array) -> Array:
         return algebraic_residual(scene, u, q, v, x, t)
 
-    return _newton(residual, guess, jnp.linalg.solve)[1]
+    return _newton(residual, guess, _solver(scene))[1]
+
+
+def _solver(scene: MechatronicSystem, solve: Callable | None = None) -> Callable:
+    """Solver of linear equations with the matrix of the index-1 equations."""
+    solve = solve or jnp.linalg.solve
+    return lambda matrix, right: solve(regular(scene, matrix), right)
 
 
 @equation
@@ -293,9 +344,8 @@ def complete(
     def residual(u: Array) -> Array:
         return algebraic_residual(scene, u, q, v, x, t, baumgarte)
 
-    solve = solve or jnp.linalg.solve
     linear = not (scene.sizes.ny or scene.has("coupled_force"))
-    u = _solution(residual, jnp.zeros(layout.size), linear, solve)
+    u = _solution(residual, jnp.zeros(layout.size), linear, _solver(scene, solve))
     a, lam, y = layout.split(u)
     z = Variables(q, v, a, lam, x, y, t)
     return z, scene.state_rate(z) if scene.sizes.nx else jnp.zeros(0)

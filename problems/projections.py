@@ -5,7 +5,7 @@ Shapes and units are those of `problems.formulations`.
 
 from __future__ import annotations
 
-from problems.formulations import constraint_change, constraint_velocity
+from problems.formulations import constraint_change, constraint_velocity, regular
 from problems.kinematics import advance
 from problems.layouts import state_layout
 from problems.named_equations import equation
@@ -28,6 +28,7 @@ def _least_change(scene: MechatronicSystem, q: Array, t: Array, r: Array) -> Arr
     else:
         jacobian = jax.jacfwd(lambda w: constraint_change(scene, q, t, w))(jnp.zeros(nv))[:nl]
     augmented = jnp.block([[scene.mass(q), jacobian.T], [jacobian, jnp.zeros((nl, nl))]])
+    augmented = regular(scene, augmented)
     return jnp.linalg.solve(augmented, jnp.concatenate([jnp.zeros(nv), r]))[:nv]
 
 

@@ -216,6 +216,9 @@ class MechatronicSystem:
         value in the reference
     ``source``
         publication of the equations and data
+    ``redundant``
+        number of constraints that depend on the others at every position; multipliers are not
+        unique then, and the least ones are taken
     ``published``
         published digits, which runs are shown beside and the reference is checked by
     """
@@ -231,6 +234,7 @@ class MechatronicSystem:
     states: ClassVar[tuple[str, ...]] = ()
     outputs: ClassVar[tuple[str, ...]] = ()
     source: ClassVar[str] = ""
+    redundant: ClassVar[int] = 0
     published: ClassVar[tuple[Published, ...]] = ()
 
     def __init_subclass__(cls, **kwargs: Any) -> None:

@@ -23,9 +23,9 @@ INTEGRATORS = sorted(entry.name for entry in entry_points(group="stepbench.integ
 def test_it_comes_to_the_right_end_and_no_library_lacks_what_it_uses(caplog, name):
     runtime.slower.cache_clear()
     method = Registry().integrator(name)
-    scene = next((s for s in SCENES if method.supports(s) is None), None)
+    scene = next((s for s in SCENES if method.why_not(s) is None), None)
     if scene is None:
-        pytest.skip(method.supports(SCENES[0]))
+        pytest.skip(method.why_not(SCENES[0]))
     fine = Steps(1e-3) if method.controls == "step" else Tolerances(1e-5)
     run = method.prepare(scene, scene.interval[0] + SECONDS, fine).measure()
     assert (run.status, run.message) == ("ok", "")

@@ -14,12 +14,16 @@ from bench.conformance.verdicts import DoesNotApply, Failed
 from bench.plugins.registry import Registry
 from bench.running.errors import THRESHOLD, history_error
 from integrators import Steps, Tolerances
+from integrators.adapters.diffrax_methods import Dopri8
+from integrators.adapters.ida import IDA
 from integrators.methods.ali3p import ALI3P
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.half_explicit import PHEM56
 from integrators.methods.rodas5p import Rodas5P
 from problems import Published, answers, jax
 from problems.scenes.andrews import Andrews
+from problems.scenes.bricard import Bricard
+from problems.scenes.flyball_governor import FlyballGovernor
 from problems.scenes.iftomm_pendulum import IFToMMPendulum
 from problems.scenes.n_four_bar import NFourBar
 from problems.scenes.planar_truck import PlanarTruck, PlanarTruckJoint
@@ -28,7 +32,10 @@ from problems.witnesses import published_digits
 
 @pytest.mark.parametrize(
     "scene",
-    [IFToMMPendulum(), NFourBar(), *long(PlanarTruck(), PlanarTruckJoint(), Andrews())],
+    [
+        *(IFToMMPendulum(), NFourBar(), FlyballGovernor()),
+        *long(PlanarTruck(), PlanarTruckJoint(), Andrews(), Bricard()),
+    ],
     ids=str,
 )
 def test_references_have_the_published_digits(scene):
@@ -92,6 +99,30 @@ def test_the_eigenvalues_of_the_truck_are_the_published_ones():
         assert np.abs(found - value).min() < 2e-3 * abs(value)
 
 
+def test_the_governor_has_the_published_inertia_and_rates_of_its_dampers():
+    scene = FlyballGovernor()
+    q, v, _ = scene.initial_state()
+    assert scene.axial_inertia(np.pi / 6) == pytest.approx(8.573517415898, abs=1e-12)
+    of_q, of_v = jax.jacfwd(
+        lambda q, v: jax.numpy.linalg.solve(scene.mass(q), scene.force(q, v, 0.0)), argnums=(0, 1)
+    )(q, v)
+    found = np.linalg.eigvals(np.block([[np.zeros((3, 3)), np.eye(3)], [of_q, of_v]]))
+    assert np.sort(found.real)[:2] == pytest.approx([-8117, -20.05], rel=1e-4)
+    assert np.abs(np.sort(found.real)[2:]).max() < 1e-3  # nothing damps turn and swing
+
+
+def test_bricards_mechanism_starts_with_the_published_rank_and_accelerations():
+    scene, zero = Bricard(), np.zeros(5)
+    rows = np.asarray(jax.jacfwd(lambda q: scene.constraint(q, 0.0))(zero))
+    sizes = np.linalg.svd(rows, compute_uv=False)
+    assert sizes == pytest.approx([1.9021, 1.9021, 1.1756, 1.1756, 0], abs=1e-4)
+    matrix = np.block([[scene.mass(zero), rows.T], [rows, np.zeros((5, 5))]])
+    right = np.concatenate([scene.force(zero, zero, 0.0), zero])
+    a = np.linalg.lstsq(matrix, right, 1e-10)[0][:5]
+    assert a == pytest.approx(1.95808383 * np.array([1, -1, 1, -1, 1]), abs=1e-8)
+    assert scene.points(zero)["P3"] == pytest.approx([1.0, -1.0, 1.0])
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("scene", "method", "resolution", "at", "limit"),
@@ -101,6 +132,10 @@ def test_the_eigenvalues_of_the_truck_are_the_published_ones():
         (NFourBar(), GeneralizedAlpha(rho_inf=0.95), Steps(5e-4), 1.0, 1e-5),
         (NFourBar(), ALI3P(), Steps(5e-4), 1.0, 1e-5),
         (PlanarTruckJoint(), Rodas5P(), Tolerances(1e-8), 5.0, 1e-6),
+        (Bricard(), Dopri8(), Tolerances(1e-10), 2.0, 1e-9),
+        (Bricard(), ALI3P(), Steps(5e-3), 2.0, 1e-4),
+        (FlyballGovernor(), Rodas5P(), Tolerances(1e-9), 1.0, 1e-6),
+        (FlyballGovernor(), IDA(), Tolerances(1e-9), 1.0, 1e-6),
     ],
 )
 def test_methods_of_different_families_reach_the_digits(scene, method, resolution, at, limit):

@@ -12,10 +12,12 @@ from helpers import long
 from scene_mechanics import Measured, assembled, cross, keeps_energy, options, rng, solved
 from scipy.spatial.transform import Rotation
 
+from problems.scenes.bricard import Bricard
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.chain import Chain
 from problems.scenes.double_pendulum import DoublePendulumControlled
 from problems.scenes.duffing import Duffing
+from problems.scenes.flyball_governor import FlyballGovernor
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven, SliderCrankMinimal
 from problems.scenes.slider_crank_flexible import SliderCrankFlexible
@@ -273,6 +275,69 @@ def check_double_pendulum_controlled(scene):
     assert residual - scene.actuation() @ y == pytest.approx(wanted, rel=1e-12)
 
 
+def check_flyball_governor(scene):
+    """The equations as the source prints them, with differences of lengths and inertia."""
+    random, eps = rng(), 1e-20j
+    for _ in range(3):
+        q, v = np.array([0.3, 0.5, 0.4]) + 0.2 * random.normal(size=(2, 3))
+
+        def inertia(alpha):
+            reach, cos, sin = 0.05 + 0.5 * np.cos(alpha), np.cos(alpha), np.sin(alpha)
+            rod = 5e-6 * sin**2 + 0.0250025 * cos**2 + 0.3 * reach**2
+            return 5e-6 + 0.005 + 2 * (rod + 5 * (0.05 + cos) ** 2)
+
+        def length(alpha, s):
+            return np.sqrt((0.5 * np.cos(alpha)) ** 2 + (1 - 0.5 * np.sin(alpha) - s) ** 2)
+
+        slope = np.imag(inertia(q[1] + eps)) / eps.imag
+        by = np.imag([length(q[1] + eps, q[2]), length(q[1], q[2] + eps)]) / eps.imag
+        pull = scene.k * (length(*q[1:]) - scene.rest) + scene.c * by @ v[1:]
+        weight = scene.g * (0.5 * 0.3 + 5.0) * np.cos(q[1])
+        wanted = [
+            -slope * v[1] * v[0] / inertia(q[1]),
+            (0.5 * slope * v[0] ** 2 - 2 * pull * by[0] + 2 * weight) / (2 * 5.1000025),
+            -2 * pull * by[1] / 3 - scene.g,
+        ]
+        assert solved(scene, q, v)[0] == pytest.approx(wanted, rel=1e-12)
+        assert scene.momentum(q, v) == pytest.approx([inertia(q[1]) * v[0]], rel=1e-12)
+
+
+def check_bricard(scene):
+    """Energies and closure of the chain by rotations of scipy, forces by the balance of power."""
+    random, axes = rng(), np.eye(3)[[1, 2, 0, 1, 2]]
+    rods = scene.length * np.array([[1, 0, 0], [0, -1, 0], [0, 0, 1], [-1, 0, 0], [0, 1, 0]])
+    principal = scene.m / 12 * np.where(rods, 2 * scene.side**2, scene.length**2 + scene.side**2)
+
+    def chain(q):
+        turned, joints = [Rotation.identity()], [np.zeros(3)]
+        for axis, angle, rod in zip(axes, q, rods, strict=True):
+            turned.append(turned[-1] * Rotation.from_rotvec(angle * axis))
+            joints.append(joints[-1] + turned[-1].apply(rod))
+        return turned[1:], np.array(joints)
+
+    assembled(scene)
+    eps = 1e-5
+    for q, v in random.normal(size=(2, 2, 5)):
+        (before, first), (turned, joints), (after, last) = (
+            chain(q + k * v) for k in (-eps, 0, eps)
+        )
+        centres = (last - first)[:-1] + (last - first)[1:]
+        kinetic = 0.5 * scene.m * (centres**2).sum() / (4 * eps) ** 2
+        for a, b, now, inertia in zip(before, after, turned, principal, strict=True):
+            turning = now.apply((b * a.inv()).as_rotvec() / (2 * eps), inverse=True)
+            kinetic += 0.5 * inertia @ turning**2
+        assert float(scene.kinetic_energy(q, v)) == pytest.approx(kinetic, rel=1e-8)
+        weights = scene.m * scene.g * (joints[:-1] + joints[1:])[:, 1].sum() / 2
+        assert float(scene.potential_energy(q)) == pytest.approx(weights, rel=1e-12)
+        gap = joints[-1] - [0.0, 0.0, scene.length]
+        axis = turned[-1].apply([1.0, 0.0, 0.0])[1:]
+        assert scene.constraint(q, 0.0) == pytest.approx([*gap, *axis], abs=1e-13)
+        found = scene.at(q, v)
+        by_q, by_v = found["slopes"]
+        free = np.linalg.solve(found["mass"], found["force"])
+        assert by_v @ free == pytest.approx(-by_q @ v, rel=1e-11)
+
+
 #: Scenes with their own parameters, and with others, which the long tests take.
 CHECKS = [
     (Duffing(), check_duffing),
@@ -294,6 +359,10 @@ CHECKS = [
     (Chain(links=3, m=0.7, length=1.3, g=2.0), check_chain),
     (DoublePendulumControlled(), check_double_pendulum_controlled),
     (DoublePendulumControlled(m1=2.0, l1=0.6, g=3.0), check_double_pendulum_controlled),
+    (FlyballGovernor(), check_flyball_governor),
+    (FlyballGovernor(k=3e2, c=20.0, rest=0.3, g=3.0), check_flyball_governor),
+    (Bricard(), check_bricard),
+    (Bricard(m=2.0, length=0.7, side=0.3, g=3.0), check_bricard),
 ]
 
 # Names whose sign is flipped in a block; each stands for the terms that contain it. (j_axis in the
@@ -323,6 +392,16 @@ MUTANTS = {
     Chain: {"force": ["m", "g"], "constraint": ["q0", "q5"]},
     DoublePendulumControlled: {
         "force": ["m1", "m2", "l2", "g", "q2"], "mass": ["m1", "m2", "l2", "q2"],
+    },
+    FlyballGovernor: {
+        "force": ["k", "c", "rest", "g", "q1", "q2", "v0", "v1", "v2"], "momentum": ["v0"],
+    },
+    # The heights do not depend on q0, which turns the chain about the vertical.
+    Bricard: {
+        "kinetic_energy": ["m", *(f"q{k}" for k in range(1, 5)), *(f"v{k}" for k in range(5))],
+        "potential_energy": ["m", "g", *(f"q{k}" for k in range(1, 5))],
+        "force": ["m", "g", *(f"q{k}" for k in range(1, 5)), *(f"v{k}" for k in range(5))],
+        "constraint": ["length", *(f"q{k}" for k in range(5))],
     },
 }  # fmt: skip
 

@@ -44,7 +44,7 @@ def test_no_default_run_ends_well_and_is_wrong_without_a_note(runner, inventory,
     """Default options, and the scene's own step or the default tolerance."""
     registry = Registry()
     method, scene = registry.integrator(name), registry.problem(problem)
-    if reason := method.supports(scene):
+    if reason := method.why_not(scene):
         pytest.skip(reason)
     resolution = resolution_of(scene, method, None, None, None, None)
     cell = Cell(scene.spec, method.spec, scene.interval[1], resolution)

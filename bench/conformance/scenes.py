@@ -89,7 +89,7 @@ def check_start(registry: Registry, scene: MechatronicSystem) -> str:
 
 
 def check_mass(registry: Registry, scene: MechatronicSystem) -> str:
-    """M is symmetric, and the augmented matrix is regular at the start."""
+    """M is symmetric, and the augmented matrix has the rank at the start that is stated."""
     q = jnp.asarray(scene.initial_state().q, dtype=float)
     mass = np.asarray(scene.mass(q))
     size = np.abs(mass).max()
@@ -111,17 +111,25 @@ def check_mass(registry: Registry, scene: MechatronicSystem) -> str:
         jacobian = jacobian / np.where(rows > 0, rows, 1.0)
         augmented = np.block([[augmented, jacobian.T], [jacobian, np.zeros((nl, nl))]])
     singular = np.linalg.svd(augmented, compute_uv=False)
-    if not singular[-1] > 1e-12 * singular[0]:
+    missing = np.count_nonzero(singular <= 1e-12 * singular[0])
+    if missing > scene.redundant:
         raise Failed(
             "The matrix [[M, Phi_q^T], [Phi_q, 0]] is singular at the start; remove dependent "
-            "constraints, or give every coordinate a mass or a constraint."
+            "constraints or state how many are `redundant`, or give every coordinate a mass or a "
+            "constraint."
+        )
+    if missing < scene.redundant:
+        raise Failed(
+            f"It states redundant = {scene.redundant}, and {missing} of its constraints depend on "
+            f"the others at the start."
         )
     if scene.has("mass_product"):
         a = jnp.asarray(np.random.default_rng(1).normal(size=scene.sizes.nv))
         difference = np.abs(np.asarray(scene.mass_product(q, a)) - mass @ np.asarray(a)).max()
         if not difference <= 1e-12 * size * len(q):
             raise Failed(f"mass_product differs from mass times a vector by {difference:.2g}.")
-    return "M is symmetric and the augmented matrix is regular at the start."
+    regular = f"lacks {missing} rank, as stated," if missing else "is regular"
+    return f"M is symmetric and the augmented matrix {regular} at the start."
 
 
 def check_invariant(registry: Registry, scene: MechatronicSystem, block: str) -> str:

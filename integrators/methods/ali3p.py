@@ -43,8 +43,9 @@ class ALI3P(StageMethod, ImplicitStepMethod):
     that projects a+ is added to the multipliers that are reported, and x+, xdot+ and y+ are solved
     for again with both: these groups are of order 2 by that, and of order 1 without. Where outputs
     see a or lam, v+ is projected again with the force of the new ones. Multipliers of redundant
-    constraints are not unique: they share the force as they did at the start. With
-    ``values=equations`` constraints have to be independent.
+    constraints are not unique: they share the force as they did at the start, or are the least
+    ones where the scene states how many constraints are redundant. With ``values=equations``
+    constraints have to be independent.
     """
 
     name: ClassVar[str] = "ali3p"
@@ -82,6 +83,8 @@ class ALI3P(StageMethod, ImplicitStepMethod):
         z, xdot, guess = e.solve_from(work, state.guess, h)
         if scene.sizes.nl:
             z, xdot = self._projected(scene, z, xdot, base.x, h, softness, work)
+        if scene.redundant:
+            z = z._replace(lam=formulations.least_multipliers(scene, z.q, t, z.lam))
         return StageState(self.reported(scene, z, xdot, work), guess)
 
     def _softness(self, scene: MechatronicSystem, q: Array, t: Time) -> Scalar:

@@ -120,9 +120,9 @@ def all_native(scene: MechatronicSystem) -> list[str]:
     }
     native = {name: one for name, one in methods.items() if isinstance(one, NativeMethod)}
     if scene is SCENE:
-        return [*MEMBERS, *(name for name, one in native.items() if not one.supports(SCENE))]
+        return [*MEMBERS, *(name for name, one in native.items() if not one.why_not(SCENE))]
     taken = [
-        name for name, one in native.items() if one.supports(SCENE) and not one.supports(scene)
+        name for name, one in native.items() if one.why_not(SCENE) and not one.why_not(scene)
     ]
     return [OURS, *taken]
 

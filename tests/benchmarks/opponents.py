@@ -112,7 +112,7 @@ def stepbench(
         If the method cannot take the scene, or does not come to the end.
     """
     method = Registry().integrator(spec)
-    if reason := method.supports(scene):
+    if reason := method.why_not(scene):
         raise NotHere(f"{spec} was left out: {reason}")
     run = method.prepare(scene, scene.interval[1], resolution)
     end = run.measure()

@@ -9,15 +9,26 @@ import pytest
 from helpers import long
 from proofs import Bent, orders
 
-from integrators import Integrator, Steps, Trajectory
+from bench.conformance.scenes import check_mass
+from bench.conformance.verdicts import Failed
+from bench.plugins.registry import Registry
+from integrators import Integrator, Steps, Tolerances, Trajectory
 from integrators.adapters.diffrax_methods import Dopri8
+from integrators.adapters.ida import IDA
+from integrators.adapters.scipy_ode import Radau
 from integrators.methods.ali3p import ALI3P
 from integrators.methods.bdf2 import BDF2
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from problems import MechatronicSystem, jnp
+from integrators.methods.half_explicit import PHEM56
+from integrators.methods.rattle import VariationalMidpoint
+from integrators.methods.rodas5p import Rodas5P
+from problems import MechatronicSystem, jax, jnp
+from problems.formulations import complete, least_multipliers
 from problems.initial_values import NoConsistentStart, consistent_start
+from problems.scenes.bricard import Bricard
 from problems.scenes.double_pendulum import DoublePendulumControlled
 from problems.scenes.pendulum import Pendulum
+from problems.spec import SpecError
 
 
 @dataclass(frozen=True)
@@ -82,6 +93,67 @@ def test_the_penalty_changes_the_iterations_and_nothing_else():
     weak, strong = (run(ALI3P(penalty=penalty), Doubled()) for penalty in (1e2, 1e8))
     assert weak.q == pytest.approx(strong.q, abs=1e-11)
     assert (weak.work.newton or 0) > 1.5 * (strong.work.newton or 1e9)
+
+
+@dataclass(frozen=True)
+class Stated(Restated):
+    """The same, which states that one constraint is redundant."""
+
+    redundant = 1
+
+
+def test_what_a_scene_states_as_redundant_leaves_the_explicit_equations_regular():
+    one, two = Pendulum(length=2.0), Stated(length=2.0)
+    q, v, x = one.initial_state()
+    now = jnp.asarray(0.35)
+    wanted, found = (jax.tree.map(np.asarray, complete(s, q, v, x, now)[0]) for s in (one, two))
+    assert found.a == pytest.approx(wanted.a, rel=1e-13)
+    # Phi_q of the rows is q and q/2, so that the least multipliers go as 2 : 1.
+    assert found.lam == pytest.approx(wanted.lam[0] * np.array([0.8, 0.4]), rel=1e-13)
+    same = least_multipliers(two, q, now, found.lam + np.array([1.0, -2.0]))
+    assert np.asarray(same) == pytest.approx(found.lam, rel=1e-13)
+    assert consistent_start(two).jerk == pytest.approx(consistent_start(one).jerk, rel=1e-12)
+    for drift in (1e-9, 1e-6, 1e-3):  # the rank is full beside the constraints
+        beside, _ = complete(two, (1 + drift) * q, v, x, now)
+        assert np.asarray(beside.a) == pytest.approx(wanted.a, rel=20 * drift)
+
+
+@pytest.mark.parametrize(
+    "method", [ALI3P(), *long(Dopri8(), Dopri8(constraints="projected"), Radau())], ids=str
+)
+def test_methods_that_take_redundant_constraints_move_as_without_them(method):
+    at = Steps(0.01) if method.controls == "step" else Tolerances(1e-6)
+    one, two = (method.prepare(s, 1.35, at).measure() for s in (Pendulum(), Stated()))
+    assert one.status == two.status == "ok", two.message
+    assert two.a == pytest.approx(one.a, abs=1e-7)
+    assert two.lam.sum(axis=1) == pytest.approx(one.lam[:, 0], abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        ALI3P(values="equations"),
+        BDF2(),
+        GeneralizedAlpha(formulation="stabilised_index2"),
+        IDA(),
+        PHEM56(),
+        Rodas5P(),
+        VariationalMidpoint(),
+    ],
+    ids=str,
+)
+def test_methods_that_need_unique_multipliers_refuse_redundant_constraints(method):
+    with pytest.raises(SpecError, match=r"rank 4 of 5.*take ali3p"):
+        method.prepare(Bricard(), 1.0, Tolerances(1e-6))
+    assert "rank 1 of 2" in (method.supports(Stated()) or "")
+
+
+@pytest.mark.parametrize(("stated", "sentence"), [(0, "singular at the start"), (2, "1 of its")])
+def test_the_check_counts_redundant_constraints(stated, sentence):
+    wrong = type("Wrong", (Restated,), {"redundant": stated})
+    with pytest.raises(Failed, match=sentence):
+        check_mass(Registry(), wrong())
+    assert "lacks 1 rank," in check_mass(Registry(), Stated())
 
 
 def test_a_start_with_redundant_constraints_has_the_least_multipliers():
