@@ -95,7 +95,7 @@ def scene_facts(registry: Registry, text: str, parameters: dict[str, Any]) -> Sc
         name=scene.name,
         interval=scene.interval,
         nominal_step=step(scene.nominal_step),
-        constrained=bool(scene.sizes.nl),
+        constrained=scene.has("constraint") or scene.has("velocity_constraint"),
         points=scene.has("points"),
         fingerprint=fingerprint(type(scene)),
         sources=registry.problems[scene.name].sources,

@@ -145,7 +145,7 @@ def test_methods_that_take_redundant_constraints_move_as_without_them(method):
 def test_methods_that_need_unique_multipliers_refuse_redundant_constraints(method):
     with pytest.raises(SpecError, match=r"rank 4 of 5.*take ali3p"):
         method.prepare(Bricard(), 1.0, Tolerances(1e-6))
-    assert "rank 1 of 2" in (method.supports(Stated()) or "")
+    assert "rank 1 of 2" in (method.why_not(Stated()) or "")
 
 
 @pytest.mark.parametrize(("stated", "sentence"), [(0, "singular at the start"), (2, "1 of its")])
