@@ -1,6 +1,28 @@
 """Problems: the system contract, its formulations, initial values, references, and the scenes."""
 
+from typing import TYPE_CHECKING
+
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Published, State, Variables, parameter
 
-__all__ = ["MechatronicSystem", "Published", "State", "Variables", "jax", "jnp", "parameter"]
+if TYPE_CHECKING:
+    from problems.models.sympy_models import from_sympy
+
+__all__ = [
+    "MechatronicSystem",
+    "Published",
+    "State",
+    "Variables",
+    "from_sympy",
+    "jax",
+    "jnp",
+    "parameter",
+]
+
+
+def __getattr__(name: str):
+    if name == "from_sympy":  # loaded late: SymPy takes long, and is an extra
+        from problems.models.sympy_models import from_sympy
+
+        return from_sympy
+    raise AttributeError(f"module 'problems' has no attribute {name!r}")

@@ -6,7 +6,8 @@ changes is measured anew.
 
 The modules are those of the class and its base classes, the modules that judge runs, and the
 modules of this project, or of the plugin's own folder or package, that these import, directly or
-not. Imports are read from the source, inside functions, too; nothing is loaded for that.
+not. Imports are read from the source, inside functions, too; nothing is loaded for that. Of a class
+that was written from a model (`problems.from_sympy`) its text counts, too.
 """
 
 from __future__ import annotations
@@ -56,6 +57,8 @@ def fingerprint(made: type | Callable) -> str:
     digest, modules = hashlib.sha256(), modules_of(made)
     for name, file in sorted(modules.items()):
         digest.update(f"{name} {_source(file).digest}\n".encode())
+    for base in getattr(made, "__mro__", ()):  # a class that its module has not written itself
+        digest.update(str(vars(base).get("source_text", "")).encode())
     flags = [os.environ.get(flag) for flag in FLAGS]
     compiler = _compiler() if _COMPILES in modules else ""
     digest.update(repr((sorted(library_versions().items()), flags, compiler)).encode())

@@ -1,0 +1,1 @@
+"""Models that users bring from other programs, made into scenes."""

@@ -1,0 +1,497 @@
+"""Scenes of SymPy models: the equations of hand-written scenes, as text that needs no SymPy.
+
+The examples are those of docs/models.md.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sympy as sm
+from helpers import long
+from sympy.physics.mechanics import (
+    KanesMethod,
+    LagrangesMethod,
+    Particle,
+    Point,
+    ReferenceFrame,
+    dynamicsymbols,
+)
+
+from bench.conformance.checker import CHECKS, examine
+from bench.conformance.verdicts import FAILED
+from bench.plugins.fingerprint import fingerprint
+from bench.plugins.registry import Registry
+from bench.sweeps.ensemble import ensemble
+from integrators import Steps, Tolerances
+from problems import MechatronicSystem, State, from_sympy, jax, jnp, lagrange, parameter
+from problems.initial_values import consistent_start
+from problems.spec import SpecError
+
+TEXT = (Path(__file__).parent.parent / "docs" / "models.md").read_text(encoding="utf-8")
+EXAMPLES = {
+    block.split("\n", 1)[0].removeprefix("# "): block
+    for block in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
+}
+T = dynamicsymbols._t
+M, K, C = sm.symbols("m k c")
+X, Y, F = dynamicsymbols("x y f")
+OSCILLATOR = M * X.diff(T) ** 2 / 2 - K * X**2 / 2
+
+
+def scene_of(method, **given):
+    return from_sympy(method, **{"interval": (0, 1), "nominal_step": 0.01, **given})
+
+
+def spring(**given):
+    usual = {"constants": {M: 2.0, K: 8.0}, "initial": {X: 1.0}}
+    return scene_of(LagrangesMethod(OSCILLATOR, [X]), **{**usual, **given})
+
+
+def rod(*constraints, **given):
+    """A point on a massless rod of length c."""
+    lagrangian = M * (X.diff(T) ** 2 + Y.diff(T) ** 2) / 2 - 9.81 * M * Y
+    method = LagrangesMethod(lagrangian, [X, Y], hol_coneqs=constraints or [X**2 + Y**2 - C**2])
+    usual = {"constants": {M: 1.0, C: 2.0}, "initial": {X: 1.2}, "guess": {Y: -1.0}}
+    return scene_of(method, **{**usual, **given})
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("examples")
+    for name, code in EXAMPLES.items():
+        (path / name).write_text(code, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def registry(folder):
+    return Registry([folder])
+
+
+# ---- the document ------------------------------------------------------------------------
+def test_the_first_example_has_some_twenty_lines():
+    assert list(EXAMPLES) == ["cart_pendulum.py", "four_bar.py", "n_link.py"]
+    lines = [line for line in EXAMPLES["cart_pendulum.py"].splitlines() if line.strip()]
+    assert len(lines) < 25
+
+
+@pytest.mark.parametrize("name", ["cart_pendulum", *long("four_bar", "n_link")])
+def test_the_examples_pass_every_check(registry, name):
+    findings = [examine(registry, "problems", name, check) for check in CHECKS["problems"]]
+    assert [finding.text for finding in findings if finding.verdict == FAILED] == []
+
+
+@pytest.mark.long
+def test_the_commands_of_the_document_run_in_processes_of_their_own(folder):
+    (block,) = re.findall(r"```sh\n(.*?)```", TEXT, re.DOTALL)
+    for line in block.splitlines():
+        command = [sys.executable, "-m", "bench", *line.split()[1:]]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=280)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+# ---- the same equations as by hand -------------------------------------------------------
+@dataclass(frozen=True)
+class Rods(MechatronicSystem):
+    """A four-bar linkage of uniform rods, by the energies of its angles."""
+
+    lengths: tuple[float, ...] = (1.0, 2.0, 2.0)
+    d: float = parameter(2.5, "m", "distance of the supports")
+
+    def centres(self, q):
+        rods = jnp.stack([jnp.cos(q), jnp.sin(q)], axis=1) * jnp.array(self.lengths)[:, None]
+        return jnp.cumsum(rods, axis=0) - rods / 2, jnp.sum(rods, axis=0)
+
+    def kinetic_energy(self, q, v):
+        length = jnp.array(self.lengths)
+        rates = jax.jvp(lambda q: self.centres(q)[0], (q,), (v,))[1]
+        return jnp.sum(length * (jnp.sum(rates**2, axis=1) + length**2 * v**2 / 12)) / 2
+
+    def potential_energy(self, q):
+        return 9.81 * jnp.sum(jnp.array(self.lengths) * self.centres(q)[0][:, 1])
+
+    def mass(self, q):
+        return lagrange.mass(self.kinetic_energy, q)
+
+    def force(self, q, v, t):
+        return lagrange.force(self.kinetic_energy, self.potential_energy, q, v)
+
+    def constraint(self, q, t):
+        return self.centres(q)[1] - jnp.array([self.d, 0.0])
+
+    def initial_state(self):
+        q2, q3 = assembled(1.0, self.lengths, self.d)
+        q = np.array([1.0, q2, q3])
+        a, b, c = (
+            r * np.array([-np.sin(x), np.cos(x)]) for r, x in zip(self.lengths, q, strict=True)
+        )
+        return State(q, np.array([1.0, *np.linalg.solve(np.stack([b, c], axis=1), -a)]))
+
+
+def assembled(q1, lengths, d):
+    """Angles of the second and third rod by the law of cosines, the joint above the ground."""
+    l1, l2, l3 = lengths
+    gap = np.array([d - l1 * np.cos(q1), -l1 * np.sin(q1)])
+    r = np.hypot(*gap)
+    up = np.arccos((r**2 + l2**2 - l3**2) / (2 * r * l2))
+    q2 = np.arctan2(gap[1], gap[0]) + up
+    rest = gap - l2 * np.array([np.cos(q2), np.sin(q2)])
+    return q2, np.arctan2(rest[1], rest[0])
+
+
+def test_a_closed_loop_has_the_accelerations_of_a_scene_by_hand(registry):
+    made, own = consistent_start(registry.problem("four_bar")).z, consistent_start(Rods()).z
+    for group in ("q", "v", "a"):
+        assert getattr(made, group) == pytest.approx(getattr(own, group), rel=1e-12, abs=1e-12)
+    assert np.abs(made.a).max() > 1
+    assert np.abs(made.lam) == pytest.approx(np.abs(own.lam), rel=1e-12)  # the sign is free
+
+
+def cart(n):
+    """Energies of SymPy's pendulum on a cart, whose angles count from the vertical."""
+
+    def kinetic(q, v):
+        x = jnp.cumsum(jnp.concatenate([v[:1], -0.5 * jnp.cos(q[1:]) * v[1:]]))
+        y = jnp.cumsum(jnp.concatenate([jnp.zeros(1), -0.5 * jnp.sin(q[1:]) * v[1:]]))
+        return jnp.sum(x**2 + y**2) / 2
+
+    def potential(q):
+        return 9.81 * jnp.sum(jnp.cumsum(0.5 * jnp.cos(q[1:])))
+
+    return kinetic, potential
+
+
+@pytest.mark.parametrize("n", [2, *long(5)])
+def test_an_n_link_pendulum_has_the_equations_of_its_energies(folder, n):
+    code = EXAMPLES["n_link.py"].replace("LINKS = 2", f"LINKS = {n}")
+    space, began = {"__name__": "n_link"}, time.perf_counter()
+    exec(code, space)
+    made, scene = time.perf_counter(), space["NLink"]()
+    q, v = np.linspace(-1, 2, n + 1), np.linspace(3, -1, n + 1)
+    mass, force = scene.mass(q), scene.force(q, v, 0.0)
+    evaluated = time.perf_counter()
+    consistent_start(scene)
+    spent = made - began, evaluated - made, time.perf_counter() - evaluated
+    print(f"n = {n}: SymPy {spent[0]:.1f} s, blocks {spent[1]:.1f} s, start {spent[2]:.1f} s")
+    kinetic, potential = cart(n)
+    own = lagrange.mass(kinetic, q), lagrange.force(kinetic, potential, q, v)
+    for found, wanted in zip((mass, force), own, strict=True):
+        assert np.asarray(found) == pytest.approx(np.asarray(wanted), rel=1e-12, abs=1e-12)
+
+
+def kane(order=(0, 1), **constraints):
+    """Two masses on a line with a spring between them; speeds in the given order."""
+    u = dynamicsymbols("u1 u2")
+    frame, origin = ReferenceFrame("N"), Point("O")
+    origin.set_vel(frame, 0)
+    points = [origin.locatenew(f"P{k}", x * frame.x) for k, x in enumerate((X, Y))]
+    for point, speed in zip(points, u, strict=True):
+        point.set_vel(frame, speed * frame.x)
+    bodies = [Particle(f"B{k}", point, (k + 1) * M) for k, point in enumerate(points)]
+    pull = K * (Y - X) * frame.x
+    method = KanesMethod(
+        frame,
+        [X, Y][: 2 - len(constraints.get("q_dependent", []))],
+        [u[k] for k in order],
+        kd_eqs=[u[0] - X.diff(T), u[1] - Y.diff(T)],
+        **constraints,
+    )
+    method.kanes_equations(bodies, [(points[0], pull + F * frame.x), (points[1], -pull)])
+    return method, u
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_equations_of_kane_follow_the_coordinates_whatever_the_order_of_speeds(order):
+    method, u = kane(order)
+    constants = {M: 2.0, K: 5.0, F: 7.0}
+    scene = scene_of(method, constants=constants, initial={X: 1.0, Y: 3.0, u[1]: 0.5})()
+    q, v, _ = scene.initial_state()
+    assert scene.mass(q) == pytest.approx(np.diag([2.0, 4.0]))
+    assert scene.force(q, v, 0.0) == pytest.approx([5.0 * 2 + 7, -5.0 * 2])
+    assert v == pytest.approx([0, 0.5])
+    assert not scene.has("energy")
+
+
+def test_kane_and_lagrange_agree_on_a_constrained_model():
+    bound = {"q_dependent": [Y], "configuration_constraints": [Y - 2 * X**2]}
+    constants = {M: 2.0, K: 5.0, F: 0.0}
+    method, u = kane(**bound)
+    kanes = scene_of(method, constants=constants, initial={X: 1.0, u[0]: 1.0})()
+    lagrangian = M * (X.diff(T) ** 2 + 2 * Y.diff(T) ** 2) / 2 - K * (Y - X) ** 2 / 2
+    method = LagrangesMethod(lagrangian, [X, Y], hol_coneqs=[Y - 2 * X**2])
+    other = scene_of(method, constants={M: 2.0, K: 5.0}, initial={X: 1.0, X.diff(T): 1.0})()
+    first, second = consistent_start(kanes).z, consistent_start(other).z
+    assert first.v == pytest.approx([1, 4])
+    assert first.a == pytest.approx(second.a, rel=1e-12)
+    assert first.lam == pytest.approx(second.lam, rel=1e-12)
+
+
+# ---- parameters, time, energy ------------------------------------------------------------
+def test_an_ensemble_varies_parameters_and_the_start_that_follows_from_them():
+    angle = sm.Symbol("angle")
+    given = {"constants": {M: 1.0, C: 2.0, angle: 0.4}}
+    scene = rod(initial={X: C * sm.sin(angle)}, **given)()
+    method = Registry().integrator("generalized_alpha[formulation=stabilised_index2]")
+    vary = {"c": [1.0, 2.0, 3.0], "angle": [0.2, 0.4, 1.0]}
+    found = ensemble(scene, method, vary, t_end=0.1)
+    assert list(found.status) == ["ok"] * 3
+    for k, (c, a) in enumerate(zip(*vary.values(), strict=True)):
+        single = type(scene)(c=c, angle=a)
+        q = single.initial_state().q
+        assert q == pytest.approx([c * np.sin(a), -c * np.cos(a)], rel=1e-12)
+        end = method.prepare(single, 0.1, Steps(0.01)).measure().q[-1]
+        assert [found.values[name][k] for name in ("q1", "q2")] == pytest.approx(end, rel=1e-11)
+
+
+@pytest.mark.parametrize("name", ["cart_pendulum", *long("four_bar")])
+def test_the_energy_is_conserved(registry, name):
+    scene = registry.problem(name)
+    method = Registry().integrator("radau")
+    run = method.prepare(scene, 1.0, Tolerances(1e-10)).measure()
+    energies = [float(scene.energy(q, v)) for q, v in zip(run.q[::5], run.v[::5], strict=True)]
+    kinetic = [v @ scene.mass(q) @ v / 2 for q, v in zip(run.q, run.v, strict=True)]
+    assert np.ptp(kinetic) > 1
+    assert np.ptp(energies) < 1e-8 * np.ptp(kinetic)
+
+
+def test_only_models_without_other_forces_and_without_time_state_an_energy():
+    assert spring()().energy(np.array([0.5]), np.array([3.0])) == 9 + 1
+    frame, point = ReferenceFrame("N"), Point("P")
+    point.set_vel(frame, X.diff(T) * frame.x)
+    damped = LagrangesMethod(
+        OSCILLATOR, [X], forcelist=[(point, -C * X.diff(T) * frame.x)], frame=frame
+    )
+    made = scene_of(damped, constants={M: 1.0, K: 1.0, C: 3.0}, initial={})()
+    assert made.force(np.array([2.0]), np.array([1.0]), 0.0) == pytest.approx([-2 - 3])
+    for other in (
+        type(made),
+        spring(constants={M: 2.0, K: 8.0 + sm.sin(T)}),
+        rod(X**2 + Y**2 - C**2, Y + 1 + T, initial={}, guess={X: 1, Y: -1}),
+        scene_of(
+            LagrangesMethod(OSCILLATOR + K * X.diff(T) * X, [X]),
+            constants={M: 1.0, K: 1.0},
+            initial={},
+        ),
+    ):
+        assert not other.has("energy")
+        assert "conservative" not in other.tags
+
+
+def test_functions_of_time_and_derived_constants_are_expressions():
+    moved = M * (X.diff(T) + F.diff(T)) ** 2 / 2 - K * X**2 / 2  # a spring on a support at f
+    inertia, size = sm.symbols("J s")
+    constants = {M: 2 * inertia, inertia: size**2, size: 3.0, K: 1.0, F: sm.sin(2 * T)}
+    scene = scene_of(LagrangesMethod(moved, [X]), constants=constants, initial={})()
+    assert scene.parameters() == {"s": 3.0, "k": 1.0}
+    assert scene.mass(np.zeros(1)) == pytest.approx(np.array([[18.0]]))
+    force = scene.force(np.array([0.5]), np.zeros(1), 0.3)
+    assert force == pytest.approx([18 * 4 * np.sin(0.6) - 0.5], rel=1e-14)
+    still = scene_of(LagrangesMethod(moved, [X]), constants=constants | {F: 4.0}, initial={})
+    assert still().force(np.array([0.5]), np.zeros(1), 0.3) == pytest.approx([-0.5])
+
+
+def test_powers_cases_and_extremes_mean_what_sympy_means():
+    cases = sm.Piecewise((X**3, (X > 0) & (X < 2)), (sm.Abs(X), True))
+    potential = cases + sm.sqrt(X**2 + K) ** 3 / X**2
+    force = -potential.diff(X).doit() + sm.Max(X, K, 0.1) + sm.Min(X.diff(T), 2, K) * sm.sign(X)
+    frame, point = ReferenceFrame("N"), Point("P")
+    point.set_vel(frame, X.diff(T) * frame.x)
+    x, v = sm.symbols("x v", real=True)
+    force = force.xreplace({X.diff(T): v}).xreplace({X: x}).doit()
+    shown = force.xreplace({v: X.diff(T), x: X})
+    free = LagrangesMethod(
+        M * X.diff(T) ** 2 / 2, [X], forcelist=[(point, shown * frame.x)], frame=frame
+    )
+    scene = scene_of(free, constants={M: 1.0, K: 0.7}, initial={})()
+    for at in (-1.3, 0.4, 1.1, 2.5):
+        wanted = float(force.subs({x: at, v: -3, K: 0.7}))
+        found = scene.force(np.array([at]), np.array([-3.0]), 0.0)
+        assert found == pytest.approx([wanted], rel=1e-14)
+    assert "x**(-2.0)" not in scene.source_text
+
+
+# ---- the start ---------------------------------------------------------------------------
+def test_what_is_left_out_of_the_start_follows_from_the_constraints():
+    low = rod(initial={X: 1.2, X.diff(T): 0.8})().initial_state()
+    assert low.q == pytest.approx([1.2, -1.6], rel=1e-15)
+    assert low.v == pytest.approx([0.8, 0.6], rel=1e-15)
+    high = rod(guess={Y: 1.0})().initial_state()
+    assert high.q == pytest.approx([1.2, 1.6], rel=1e-15)
+    assert np.all(high.v == 0)
+    twice = rod(X**2 + Y**2 - C**2, 3 * (X**2 + Y**2 - C**2))().initial_state()
+    assert twice.q == pytest.approx([1.2, -1.6], rel=1e-12)
+    moving = rod(Y - C * T + 1, initial={X: 1.0})().initial_state()
+    assert [*moving.q, *moving.v] == pytest.approx([1, -1, 0, 2])
+
+
+# ---- the text ----------------------------------------------------------------------------
+BLOCKED = """
+import sys
+sys.modules["sympy"] = None
+space = {"__name__": "written"}
+exec(open(sys.argv[1]).read(), space)
+from problems.initial_values import consistent_start
+print(*map(repr, consistent_start(space["FourBar"]()).z.a.tolist()))
+"""
+
+
+def test_the_text_of_a_class_runs_without_sympy_and_computes_the_same(registry, tmp_path):
+    scene = registry.problem("four_bar")
+    (tmp_path / "written.py").write_text(scene.source_text)
+    done = subprocess.run(
+        [sys.executable, "-c", BLOCKED, tmp_path / "written.py"], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert list(map(float, done.stdout.split())) == consistent_start(scene).z.a.tolist()
+    source = inspect.getsource(type(scene).constraint)
+    assert source in scene.source_text
+    assert "jnp.cos(q0)" in source
+
+
+def test_sympy_is_loaded_late():
+    code = "import problems, bench, sys; assert 'sympy' not in sys.modules"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_class_belongs_to_its_module_and_can_be_inherited_from(tmp_path):
+    code = EXAMPLES["cart_pendulum.py"].replace("CartPendulum = from_sympy(", "Base = from_sympy(")
+    code += "\n\nclass Cart(Base):\n    'A cart.'\n    tags = ('mine',)\n"
+    (tmp_path / "cart.py").write_text(code)
+    problems = Registry([tmp_path / "cart.py"]).problems
+    assert problems["cart"].cls.__mro__[1] is problems["cart_pendulum"].cls
+    assert problems["cart"].summary == "A cart."
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", ["1", "2"])
+def test_the_text_is_the_same_in_every_process(folder, registry, seed):
+    code = "import runpy, sys; print(runpy.run_path(sys.argv[1])['FourBar'].source_text, end='')"
+    done = subprocess.run(
+        [sys.executable, "-c", code, folder / "four_bar.py"],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONHASHSEED": seed},
+    )
+    assert done.stdout == registry.problem("four_bar").source_text
+
+
+def test_the_fingerprint_changes_with_a_model_that_is_read_from_a_file(tmp_path):
+    data, found = tmp_path / "length.json", []
+    code = EXAMPLES["cart_pendulum.py"].replace("l: 0.8", "l: json.load(open(PATH))")
+    code = code.replace(
+        "import sympy as sm", f"import json\nimport sympy as sm\nPATH = {str(data)!r}"
+    )
+    for part, length in (("a", 0.8), ("b", 0.8), ("c", 0.9)):
+        (tmp_path / part).mkdir()
+        data.write_text(json.dumps(length))
+        (tmp_path / part / "cart.py").write_text(code)
+        made = Registry([tmp_path / part / "cart.py"]).problems["cart_pendulum"].cls
+        found.append(fingerprint(made))
+    assert found[0] == found[1] != found[2]
+
+
+# ---- what is refused ---------------------------------------------------------------------
+def quasi():
+    u = dynamicsymbols("u")
+    frame, point = ReferenceFrame("N"), Point("P")
+    point.set_vel(frame, u * frame.x)
+    method = KanesMethod(frame, [X], [u], kd_eqs=[u - 2 * X.diff(T)])
+    method.kanes_equations([Particle("B", point, M)], [(point, K * frame.x)])
+    return method
+
+
+def dependent():
+    u = dynamicsymbols("u1 u2")
+    return KanesMethod(
+        ReferenceFrame("N"),
+        [X, Y],
+        u[:1],
+        kd_eqs=[u[0] - X.diff(T), u[1] - Y.diff(T)],
+        u_dependent=u[1:],
+        velocity_constraints=[u[1] - X * u[0]],
+    )
+
+
+def unformed():
+    return KanesMethod(ReferenceFrame("N"), [X], [Y], kd_eqs=[Y - X.diff(T)])
+
+
+def rolling():
+    return LagrangesMethod(OSCILLATOR, [X], nonhol_coneqs=[X.diff(T) - 1])
+
+
+def method_with(lagrangian, **more):
+    return lambda **given: scene_of(LagrangesMethod(lagrangian, [X], **more), **given)
+
+
+def of(method):
+    return lambda **given: scene_of(method(), **given)
+
+
+TWINS = sm.Symbol("m", positive=True) * X.diff(T) ** 2
+REFUSED = {
+    "missing constant": (spring, {"constants": {M: 1.0}}, "The force contains k: neither"),
+    "unknown constant": (spring, {"constants": {M: 1, K: 1, C: 1}}, "do not contain c "),
+    "no symbol": (spring, {"constants": {M: 1, K: 1, X: 1}}, "constants names x\\(t\\)"),
+    "text": (spring, {"constants": {M: 1, K: "("}}, "constants: k='\\(' is no expression"),
+    "not finite": (spring, {"constants": {M: 1, K: np.nan}}, "k=nan is not a finite number"),
+    "complex": (spring, {"constants": {M: 1, K: 1j}}, "is not a finite number"),
+    "unknown function": (method_with(OSCILLATOR + F * X), {}, "force contains f\\(t\\): neither"),
+    "unknown start": (spring, {"initial": {Y: 1.0}}, "initial names y\\(t\\): no coordinate"),
+    "start in time": (spring, {"initial": {X: T}}, "initial: x\\(t\\) depends on .* time"),
+    "wrong unit": (spring, {"units": {C: "m"}}, "units names c"),
+    "taken name": (
+        method_with(OSCILLATOR.subs(K, sm.Symbol("mass"))),
+        {"constants": {M: 1, sm.Symbol("mass"): 1}},
+        "cannot be called 'mass'",
+    ),
+    "keyword": (
+        method_with(OSCILLATOR.subs(K, sm.Symbol("lambda"))),
+        {"constants": {M: 1, sm.Symbol("lambda"): 1}},
+        "cannot be called 'lambda'",
+    ),
+    "one name twice": (
+        method_with(OSCILLATOR + TWINS),
+        {"constants": {M: 1, K: 1, sm.Symbol("m", positive=True): 1}},
+        "cannot be called 'm'",
+    ),
+    "scene's name": (spring, {"name": "my scene"}, "is no name of a scene"),
+    "interval": (spring, {"interval": (1, 0)}, "interval"),
+    "step": (spring, {"nominal_step": "x"}, "nominal_step=x is not a finite number"),
+    "quasi-speeds": (of(quasi), {}, "Quasi-speeds .* not supported"),
+    "dependent speeds": (of(dependent), {}, "velocity constraints .* not supported"),
+    "no equations": (of(unformed), {}, "Call kanes_equations"),
+    "nonholonomic": (of(rolling), {}, "nonhol_coneqs.* not supported"),
+    "constraint of v": (
+        method_with(OSCILLATOR, hol_coneqs=[X + X.diff(T)]), {}, "Constraints of velocities are not"
+    ),
+    "mass in time": (spring, {"constants": {M: 1 + T, K: 1}}, "mass matrix depends on time"),
+    "special function": (method_with(OSCILLATOR + sm.erf(X) * K), {}, "erf, which jax.numpy does"),
+    "no method": (lambda **given: scene_of(OSCILLATOR, **given), {}, "takes a LagrangesMethod"),
+    "inconsistent start": (rod, {"initial": {X: 1, Y: 1}}, "initial q .* violates .* by 2;"),
+    "inconsistent speed": (rod, {"initial": {X.diff(T): 1, Y.diff(T): 1}}, "initial v .* violates"),
+    "out of reach": (rod, {"initial": {X: 5}}, "initial q .* violates .* by"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_bad_input_is_one_sentence(case):
+    make, given, expected = REFUSED[case]
+    usual = {"constants": {M: 1.0, K: 1.0}, "initial": {}} if make not in (spring, rod) else {}
+    with pytest.raises(SpecError, match=expected) as error:
+        make(**{**usual, **given})
+    text = str(error.value)
+    assert "\n" not in text
+    assert text.endswith(".")
