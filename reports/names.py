@@ -29,6 +29,7 @@ class BuiltIn(NamedTuple):
 BUILT_IN = {
     "generalized_alpha": BuiltIn("gα", 222, 0, 0),
     "generalized_alpha_adaptive": BuiltIn("gα adaptive", 188, 1, 2),
+    "generalized_alpha_lie": BuiltIn("gα Lie", 198, 2, 5),
     "generalized_alpha_classical": BuiltIn("gα classical", 206, 0, 3),
     "hht": BuiltIn("HHT", 270, 3, 4),
     "hht_classical": BuiltIn("HHT classical", 280, 1, 0),
@@ -53,6 +54,7 @@ BUILT_IN = {
     "bathe": BuiltIn("Bathe", 190, 8, 6),
     "bdf2": BuiltIn("BDF2", 349, 9, 6),
     "bdf_adaptive": BuiltIn("BDF 1-5", 325, 5, 4),
+    "bliedf": BuiltIn("BLieDF", 340, 7, 1),
     "cr": BuiltIn("CR", 238, 12, 3),
     "energy_momentum": BuiltIn("Energy-momentum", 169, 6, 4),
     "exudyn": BuiltIn("exudyn", 128, 8, 1),
@@ -82,7 +84,7 @@ BUILT_IN = {
 #: Integrators that differ in parameters only.
 _ALPHA_FAMILY = {
     *("generalized_alpha", "generalized_alpha_adaptive", "generalized_alpha_classical"),
-    *("hht", "hht_classical", "wbz", "wbz_classical", "newmark"),
+    *("generalized_alpha_lie", "hht", "hht_classical", "wbz", "wbz_classical", "newmark"),
 }
 #: Names of families; others are called as their methods state it.
 _FAMILIES = {

@@ -84,6 +84,7 @@ def test_a_wrong_integrator_is_told_what_to_mend(registry, text, check, sentence
         ("wrong_exact", "reference", "its a differs from a of the equations of motion"),
         ("wrong_exact", "constraints", "at acceleration level by"),
         ("longer", "constraints", "at position level by"),
+        ("skidding", "move", "let move(q, w) follow dq/ds = kinematics(q, w)"),
         ("off_the_rod", "start", "violates the constraints at position level"),
         ("numpy_force", "blocks", "force cannot be traced by JAX: TracerArrayConversionError"),
         ("moody_force", "blocks", "force gives other values when called again"),

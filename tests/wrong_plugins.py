@@ -12,6 +12,8 @@ import numpy as np
 from integrators import Integrator, PreparedRun, Steps, Work, option
 from integrators.methods.generalized_alpha import Newmark
 from problems import MechatronicSystem, State, jax, jnp, parameter
+from problems.rotations import rotated, turned
+from problems.scenes.heavy_top_lie import HeavyTopSE3
 from problems.scenes.pendulum import Pendulum
 
 RANDOM = np.random.default_rng(0)
@@ -191,6 +193,15 @@ class MoodyForce(Pendulum):
 
     def force(self, q, v, t):
         return super().force(q, v, t) + RANDOM.normal()
+
+
+@dataclass(frozen=True)
+class Skidding(HeavyTopSE3):
+    """A movement that goes straight on while the body turns."""
+
+    def move(self, q, w):
+        there = q[:3] + rotated(q[3:], w[:3])
+        return jnp.concatenate([there, turned(q[3:], w[3:])])
 
 
 @dataclass(frozen=True)

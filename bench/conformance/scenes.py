@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from problems import answers, jax, jnp
 from problems.compiled import compiled
 from problems.formulations import constraint_change
 from problems.initial_values import consistent_start
+from problems.kinematics import q_rate
 from problems.system import INVARIANTS, MechatronicSystem
 from problems.witnesses import published_digits
 
@@ -33,6 +33,8 @@ _SLOPE_ERROR = 1e-6
 #: than the fastest oscillation.
 _SLOPE_STEPS = (1e-2, 1e-3, 1e-4, 1e-5)
 _TIMES = 40
+#: A movement follows dq/dt to this, relative to the largest rate.
+_MOVE_ERROR = 1e-9
 
 
 def check_description(registry: Registry, scene: MechatronicSystem) -> str:
@@ -47,8 +49,9 @@ def check_description(registry: Registry, scene: MechatronicSystem) -> str:
             f"The nominal step {step:g} s does not fit the interval of {t_end - t0:g} s; take "
             f"the largest step that resolves the motion."
         )
-    stated = ("coordinates", "q"), ("multipliers", "lam"), ("states", "x"), ("outputs", "y")
-    for attribute, group in stated:
+    own = {"coordinates": "q", "multipliers": "lam", "states": "x", "outputs": "y"}
+    stated = own | ({"velocities": "v"} if scene.has("kinematics") else {})
+    for attribute, group in stated.items():
         scene.components(group)  # refuses names that are no text, and sizes that are no numbers
         named = getattr(scene, attribute)
         named = 1 if isinstance(named, str) else len(named)
@@ -86,6 +89,27 @@ def check_start(registry: Registry, scene: MechatronicSystem) -> str:
     own = sizes._asdict() | {"nh": 0} | ({"nv": 0} if sizes.nv == sizes.nq else {})
     shown = ", ".join(f"{name}={size}" for name, size in own.items() if size)
     return f"Consistent at t={scene.interval[0]:g} s: {shown}."
+
+
+def check_move(registry: Registry, scene: MechatronicSystem) -> str:
+    """A displacement s w leads along dq/ds = T(q) w, from q itself."""
+    if not scene.has("move"):
+        raise DoesNotApply("It states no move.")
+    q, v, _ = map(jnp.asarray, scene.initial_state())
+    w = jnp.asarray(np.random.default_rng(1).uniform(-1, 1, v.shape))
+    there, found = jax.jvp(lambda s: scene.move(q, s * w), (1.0,), (1.0,))
+    wanted = np.asarray(scene.kinematics(there, w))
+    for of, one, other in (
+        ("move by zero", scene.move(q, 0 * w), q),
+        ("the rate of move", found, wanted),
+    ):
+        difference = np.abs(np.asarray(one - other)).max()
+        if not difference <= _MOVE_ERROR * np.abs(other).max():
+            raise Failed(
+                f"{of} differs by {difference:.2g} from what kinematics leads to; let move(q, w) "
+                f"follow dq/ds = kinematics(q, w) for one second."
+            )
+    return "move follows kinematics."
 
 
 def check_mass(registry: Registry, scene: MechatronicSystem) -> str:
@@ -133,7 +157,7 @@ def check_mass(registry: Registry, scene: MechatronicSystem) -> str:
 
 
 def check_invariant(registry: Registry, scene: MechatronicSystem, block: str) -> str:
-    """No entry f of an invariant changes along the motion: f_q v + f_v a = 0."""
+    """No entry f of an invariant changes along the motion: f_q dq/dt + f_v a = 0."""
     if not scene.has(block):
         raise DoesNotApply(f"It states no {block}.")
     q, v, _ = map(jnp.asarray, scene.initial_state())
@@ -147,7 +171,7 @@ def check_invariant(registry: Registry, scene: MechatronicSystem, block: str) ->
     rates = []
     for q, v, a in zip(*(jnp.asarray(values[g]) for g in ("q", "v", "a")), strict=True):
         by_q, by_v = by(q, v)
-        rates.append(np.concatenate([by_q * v, by_v * a], axis=1))
+        rates.append(np.concatenate([by_q * q_rate(scene, q, v), by_v * a], axis=1))
     net, parts = np.abs(np.sum(rates, axis=2)).max(axis=1), np.abs(rates).sum(axis=2).max(axis=1)
     if not net.max() <= _RATE_ERROR * max(parts.max(), np.finfo(float).tiny):
         raise Failed(
@@ -192,7 +216,7 @@ def check_reference(registry: Registry, scene: MechatronicSystem) -> str:
 
 
 def _check_closed_form(scene: MechatronicSystem) -> None:
-    """It begins at the initial state, q' = v, v' = a, and the forces agree."""
+    """It begins at the initial state, dq/dt follows v, v' = a, and the forces agree."""
     t, values = _along(scene)
     start = consistent_start(scene).z
     for group in ("q", "v"):
@@ -206,7 +230,9 @@ def _check_closed_form(scene: MechatronicSystem) -> None:
     )
     for group in ("a", "lam"):
         _agree(f"{group} of the equations of motion", group, values, t, getattr(solved, group))
-    for low, high in pairwise(("q", "v", "a")):
+    rates = [q_rate(scene, q, v) for q, v in zip(values["q"], values["v"], strict=True)]
+    values = values | {"dq/dt": np.array(rates)}
+    for low, high in (("q", "dq/dt"), ("v", "a")):
         slopes = [_slope(scene, t, low, part) for part in _SLOPE_STEPS]
         best = min(slopes, key=lambda slope, high=high: np.abs(slope - values[high]).max())
         _agree(f"the slope of its {low}", high, values, t, best)
@@ -274,6 +300,7 @@ SCENE_CHECKS = {
     "parameters": check_settings,
     "start": check_start,
     "mass": check_mass,
+    "move": check_move,
     "blocks": check_blocks,
     "traced": check_parameters,
     "reference": check_reference,

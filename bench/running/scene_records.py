@@ -81,7 +81,7 @@ def scene_record(
         t_end=t_end,
         source=part("source", lambda: answers.text(scene.source, "source"), ""),
         components=part("list of components", lambda: _components(scene), {}),
-        sizes=scene.sizes._asdict(),
+        sizes=recorded_sizes(scene),
         t0=scene.interval[0],
         fingerprint=made_by(fingerprint(type(scene))),
         tags=list(tags),
@@ -126,6 +126,12 @@ def first_energy(scene: MechatronicSystem) -> float:
     """Return the energy of a scene at its start, in J."""
     q, v, _ = map(jnp.asarray, scene.initial_state())
     return answers.number(scene.energy(q, v), "energy()")
+
+
+def recorded_sizes(scene: MechatronicSystem) -> dict[str, int]:
+    """Return the numbers of unknowns; that of velocities only where it is one of its own."""
+    left_out = {"nh"} if scene.has("kinematics") else {"nh", "nv"}
+    return {name: n for name, n in scene.sizes._asdict().items() if name not in left_out}
 
 
 def _components(scene: MechatronicSystem) -> dict[str, list[str]]:

@@ -1,10 +1,11 @@
-"""Backward differences of order two, on the mechanical form."""
+"""Backward differences of order two, on the mechanical form and on Lie groups."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
+from integrators.contract import WIDER, option
 from integrators.native.guesses import Guess
 from integrators.native.own_values import Formulated, OwnValues
 from integrators.native.stage_equations import Base, Slopes, stage_equations
@@ -12,13 +13,13 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading, Time
 from integrators.native.step_work import StepWork
 from problems.formulations import Start
-from problems.kinematics import advance
+from problems.kinematics import Displaced, Place, displaced
 from problems.runtime import Array, jax, jnp
 from problems.system import MechatronicSystem
 
 
 class BDF2State(NamedTuple):
-    """Values at the end of the last step, and q, v and x at its start."""
+    """Values at the end of the last step, and what `BDF2.kept` keeps of q, v and x at its start."""
 
     shown: Reading
     before: Base
@@ -56,7 +57,8 @@ class BDF2(OwnValues, Formulated, ImplicitStepMethod):
         z = start.z
         shown = self.reported(scene, z, start.xdot)
         guess = Guess.begin(z, start.xdot, h)
-        return BDF2State(shown, Base(z.q, z.v, z.x), guess, jnp.asarray(True))
+        kept = self.kept(z.q, displaced(scene, z.q, 0.0 * z.v), 0.0 * z.v)
+        return BDF2State(shown, Base(kept, z.v, z.x), guess, jnp.asarray(True))
 
     def step(
         self, scene: MechatronicSystem, state: BDF2State, t: Time, h: Time, work: StepWork
@@ -66,15 +68,56 @@ class BDF2(OwnValues, Formulated, ImplicitStepMethod):
         newest, older = (1 + w) ** 2 / (1 + 2 * w), w**2 / (1 + 2 * w)
         tau = h * (1 + w) / (1 + 2 * w)
         v_base = newest * now.v - older * v
-        q_base = advance(scene, newest * now.q - older * q, tau * v_base)
+        q_base = self.extrapolated(scene, now.q, q, (newest, older), tau * v_base)
         later = Base(q_base, v_base, newest * now.x - older * x)
         # Of the first step's acceleration and rate only those of the start are there.
         a, xdot = now.a, now.xdot
-        q_base = advance(scene, now.q, h * now.v)
+        q_base = displaced(scene, now.q, h * now.v)
         first = Base(q_base, now.v + h / 4 * a, now.x + h / 4 * xdot)
         both = (Slopes(h**2 / 2, 3 * h / 4, 3 * h / 4), first), (Slopes(tau**2, tau, tau), later)
         slopes, base = jax.tree.map(lambda one, two: jnp.where(state.first, one, two), *both)
         e = stage_equations(scene, self.formulation, base, slopes, t, (now.q, t - h))
         z, xdot, guess = e.solve_from(work, state.guess, h)
         shown = self.reported(scene, z, xdot, work)
-        return BDF2State(shown, Base(now.q, now.v, now.x), guess, jnp.asarray(False))
+        kept = Base(self.kept(now.q, base.q, slopes.q * z.a), now.v, now.x)
+        return BDF2State(shown, kept, guess, jnp.asarray(False))
+
+    def extrapolated(
+        self, scene: MechatronicSystem, q: Array, kept: Array, weights: tuple, change: Array
+    ) -> Place:
+        """Where q goes by the formula and ``change``; weights are those of now and of before."""
+        newest, older = weights
+        return newest * q - older * kept + change
+
+    def kept(self, q: Array, base: Place, change: Array) -> Array:
+        """What the next step needs of a step that moved q to ``base`` and by ``change``."""
+        return q
+
+
+@dataclass(frozen=True)
+class BLieDF(BDF2):
+    """BDF2 on Lie groups: backward differences of displacements, which move q once in a step.
+
+    With displacements w = h D, where q+ = q o exp(w+), and the ratio r = h/h_before::
+
+        v+ = (1 + 2 r)/(1 + r) D+ - r/(1 + r) D,   h vdot+ as in `BDF2`
+
+    Where velocities are the rates of the coordinates it is BDF2.
+    """
+
+    name: ClassVar[str] = "bliedf"
+    takes: ClassVar[tuple[str, ...]] = tuple(WIDER)
+    source: ClassVar[str] = "Wieloch & Arnold (2021), doi:10.1016/j.cam.2019.112517"
+
+    formulation: str = option(
+        "index3", "constraints that hold: index3, of positions; index2, of velocities",
+        choices=("index3", "index2"),
+    )  # fmt: skip
+
+    def extrapolated(
+        self, scene: MechatronicSystem, q: Array, kept: Array, weights: tuple, change: Array
+    ) -> Place:
+        return displaced(scene, q, weights[1] * kept, change)
+
+    def kept(self, q: Array, base: Place, change: Array) -> Array:
+        return change + (base.w if isinstance(base, Displaced) else base - q)

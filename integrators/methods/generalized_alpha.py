@@ -222,6 +222,23 @@ class GeneralizedAlpha(UpdatableMethod):
 
 
 @dataclass(frozen=True)
+class GeneralizedAlphaLie(GeneralizedAlpha):
+    """Generalized-alpha on Lie groups: q+ = q o exp(h D), one displacement in a step.
+
+    It is `GeneralizedAlpha`, which moves q so on every scene with ``kinematics``.
+    """
+
+    source: ClassVar[str] = (
+        "Bruels, Cardona & Arnold (2012), doi:10.1016/j.mechmachtheory.2011.07.017"
+    )
+
+    def supports(self, scene: MechatronicSystem) -> str | None:
+        if not scene.has("kinematics"):
+            return "the scene states no kinematics; take generalized_alpha, the same method there."
+        return super().supports(scene)
+
+
+@dataclass(frozen=True)
 class HHT(UpdatableMethod):
     """Hilber-Hughes-Taylor member: alpha_m = 0, alpha_f = alpha in [0, 1/3].
 

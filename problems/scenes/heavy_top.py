@@ -98,6 +98,9 @@ class HeavyTop(MechatronicSystem):
         moving = self.m * (q[0] * v[1] - q[1] * v[0])
         return jnp.stack([moving + self.j * upwards + tilted, self.j_axis * spin])
 
+    def points(self, q: jax.Array) -> dict[str, jax.Array]:
+        return {"C": q[:3]}
+
     def initial_state(self) -> State:
         # Space and body axes coincide; the tip is at (0, length, 0).
         turning = np.array([self.nod, self.spin, self.turn])

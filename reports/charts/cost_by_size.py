@@ -43,7 +43,7 @@ def _rows(
     best: dict[tuple[str, int, str], Record] = {}
     for record in records:
         scene, steps = scenes.get((record.problem, record.t_end)), record.work.get("steps")
-        sizes = sum(scene.sizes.values()) if scene else 0
+        sizes = sum(n for of, n in scene.sizes.items() if of != "nv") if scene else 0
         if record.status == "ok" and sizes and steps and record.seconds:
             key = record.problem.split("[")[0], sizes, label_of(record)
             if key not in best or steps > (best[key].work["steps"] or 0):

@@ -13,6 +13,7 @@ _SYMBOLS = {"Phi": "Φ", "lam": "λ", "gamma": "γ", "omega": "ω"}
 _TOKEN = re.compile(r"[A-Za-z]+|\d+(?:\.\d+)?|\S")
 _NAMES = {
     "nq": ("coordinates", "q"),
+    "nv": ("velocities", "v"),
     "nl": ("multipliers", "lam"),
     "nx": ("controller states", "x"),
     "ny": ("outputs", "y"),
@@ -66,7 +67,7 @@ def unknowns(scene: SceneRecord) -> Markup:
     """The numbers of unknowns: 7 coordinates q, 6 multipliers λ."""
     parts = [
         Markup("{} {} <i>{}</i>").format(
-            n, name if n != 1 else name[:-1], escape(_SYMBOLS.get(symbol, symbol))
+            n, name if n != 1 else name[:-1].replace("tie", "ty"), escape(_SYMBOLS.get(symbol, symbol))
         )
         for size, (name, symbol) in _NAMES.items()
         if (n := scene.sizes.get(size))

@@ -10,7 +10,10 @@ from reports.formatting import component_title, number
 
 def scene_facts(scene: SceneRecord) -> list[tuple[str, str]]:
     """Pairs (name, text): interval, size, reference, sensitivity, source, faults."""
-    names = {"nq": "coordinates", "nl": "constraints", "nx": "controller states", "ny": "outputs"}
+    names = {
+        "nq": "coordinates", "nv": "velocities", "nl": "constraints", "nx": "controller states",
+        "ny": "outputs",
+    }  # fmt: skip
     sizes = [f"{names.get(k, k)}: {n}" for k, n in scene.sizes.items() if n]
     errors = [f"{g} {number(e)}" for g, e in scene.reference_error.items()]
     growth = (
