@@ -1,4 +1,4 @@
-"""Make README's pictures and docs/choosing.md of the current code; `make pictures`, half an hour.
+"""Make README's pictures, docs/choosing.md and the times of docs/iftomm.md; `make pictures`.
 
 Runs that an earlier attempt has measured are kept in the folders of results.
 """
@@ -8,26 +8,32 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 from chromium import chromium, waited
 
 DOCS = Path(__file__).parents[1] / "docs"
-MEASURED = "stepbench-pictures-full", "stepbench-pictures-families"
+MEASURED = "stepbench-pictures-full", "stepbench-pictures-families", "stepbench-pictures-iftomm"
+#: The line of docs/iftomm.md from which on it is written here.
+TIMES = "## Times"
 
 
-def stepbench(*arguments: object) -> None:
-    subprocess.run(
-        [str(Path(sys.executable).parent / "stepbench"), *map(str, arguments)], check=True
-    )
+def stepbench(*arguments: object, **more: Any) -> Any:
+    command = [str(Path(sys.executable).parent / "stepbench"), *map(str, arguments)]
+    return subprocess.run(command, check=True, **more)
 
 
 def main() -> None:
-    """Measure the suites `full` and `families` if they are not, then draw and write."""
-    full, families = map(Path, MEASURED)
+    """Measure the suites if they are not, then draw and write."""
+    full, families, iftomm = map(Path, MEASURED)
     stepbench("run", "full", "--out", full)
     stepbench("run", "families", "--out", families)
     stepbench("card", full, "-o", DOCS / "card_full.svg")
     stepbench("choose", families, "-o", DOCS / "choosing.md")
+    rate = "rate", "iftomm", "--rule", "iftomm", "--markdown", "--out", iftomm
+    times = stepbench(*rate, stdout=subprocess.PIPE, text=True).stdout
+    page = DOCS / "iftomm.md"
+    page.write_text(f"{page.read_text().partition(TIMES)[0]}{TIMES}\n\n{times}")
     with chromium("window-size=1400,1120") as page:
         page.get((full.absolute() / "report.html").as_uri())
         waited(lambda: page.execute_script("return stepbench.data.complete"))

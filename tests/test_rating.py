@@ -3,13 +3,20 @@
 import json
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from planted import planted
 
-from bench.results.records import Record
-from bench.running.rating import demand
-from bench.running.search import MOST_RUNS, RESOLVED, Sizes, bracket
+from bench.plugins.registry import Registry
+from bench.results.demands import bracket, demand, overviews
+from bench.results.records import UNSUPPORTED, Plan, Record, Study
+from bench.running.inventory import Inventory
+from bench.running.plan import make_suite
+from bench.running.profiles import read_profile
+from bench.running.search import MOST_RUNS, RESOLVED, Sizes
+from problems.scenes.iftomm_pendulum import IFToMMPendulum
 from problems.spec import SpecError
 
 STEPS = Sizes(length=10.0, start=0.1, finest=1e-7, coarsest=10.0)
@@ -79,9 +86,10 @@ def test_demands_are_read_and_judged():
     run = Record(
         key="", problem="", integrator="", family="", formulation="", controls="step", t0=0.0,
         t_end=1.0, status="ok", errors={"q": {"max": 0.2, "end": 0.1}}, energy_drift=0.3,
+        history_error=0.4,
     )  # fmt: skip
-    found = [demand(text).of(run) for text in ("q:1", "q:end:1", "energy:1", "a:1")]
-    assert found == [0.2, 0.1, 0.3, math.inf]
+    found = [demand(text).of(run) for text in ("q:1", "q:end:1", "energy:1", "points:1", "a:1")]
+    assert found == [0.2, 0.1, 0.3, 0.4, math.inf]
     run.status = "diverged"
     assert demand("q:1").of(run) == math.inf
 
@@ -123,6 +131,73 @@ def test_a_rule_that_nobody_meets_is_an_error_with_reasons(stepbench, tmp_path):
     assert 1e-14 < first["error"] < 1e-3
 
 
+def test_the_table_of_a_suite_has_the_time_of_the_coarsest_good_run():
+    def run(scene, method, h, error, seconds, status="ok"):
+        return planted(
+            scene, method, {}, h=h, history_error=error, run_s=[seconds], status=status,
+        )  # fmt: skip
+
+    runs = [
+        run("s", "one", 0.1, 0.05, 1.0), run("s", "one", 0.01, 5e-4, 9.0),
+        run("s", "one", 0.02, 9e-4, 5.0), run("t", "one", 0.1, 9e-4, 3.0),
+        run("s", "two", 0.1, 0.05, 2.0), run("t", "two", 0.1, 0.0, 1.0, UNSUPPORTED),
+        run("s", "three", 0.1, 5e-4, 7.0), run("t", "three", 0.1, 2e-3, 2.0),
+        # Good by accident: a finer run is not.
+        run("s", "four", 0.1, 5e-4, 1.0), run("s", "four", 0.05, 0.01, 2.0),
+    ]  # fmt: skip
+    studies = [
+        Study(
+            title=scene, problem=scene, t_end=1.0, figures=[],
+            cells=[r.key for r in runs if r.problem == scene], demands=demands,
+        )
+        for scene, demands in (("s", ["points:1e-3", "no:1"]), ("t", ["points:1e-3"]), ("u", []))
+    ]  # fmt: skip
+    plan = Plan(name="", title="", samples=1, budget_s=1.0, studies=studies)
+    (table,) = overviews(plan, {r.key: r for r in runs})
+    assert table.head == ["integrator", "s", "t"]
+    assert table.rows == [
+        ["one", "5", "3"], ["three", "7", "not met"], ["two", "not met", "–"],  # noqa: RUF001
+        ["four", "not met", "–"],  # noqa: RUF001
+    ]  # fmt: skip
+    assert table.best == {(0, 1), (0, 2)}
+
+
+def test_the_iftomm_rule_has_two_precisions_and_writes_the_points(stepbench, tmp_path):
+    rule = "--rule", "iftomm", "--out", tmp_path, "--t-end", "1", "--json"
+    told = json.loads(stepbench("rate", "iftomm_pendulum", "rattle", *rule).stdout)["ratings"]
+    assert [own["demand"] for own in told] == [
+        "error of the named points <= 0.1", "error of the named points <= 0.001",
+    ]  # fmt: skip
+    for own, limit in zip(told, (0.1, 1e-3), strict=True):
+        assert limit / 4 < own["error"] <= limit
+        t, *place = np.loadtxt(tmp_path / own["points"]).T
+        assert (t[0], t[-1]) == (0.0, 1.0)
+        assert np.hypot(*place) == pytest.approx(1.0, abs=1e-10)
+        far = np.abs(np.array(place).T - IFToMMPendulum().exact(t)["q"]).max()
+        assert 0.0 < far < limit
+
+
+def test_a_scene_without_points_is_judged_by_its_energy_or_says_why_not(stepbench, tmp_path):
+    rule = "--out", tmp_path, "--t-end", "0.5", "--json"
+    found = stepbench("rate", "pendulum", "rattle", "--rule", "iftomm", *rule)
+    assert "pendulum names no points: its change of energy is judged." in found.stderr
+    told = json.loads(found.stdout)["ratings"]
+    assert [own["demand"] for own in told] == [
+        "change of energy <= 0.1", "change of energy <= 0.001",
+    ]  # fmt: skip
+    assert all(own["points"] == "" and own["error"] == own["energy_drift"] for own in told)
+
+
+def test_the_suite_iftomm_has_many_families_and_methods_that_take_its_scenes():
+    registry, inventory = Registry(), Inventory()
+    suite = make_suite(*read_profile("iftomm"), inventory)
+    pairs = {(c.problem, c.integrator) for c in suite.cells.values()}
+    assert len({registry.integrator(method).family for _, method in pairs}) >= 8
+    for scene, method in pairs:
+        assert inventory.problem(scene).points
+        assert registry.integrator(method).supports(registry.problem(scene)) is None
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -130,6 +205,8 @@ def test_a_rule_that_nobody_meets_is_an_error_with_reasons(stepbench, tmp_path):
         (["quick", "--t-end", "1"], "belong to one scene"),
         (["pendulum", "ida", "--error", "a"], "is no demand"),
         (["nothing.toml", "ida"], "nothing.toml"),
+        (["spring_mass", "ida", "--error", "points:1"], "spring_mass names no points"),
+        (["friction", "ida", "--rule", "iftomm"], "friction states no energy"),
         (["pendulun", "ida"], "did you mean 'pendulum'"),
     ],
 )

@@ -12,22 +12,26 @@ import click
 import msgspec
 
 from bench.commands import completion, options
-from bench.commands.pages import write_reports
+from bench.commands.pages import view, write_reports
 from bench.guard.interrupts import remark
+from bench.plugins.facts import SceneFacts
+from bench.results.demands import ENERGY, NOT_MET, POINTS, Demand, demand, overviews
+from bench.results.quantities import point_notes
 from bench.results.store import Store
 from bench.results.table import Table, number
 from bench.running.inventory import Inventory
 from bench.running.plan import Suite, make_suite
 from bench.running.profiles import ProfileFile, StudyFile, read_profile, suite_titles
-from bench.running.rating import Candidate, Demand, demand, rate
+from bench.running.rating import Candidate, rate
 from problems.spec import SpecError
 from problems.whole_files import put
 
-#: File of the ratings in a folder.
-FILE = "rating.json"
+#: File of the ratings in a folder, and the folder of texts in it.
+FILE, TEXTS = "rating.json", "points"
 
-#: Demands of the rules by name; those of "work-precision" are asked for.
-RULES = {"work-precision": ("a:1e-3",)}
+#: Demands of the rules by name; those of "work-precision" are asked for. "iftomm" has the low and
+#: the high precision of the library's specifications.
+RULES = {"work-precision": ("a:1e-3",), "iftomm": (f"{POINTS}:1e-1", f"{POINTS}:1e-3")}
 
 
 @click.command("rate")
@@ -38,14 +42,14 @@ RULES = {"work-precision": ("a:1e-3",)}
     type=click.Choice([*RULES]),
     default="work-precision",
     show_default=True,
-    help="Accuracy that is asked for.",
+    help="Accuracy that is asked for; iftomm: the error of the named points, 0.1 and 0.001.",
 )
 @click.option(
     "--error",
     "errors",
     multiple=True,
     metavar="QUANTITY:LIMIT",
-    help="Largest error, such as a:1e-3, q:end:1e-6 or energy:1e-4; repeatable.",
+    help="Largest error, such as a:1e-3, q:end:1e-6, energy:1e-4 or points:1e-3; repeatable.",
 )
 @options.with_t_end
 @options.with_set
@@ -53,6 +57,7 @@ RULES = {"work-precision": ("a:1e-3",)}
 @options.with_fresh
 @options.with_jobs("Worker processes; timing is done by one at a time.")
 @options.with_given_budget("Processor time in s after which a run is stopped.", default=60.0)
+@click.option("--markdown", is_flag=True, help="Print machine and times in Markdown.")
 @options.with_plugins
 @options.with_as_json
 def rate_(
@@ -66,29 +71,41 @@ def rate_(
     fresh: bool,
     jobs: int,
     budget: float,
+    markdown: bool,
     plugins: tuple[str, ...],
     as_json: bool,
 ) -> None:
     """Find the largest step or tolerance that meets a rule, and its cost.
 
     SCENE or SUITE: one scene, or all scenes of a suite, with the suite's integrators if none is
-    named. Each search is a bisection that follows the convergence of its own errors.
+    named. Each search is a bisection that follows the convergence of its own errors. The rule
+    iftomm is that of the IFToMM benchmark library; on a scene without named points it limits the
+    change of energy. Beside rating.json are the named points of the best runs as texts.
 
     \b
     Examples:
+      stepbench rate iftomm --rule iftomm
       stepbench rate pendulum generalized_alpha ida --error a:1e-3
       stepbench rate quick --error q:1e-4 --error energy:1e-5
     """
     registry = options.usable_registry(plugins)
-    demands = [demand(text) for text in errors or RULES[rule]]
     suite = _suite(registry, name, methods, t_end, settings, budget)
-    title = f"Rating: {', '.join(map(str, demands))}"
-    suite = replace(suite, plan=msgspec.structs.replace(suite.plan, title=title))
-    asked = dict.fromkeys((c.problem, c.integrator, c.t_end) for c in suite.cells.values())
+    cells = dict.fromkeys((c.problem, c.integrator, c.t_end) for c in suite.cells.values())
+    scenes = {scene: registry.problem(scene) for scene, _, _ in cells}
+    said: list[str] = []
+    demands = {scene: _demands(facts, errors, rule, said) for scene, facts in scenes.items()}
     candidates = [
-        Candidate(registry.problem(scene), registry.integrator(method), end)
-        for scene, method, end in asked
+        Candidate(scenes[scene], registry.integrator(method), end, demands[scene])
+        for scene, method, end in cells
+        if demands[scene]
     ]
+    if not candidates:
+        raise SpecError(" ".join(said))
+    for sentence in said:
+        click.echo(sentence, err=True)
+    every = dict.fromkeys(str(asked) for own in demands.values() for asked in own)
+    title = f"Rating: {', '.join(every)}"
+    suite = replace(suite, plan=msgspec.structs.replace(suite.plan, title=title))
     from bench.commands.terminal import RunProgress, show
     from bench.running.session import runner_for
 
@@ -99,15 +116,19 @@ def rate_(
     ):
         remark("Finished runs are stored; the same command goes on.")
         options.tell_set_aside(store)
-        rate(candidates, demands, suite, store, registry, runner)
+        rate(candidates, suite, store, registry, runner)
         machine = store.environments()
-    ratings = [_rating(c, asked) for asked in demands for c in candidates]
+        tables = overviews(store.plan(), store.records())
+        texts = _write_points(candidates, store)
+    ratings = [_rating(c, asked, texts) for c in candidates for asked in c.demands]
     text = json.dumps({"machine": msgspec.to_builtins(machine), "ratings": ratings}, indent=2)
     put(out / FILE, text)
     if as_json:
         click.echo(text)
+    elif markdown:
+        click.echo(view("ratings_in_markdown")(out))
     else:
-        show(*(table for asked in demands for table in _tables(candidates, asked)))
+        show(*_tables(candidates), *(tables if len(scenes) > 1 else []))
         click.echo(f"Record: {out / FILE}")
         write_reports(out)
     if not any(rating["met"] for rating in ratings):
@@ -134,7 +155,23 @@ def _suite(
     return make_suite("rating", ProfileFile(study=[study], budget_s=budget), registry)
 
 
-def _rating(candidate: Candidate, asked: Demand) -> dict[str, Any]:
+def _demands(scene: SceneFacts, errors: Sequence[str], rule: str, said: list[str]) -> list[Demand]:
+    """Return what is demanded on a scene; sentences on what it lacks go to ``said``."""
+    texts = list(errors or RULES[rule])
+    if not (errors or scene.points) and rule == "iftomm":
+        texts = [text.replace(POINTS, ENERGY) for text in texts]
+        said.append(f"{scene.spec} names no points: its change of energy is judged.")
+    for what, there, lack in (
+        (POINTS, scene.points, "names no points"),
+        (ENERGY, scene.energy, "states no energy"),
+    ):
+        lost = [] if there else [text for text in texts if text.startswith(f"{what}:")]
+        texts = [text for text in texts if text not in lost]
+        said += [f"{scene.spec} {lack}: it is not judged by {' and '.join(lost)}."] if lost else []
+    return [demand(text) for text in texts]
+
+
+def _rating(candidate: Candidate, asked: Demand, texts: Mapping[str, str]) -> dict[str, Any]:
     """Return the rating of a method on a scene, for a file that can be sent."""
     best = candidate.best(asked)
     run = best or candidate.nearest(asked)
@@ -154,28 +191,51 @@ def _rating(candidate: Candidate, asked: Demand) -> dict[str, Any]:
         "energy_drift": run.energy_drift,
         "constraint": run.constraint,
         "runs": len(candidate.runs),
+        "points": texts.get(best.key, "") if best else "",
     }
 
 
-def _tables(candidates: Sequence[Candidate], asked: Demand) -> Iterator[Table]:
-    """A table for each scene: the fastest method first, at the end those that do not get there."""
-    scenes = dict.fromkeys(c.scene.spec for c in candidates)
-    for scene in scenes:
+def _write_points(candidates: Sequence[Candidate], store: Store) -> dict[str, str]:
+    """Write the named points of the best runs over time, in columns; return the files by key."""
+    every = [(c, run) for c in candidates for asked in c.demands if (run := c.best(asked))]
+    files = {}
+    for c, run in every:
+        notes = [n for name, at in run.points.items() for n in point_notes(name, len(at))]
+        if run.key in files or not notes:
+            continue
+        rows = store.rows(run.key)
+        columns = [rows.t, *(rows.notes.get(note, []) for note in notes)]
+        numbers = (" ".join(f"{x:.12g}" for x in row) for row in zip(*columns, strict=False))
+        head = f"# {run.key}", f"# {', '.join(['t [s]', *notes])}"
+        files[run.key] = f"{TEXTS}/{len(files) + 1:03}-{c.scene.name}-{c.method.name}.txt"
+        (store.folder / TEXTS).mkdir(exist_ok=True)
+        put(store.folder / files[run.key], "\n".join([*head, *numbers, ""]))
+    return files
+
+
+def _tables(candidates: Sequence[Candidate]) -> Iterator[Table]:
+    """A table for each scene and demand: the fastest method first, at the end those that do not
+    get there."""
+    own: dict[tuple[str, str], list[tuple[Candidate, Demand]]] = {}
+    for c in candidates:
+        for asked in c.demands:
+            own.setdefault((c.scene.spec, asked.text), []).append((c, asked))
+    for (scene, _), judged in own.items():
         rows, notes = [], []
-        for c in (c for c in candidates if c.scene.spec == scene):
+        for c, asked in judged:
             best = c.best(asked)
             run = best or c.nearest(asked)
             figures = run.h or run.rtol, run.cost("operations"), asked.error(run)
             time = number(run.seconds)
             if not best:
-                time = "not met"
+                time = NOT_MET
                 notes.append(f"{run.integrator}: {c.obstacle}")
             more = run.energy_drift, run.constraint.get("position")
             cells = [run.integrator, *map(number, figures), time, *map(number, more)]
             rows.append(((not best, run.seconds or asked.of(run)), cells))
         rows.sort(key=lambda row: row[0])
         yield Table(
-            f"{scene}: {asked}",
+            f"{scene}: {judged[0][1]}",
             ["integrator", "h [s] or rtol", "operations", "error", "time [s]", "energy", "Φ"],
             [cells for _, cells in rows],
             note="\n".join(notes),

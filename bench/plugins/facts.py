@@ -34,15 +34,17 @@ class PluginFacts(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SceneFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """A scene: printed name, interval and nominal step in s, fingerprint."""
+    """A scene: printed name, interval and nominal step in s, fingerprint; whether it is
+    constrained, names points, and states an energy."""
 
     spec: str
     name: str
     interval: tuple[float, float]
     nominal_step: float
     constrained: bool
-    points: bool
     fingerprint: str
+    points: bool = False
+    energy: bool = False
     sources: Sources = Sources()
 
 
@@ -97,6 +99,7 @@ def scene_facts(registry: Registry, text: str, parameters: dict[str, Any]) -> Sc
         nominal_step=step(scene.nominal_step),
         constrained=scene.has("constraint") or scene.has("velocity_constraint"),
         points=scene.has("points"),
+        energy=scene.has("energy"),
         fingerprint=fingerprint(type(scene)),
         sources=registry.problems[scene.name].sources,
     )

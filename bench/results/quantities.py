@@ -54,6 +54,11 @@ def error_note(group: str) -> str:
     return f"error_{group}"
 
 
+def point_notes(name: str, count: int) -> list[str]:
+    """Names of the notes of a run's rows with the coordinates of a named point in m."""
+    return [f"{name} {axis} [m]" for axis in "xyz"[:count]]
+
+
 #: Titles of the violations of the constraints that are asked for like errors of groups.
 VIOLATIONS = {"constraint": "constraints Φ", "constraint_velocity": "constraint velocities dΦ/dt"}
 #: All whose errors are compared and asked for, by the name in records, commands and addresses.

@@ -272,7 +272,8 @@ class SceneRecord(msgspec.Struct, kw_only=True):
 
 
 class Study(msgspec.Struct, kw_only=True, frozen=True):
-    """A part of a plan: some cells of one scene that belong on one chart."""
+    """A part of a plan: some cells of one scene that belong on one chart. A rating's has the
+    ``demands`` on its errors, as `bench.results.demands.demand` reads them."""
 
     title: str
     note: str = ""
@@ -282,6 +283,7 @@ class Study(msgspec.Struct, kw_only=True, frozen=True):
     cells: list[str]
     norm: Norm = "settled"
     components: list[str] = []
+    demands: list[Name] = []
 
 
 class Damping(msgspec.Struct, kw_only=True, frozen=True):

@@ -2,85 +2,32 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import msgspec
 
 from bench.plugins.facts import MethodFacts, SceneFacts
-from bench.results.quantities import ASKED, ERROR_NAMES, NORMS, group_and_norm
+from bench.results.demands import Demand
 from bench.results.records import UNSUPPORTED, Record, Study
 from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, Suite
 from bench.running.profiles import FIGURES
 from bench.running.runner import Runner
-from bench.running.search import Sizes, bracket
+from bench.running.search import Sizes
 from bench.running.session import measure_suite, time_suite
-from problems.spec import SpecError
-
-#: The change of energy, which a rule may limit like an error.
-ENERGY = "energy"
-
-
-class Demand(NamedTuple):
-    """A demand of a rule: an error, in words and as a function of a run, and its limit.
-
-    ``floor`` gives the reference's own error, if the error is one against the reference.
-    """
-
-    title: str
-    limit: float
-    error: Callable[[Record], float | None]
-    floor: Callable[[Record], float] = lambda record: 0.0
-
-    def __str__(self) -> str:
-        return f"{self.title} <= {self.limit:g}"
-
-    def of(self, record: Record) -> float:
-        """Return the error of a run; a run that failed has an infinite one."""
-        found = self.error(record) if record.status == "ok" else None
-        return math.inf if found is None else found
-
-
-def demand(text: str) -> Demand:
-    """Read a demand as a person writes it: "a:1e-3", "q:end:1e-6" or "energy:1e-4".
-
-    Raises
-    ------
-    SpecError
-        If it is none of these.
-    """
-    what, _, last = text.rpartition(":")
-    try:
-        limit = float(last)
-    except ValueError:
-        limit = math.nan
-    if not (what and 0 < limit < math.inf):
-        raise SpecError(
-            f"{text!r} is no demand; give a quantity and its largest error, such as a:1e-3, "
-            f"q:end:1e-6 or {ENERGY}:1e-4."
-        )
-    if what == ENERGY:
-        return Demand("change of energy", limit, lambda record: record.energy_drift)
-    group, norm = group_and_norm(what, ASKED)
-    return Demand(
-        f"error in {ERROR_NAMES[group]} ({NORMS[norm]})",
-        limit,
-        lambda record: record.error(group, norm),
-        lambda record: record.floor(group, norm),
-    )
 
 
 @dataclass
 class Candidate:
-    """A method on a scene, with the cells and records of its search by their sizes."""
+    """A method on a scene, and what is demanded of it; the cells and records of its search by
+    their sizes."""
 
     scene: SceneFacts
     method: MethodFacts
     t_end: float
+    demands: Sequence[Demand]
     cells: dict[float, Cell] = field(default_factory=dict)
     runs: dict[float, Record] = field(default_factory=dict)
 
@@ -89,12 +36,12 @@ class Candidate:
         """The reason why the method does not take the scene, if so."""
         return next((r.message for r in self.runs.values() if r.status == UNSUPPORTED), "")
 
-    def next(self, rule: Sequence[Demand]) -> Cell | None:
+    def next(self) -> Cell | None:
         """Return the cell to try next for any of the demands."""
         if self.refusal:
             return None
         sizes = Sizes.of(self.scene, self.method, self.t_end)
-        for asked in rule:
+        for asked in self.demands:
             size = sizes.next(self.errors(asked), asked.limit)
             if size is not None:
                 resolution = sizes.resolution(size)
@@ -112,8 +59,7 @@ class Candidate:
 
     def best(self, asked: Demand) -> Record | None:
         """Return the run with the coarsest good size, if there is one."""
-        good = bracket(self.errors(asked), asked.limit).good
-        return None if good is None else self.runs[good]
+        return asked.best(self.runs.values())
 
     @property
     def obstacle(self) -> str:
@@ -130,13 +76,12 @@ class Candidate:
 
 def rate(
     candidates: Sequence[Candidate],
-    rule: Sequence[Demand],
     suite: Suite,
     store: Store,
     registry: Inventory,
     runner: Runner,
 ) -> None:
-    """Search for each candidate's coarsest resolution for each demand, and take its time.
+    """Search for each candidate's coarsest resolution for each of its demands, and take its time.
 
     Runs are stored as they end; those that the store has are not made again.
 
@@ -150,12 +95,12 @@ def rate(
         plan = msgspec.structs.replace(suite.plan, studies=_studies(candidates))
         return replace(suite, plan=plan, cells={cell.key: cell for cell in cells})
 
-    while cells := [cell for c in candidates if (cell := c.next(rule))]:
+    while cells := [cell for c in candidates if (cell := c.next())]:
         measure_suite(restricted(cells), store, registry, runner)
         records = store.records()
         for c in candidates:
             c.take(records)
-    best = {r.key for c in candidates for asked in rule if (r := c.best(asked))}
+    best = {r.key for c in candidates for asked in c.demands if (r := c.best(asked))}
     every = (cell for c in candidates for cell in c.cells.values())
     time_suite(restricted(cell for cell in every if cell.key in best), store, registry, runner)
     records = store.records()
@@ -171,6 +116,14 @@ def _studies(candidates: Sequence[Candidate]) -> list[Study]:
             problem=problem,
             t_end=t_end,
             figures=list(FIGURES),
+            demands=list(
+                dict.fromkeys(
+                    asked.text
+                    for c in candidates
+                    if (c.scene.spec, c.t_end) == (problem, t_end)
+                    for asked in c.demands
+                )
+            ),
             cells=[
                 cell.key
                 for c in candidates

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from bench.plugins.facts import MethodFacts, SceneFacts
+from bench.results.demands import bracket
 from integrators.resolutions import Steps, Tolerances
 
 #: Quotient of the finest size that fails and the coarsest that is good, at which a search ends.
@@ -18,28 +18,6 @@ MOST_RUNS = 24
 _HOPELESS, _FINER = 0.7, 16.0
 #: Order that is assumed while there is one error alone, and the range of orders that are believed.
 _ORDER, _ORDERS = 2.0, (0.5, 8.0)
-
-
-class Bracket(NamedTuple):
-    """The coarsest size that is good, with all finer ones, and the finest that is not."""
-
-    good: float | None
-    bad: float | None
-
-
-def bracket(tried: Mapping[float, float], limit: float) -> Bracket:
-    """Return the bracket of a limit.
-
-    A size whose error is small by accident, as a finer one fails, is not good.
-
-    Parameters
-    ----------
-    tried
-        Errors by sizes, infinite where a run failed.
-    """
-    bad = min((size for size, error in tried.items() if not error <= limit), default=None)
-    good = (size for size in tried if bad is None or size < bad)
-    return Bracket(max(good, default=None), bad)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from bench.guard.serve import Notify
 from bench.plugins.facts import Sources, component_texts, method_facts, scene_facts
 from bench.plugins.reasons import why
 from bench.plugins.registry import Registry
-from bench.results.quantities import PARTS
+from bench.results.quantities import PARTS, point_notes
 from bench.results.records import TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import constraint_errors, finite, history_error, relative_errors
@@ -158,9 +158,9 @@ class Worker:
             record.points = {name: rows[-1].tolist() for name, rows in along.items()}
             record.published = measure.digits(scene, run.t, vars(run))
             return {
-                f"{name} {axis} [m]": column
+                note: column
                 for name, rows in along.items()
-                for axis, column in zip("xyz", rows.T, strict=False)
+                for note, column in zip(point_notes(name, len(rows.T)), rows.T, strict=True)
             }
 
         residuals = "No residual of the constraints is known"

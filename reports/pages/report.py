@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from bench.results.demands import overviews
 from bench.results.quantities import COSTS, GROUP_NAMES, NORM, NORMS, TRUST
 from bench.results.records import NOT_TRIED
 from bench.results.store import Store, set_aside_text
@@ -85,6 +86,7 @@ class Report:
         self.noted = notes_table(runs)
         self.lost_orders = lost_orders_table(series, facts, stored.experiments, stored.scenes)
         self.orders = order_tables(plan, stored.records)
+        self.ratings = overviews(plan, stored.records)
         found = drift_chapter(store.long_runs(), interactive), atlas_chapter(experiments)
         self.chapters = [chapter for chapter in found if chapter.sections]
         self.timing, self.times = timing_table(series_of(runs)), times_sentence(stored.times)

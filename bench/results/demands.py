@@ -1,0 +1,140 @@
+"""Demands on the accuracy of runs, and the coarsest run that meets one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
+
+from bench.results.quantities import ASKED, ERROR_NAMES, NORMS, group_and_norm
+from bench.results.records import UNSUPPORTED, Plan, Record, scene_titles
+from bench.results.table import NO_VALUE, Table, number
+from problems.spec import SpecError
+
+#: What a rule may limit like an error of a group: the change of energy, and the error of the named
+#: points by the rule of the IFToMM library.
+ENERGY, POINTS = "energy", "points"
+#: Errors of a run by these words, with their titles.
+_OTHERS: dict[str, tuple[str, Callable[[Record], float | None]]] = {
+    ENERGY: ("change of energy", lambda record: record.energy_drift),
+    POINTS: ("error of the named points", lambda record: record.history_error),
+}
+NOT_MET = "not met"
+
+
+class Bracket(NamedTuple):
+    """The coarsest size that is good, with all finer ones, and the finest that is not."""
+
+    good: float | None
+    bad: float | None
+
+
+def bracket(tried: Mapping[float, float], limit: float) -> Bracket:
+    """Return the bracket of a limit.
+
+    A size whose error is small by accident, as a finer one fails, is not good.
+
+    Parameters
+    ----------
+    tried
+        Errors by sizes, infinite where a run failed.
+    """
+    bad = min((size for size, error in tried.items() if not error <= limit), default=None)
+    good = (size for size in tried if bad is None or size < bad)
+    return Bracket(max(good, default=None), bad)
+
+
+class Demand(NamedTuple):
+    """A demand of a rule: an error, in words and as a function of a run, and its limit.
+
+    ``text`` is what a person writes for it.
+    """
+
+    text: str
+    title: str
+    limit: float
+    error: Callable[[Record], float | None]
+
+    def __str__(self) -> str:
+        return f"{self.title} <= {self.limit:g}"
+
+    def of(self, record: Record) -> float:
+        """Return the error of a run; a run that failed has an infinite one."""
+        found = self.error(record) if record.status == "ok" else None
+        return math.inf if found is None else found
+
+    def best(self, runs: Iterable[Record]) -> Record | None:
+        """Return the run of the coarsest good size among those of a method on a scene, if any."""
+        sized = {run.h or run.rtol or 0.0: run for run in runs}
+        good = bracket({size: self.of(run) for size, run in sized.items()}, self.limit).good
+        return None if good is None else sized[good]
+
+
+def demand(text: str) -> Demand:
+    """Read a demand as a person writes it: "a:1e-3", "q:end:1e-6", "energy:1e-4", "points:1e-3".
+
+    Raises
+    ------
+    SpecError
+        If it is none of these.
+    """
+    what, _, last = text.rpartition(":")
+    try:
+        limit = float(last)
+    except ValueError:
+        limit = math.nan
+    if not (what and 0 < limit < math.inf):
+        raise SpecError(
+            f"{text!r} is no demand; give a quantity and its largest error, such as a:1e-3, "
+            f"q:end:1e-6, {ENERGY}:1e-4 or {POINTS}:1e-3."
+        )
+    if what in _OTHERS:
+        title, error = _OTHERS[what]
+        return Demand(text, title, limit, error)
+    group, norm = group_and_norm(what, ASKED)
+    title = f"error in {ERROR_NAMES[group]} ({NORMS[norm]})"
+    return Demand(text, title, limit, lambda record: record.error(group, norm))
+
+
+def overviews(plan: Plan | None, records: Mapping[str, Record]) -> list[Table]:
+    """Return a table of times for each demand of a rating: methods by scenes."""
+    studies = [study for study in (plan.studies if plan else ()) if study.demands]
+    titles = scene_titles((study.problem, study.t_end) for study in studies)
+    tables = []
+    for text in dict.fromkeys(text for study in studies for text in study.demands):
+        try:
+            asked = demand(text)
+        except SpecError:  # of an edited store
+            continue
+        runs: dict[str, dict[int, list[Record]]] = {}
+        own = [study for study in studies if text in study.demands]
+        for j, study in enumerate(own, 1):
+            for record in (records[key] for key in study.cells if key in records):
+                runs.setdefault(record.integrator, {}).setdefault(j, []).append(record)
+        tables.append(_overview(asked, [titles[s.problem, s.t_end] for s in own], runs))
+    return tables
+
+
+def _overview(
+    asked: Demand, scenes: list[str], runs: Mapping[str, Mapping[int, list[Record]]]
+) -> Table:
+    """Times of methods, by scenes numbered from 1: first who meets it most often, then fastest."""
+    times: dict[str, dict[int, float]] = {}
+    for method, own in runs.items():
+        best = {j: asked.best(each) for j, each in own.items()}
+        times[method] = {j: run.seconds for j, run in best.items() if run and run.seconds}
+
+    def cell(method: str, j: int) -> str:
+        tried = any(run.status != UNSUPPORTED for run in runs[method].get(j, ()))
+        return number(times[method].get(j)) if j in times[method] or not tried else NOT_MET
+
+    methods = sorted(runs, key=lambda m: (-len(times[m]), sum(times[m].values())))
+    columns = range(1, len(scenes) + 1)
+    least = {j: min((t[j] for t in times.values() if j in t), default=None) for j in columns}
+    return Table(
+        f"Time [s] of the coarsest run with {asked}",
+        ["integrator", *scenes],
+        [[method, *(cell(method, j) for j in columns)] for method in methods],
+        best={(i, j) for i, m in enumerate(methods) for j, t in times[m].items() if t == least[j]},
+        note=f"{NO_VALUE}: not tried or not supported.",
+    )
