@@ -67,7 +67,9 @@ def unknowns(scene: SceneRecord) -> Markup:
     """The numbers of unknowns: 7 coordinates q, 6 multipliers λ."""
     parts = [
         Markup("{} {} <i>{}</i>").format(
-            n, name if n != 1 else name[:-1].replace("tie", "ty"), escape(_SYMBOLS.get(symbol, symbol))
+            n,
+            name if n != 1 else name[:-1].replace("tie", "ty"),
+            escape(_SYMBOLS.get(symbol, symbol)),
         )
         for size, (name, symbol) in _NAMES.items()
         if (n := scene.sizes.get(size))
