@@ -167,7 +167,8 @@ def check_invariant(registry: Registry, scene: MechatronicSystem, block: str) ->
     elif not jnp.size(first):
         raise Failed(f"{block}() has no entry; leave it out.")
     t, values = _along(scene)
-    by = jax.jacrev(lambda q, v: jnp.atleast_1d(getattr(scene, block)(q, v)), argnums=(0, 1))
+    entries = lambda q, v: jnp.atleast_1d(getattr(scene, block)(q, v))  # noqa: E731
+    by = jax.jit(jax.jacrev(entries, argnums=(0, 1)))
     rates = []
     for q, v, a in zip(*(jnp.asarray(values[g]) for g in ("q", "v", "a")), strict=True):
         by_q, by_v = by(q, v)

@@ -7,7 +7,16 @@ from types import ModuleType
 
 import numpy as np
 
-from problems import MechatronicSystem, State, drawing, jax, jnp, lagrange, parameter
+from problems import (
+    MechatronicSystem,
+    State,
+    Variables,
+    drawing,
+    jax,
+    jnp,
+    lagrange,
+    parameter,
+)
 from problems.spec import SpecError
 
 
@@ -114,6 +123,37 @@ class SliderCrank(_FreeCrank):
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
         return _polylines(self.l1, 2 * np.asarray(q[:2]), float(q[6]))
+
+
+@dataclass(frozen=True)
+class SliderCrankFriction(SliderCrank):
+    """The free slider crank whose slider rubs in its guide, by the force between both.
+
+    Tests forces that depend on multipliers: friction is mu times the size of the guide's force,
+    which is lam6 with the slider's weight, so an error of lam becomes one of the motion. The
+    friction in turn changes lam, by the slope of the rod; equations for a and lam are nonlinear.
+    Size and sign are smoothed (``soft``, ``eps``), as friction turns at both dead centres. Left
+    out: friction in the pins, sticking, and a larger friction at rest.
+    """
+
+    interval = (0.0, 1.0)
+    nominal_step = 0.0025
+    tags = ("constrained", "index 3", "dissipative", "multibody", "friction")
+    difficulties = (
+        "a force depends on lam: methods that know lam only after the step cannot take it",
+        "friction changes its sign within ``eps`` at the dead centres, its size where lam does",
+    )
+    source = "slider_crank with Coulomb friction, smoothed by tanh(v/eps) and sqrt(N^2 + soft^2)"
+    energy = None  # pyright: ignore[reportAssignmentType]
+
+    mu: float = parameter(0.1, "1", "coefficient of friction", low=0.0)
+    eps: float = parameter(0.2, "m/s", "velocity over which friction changes sign", low=1e-12)
+    soft: float = parameter(0.1, "N", "force over which its size turns", low=1e-12)
+
+    def coupled_force(self, z: Variables) -> jax.Array:
+        normal = self.m3 * self.g - z.lam[5]
+        size = self.mu * jnp.sqrt(normal**2 + self.soft**2)
+        return jnp.zeros(7).at[6].set(-size * jnp.tanh(z.v[6] / self.eps))
 
 
 @dataclass(frozen=True)
