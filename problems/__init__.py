@@ -2,6 +2,17 @@
 
 from typing import TYPE_CHECKING
 
+from problems.bodies import GROUND, Body, RigidBodies
+from problems.joints import (
+    Distance,
+    Fixed,
+    Joint,
+    Prismatic,
+    Revolute,
+    Spherical,
+    SpringDamper,
+    Universal,
+)
 from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem, Published, State, Variables, parameter
 
@@ -9,9 +20,20 @@ if TYPE_CHECKING:
     from problems.models.sympy_models import from_sympy
 
 __all__ = [
+    "GROUND",
+    "Body",
+    "Distance",
+    "Fixed",
+    "Joint",
     "MechatronicSystem",
+    "Prismatic",
     "Published",
+    "Revolute",
+    "RigidBodies",
+    "Spherical",
+    "SpringDamper",
     "State",
+    "Universal",
     "Variables",
     "from_sympy",
     "jax",

@@ -1,0 +1,388 @@
+"""Scenes of rigid bodies: joints, springs and starts, and two mechanisms by one angle each."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import long, reference, slope
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+from scipy.special import ellipj, ellipk
+
+from bench.conformance.checker import CHECKS, examine
+from bench.conformance.verdicts import FAILED
+from bench.plugins.registry import Registry
+from bench.running.errors import relative_errors
+from integrators import Steps, Tolerances
+from integrators.adapters.ida import IDA
+from integrators.methods.generalized_alpha import GeneralizedAlpha
+from integrators.methods.half_explicit import PHEM56
+from problems import (
+    GROUND,
+    Body,
+    Distance,
+    Fixed,
+    Prismatic,
+    Revolute,
+    RigidBodies,
+    Spherical,
+    SpringDamper,
+    Universal,
+    jax,
+    jnp,
+    parameter,
+)
+from problems.initial_values import InconsistentStart, consistent_start
+from problems.joints import Frame
+from problems.scenes.spatial_four_bar import SpatialFourBar
+from problems.scenes.spatial_slider_crank import SpatialSliderCrank
+from problems.spec import SpecError
+
+RANDOM = np.random.default_rng(7)
+POINT, OTHER = np.array([0.3, -0.2, 0.5]), np.array([-0.4, 0.1, 0.2])
+AXIS = np.array([1.0, 2.0, -2.0]) / 3
+SQUARE = np.array([2.0, 1.0, 2.0]) / 3
+
+
+# ---- joints ----------------------------------------------------------------------------
+def moved(rotation: Rotation, about=(0.0, 0.0, 0.0), shift=(0.0, 0.0, 0.0)) -> Frame:
+    """A body that has turned about a point and then moved."""
+    matrix = rotation.as_matrix()
+    return Frame(0.0, about - matrix @ about + shift, matrix.T)
+
+
+def after(first: Frame, then: Frame) -> Frame:
+    """The second displacement after the first one."""
+    return Frame(0.0, then.point(first.now), np.asarray(first.axes) @ then.axes)
+
+
+def turn(axis, angle: float = 0.7) -> Rotation:
+    return Rotation.from_rotvec(angle * np.asarray(axis))
+
+
+ANY = turn(RANDOM.normal(size=3))
+#: Joint, motions of the second body that it allows, and how many independent ones there are.
+JOINTS = [
+    (Spherical("a", "b", POINT), [moved(ANY, POINT)], 3),
+    (Revolute("a", "b", POINT, AXIS), [moved(turn(AXIS), POINT)], 1),
+    (Revolute("a", "b", POINT, (0.0, 0.0, -2.0)), [moved(turn([0, 0, 1]), POINT)], 1),
+    (Prismatic("a", "b", POINT, AXIS), [moved(turn(AXIS, 0.0), POINT, 0.3 * AXIS)], 1),
+    (
+        Universal("a", "b", POINT, AXIS, SQUARE),
+        [moved(turn(AXIS) * turn(SQUARE, 0.4), POINT)],
+        2,
+    ),
+    (Distance("a", "b", POINT, OTHER), [moved(ANY, POINT), moved(ANY, OTHER)], 5),
+    (Fixed("a", "b", POINT), [], 0),
+]
+
+
+@pytest.mark.parametrize(("joint", "motions", "freedoms"), JOINTS, ids=lambda x: type(x).__name__)
+def test_a_joint_allows_its_motions_and_no_other(joint, motions, freedoms):
+    somewhere = moved(turn(RANDOM.normal(size=3)), POINT, RANDOM.normal(size=3))
+    for motion in motions:
+        found = joint.residual(somewhere, after(motion, somewhere))
+        assert np.asarray(found) == pytest.approx(np.zeros(len(joint.rows)), abs=1e-14)
+
+    def residual(twist):
+        axes = jnp.cross(jnp.eye(3), twist[3:]) * -1 + jnp.eye(3)
+        one = Frame(0.0, somewhere.now, somewhere.axes)
+        return joint.residual(one, Frame(0.0, one.now + twist[:3] @ one.axes, axes @ one.axes))
+
+    sizes = np.linalg.svd(np.asarray(jax.jacfwd(residual)(jnp.zeros(6))), compute_uv=False)
+    assert (sizes > 0.1).sum() == len(sizes) == len(joint.rows) == 6 - freedoms
+
+
+# ---- a pendulum, and bodies that hold each other ---------------------------------------
+@dataclass(frozen=True)
+class PartsPendulum(RigidBodies):
+    """A rod that hangs on a hinge along z; gravity is along -y, and it starts at rest."""
+
+    interval = (0.0, 1.0)
+    nominal_step = 0.02
+    m: float = parameter(2.0, "kg", "mass")
+    angle: float = parameter(2.0, "rad", "angle from below at the start")
+
+    def bodies(self):
+        tip = 0.8 * jnp.array([jnp.sin(self.angle), -jnp.cos(self.angle), 0.0])
+        return (Body.rod("rod", self.m, (np.zeros(3), tip), 0.05),)
+
+    def joints(self):
+        return (Revolute(GROUND, "rod", np.zeros(3), (0.0, 0.0, 1.0)),)
+
+    def gravity(self):
+        return (0.0, -9.81, 0.0)
+
+
+def test_a_rod_on_a_hinge_is_a_physical_pendulum():
+    scene, t = PartsPendulum(), np.linspace(0.0, 1.0, 21)
+    z = reference(scene, 1.0)(t)
+    arm, inertia = 0.4, 2.0 * (0.8**2 / 3 + 0.05**2 / 4)
+    w, k = np.sqrt(2.0 * 9.81 * arm / inertia), np.sin(1.0)
+    sn, cn, _, _ = ellipj(ellipk(k**2) - w * t, k**2)
+    angle = 2 * np.arcsin(k * sn)
+    along = np.column_stack([np.sin(angle), -np.cos(angle), 0 * t])
+    assert z["q"][:, :3] == pytest.approx(arm * along, abs=1e-10)
+    assert z["v"][:, 5] == pytest.approx(-2 * k * w * cn, abs=1e-10)
+    # The rod pulls at the ground by its weight and against its acceleration, without a torque.
+    force = 2.0 * ([0.0, -9.81, 0.0] - z["a"][:, :3])
+    assert z["lam"] == pytest.approx(np.column_stack([force, 0 * t, 0 * t]), abs=1e-9)
+
+
+@dataclass(frozen=True)
+class Pair(RigidBodies):
+    """Two bodies fly and spin, held by a ball joint, a spring and a damper."""
+
+    interval = (0.0, 1.0)
+    nominal_step = 0.02
+    energy = None
+    c: float = parameter(0.5, "N s/m", "damping")
+
+    def bodies(self):
+        tilted = np.array([[0.05, 0.01, 0.0], [0.01, 0.04, 0.005], [0.0, 0.005, 0.06]])
+        return (
+            Body("a", 2.0, tilted, POINT, (0.3, -0.4, 1.0), (0.1, 0.2, -0.3), (3.0, 1.0, -2.0)),
+            Body("b", 1.0, (0.02, 0.03, 0.01), OTHER, (0.6, 0.0, 0.8, 0.0)),
+        )
+
+    def joints(self):
+        return (Spherical("a", "b", (0.0, 0.0, 0.4)),)
+
+    def springs(self):
+        return (SpringDamper("a", "b", (0.2, 0.3, 0.1), (-0.5, -0.4, 0.3), 40.0, self.c, 0.7),)
+
+    def gravity(self):
+        return (0.0, 0.0, 0.0)
+
+
+def momenta(scene, q, v):
+    """Linear momentum, and angular momentum about the origin, by scipy's rotations."""
+    masses, inertias = map(np.asarray, scene._inertias())
+    q, v = q.reshape(len(q), -1, 7), v.reshape(len(v), -1, 6)
+    linear, angular = 0.0, 0.0
+    for k, (m, inertia) in enumerate(zip(masses, inertias, strict=True)):
+        turned = Rotation.from_quat(q[:, k, 3:], scalar_first=True)
+        linear = linear + m * v[:, k, :3]
+        angular = angular + m * np.cross(q[:, k, :3], v[:, k, :3])
+        angular = angular + turned.apply(v[:, k, 3:] @ inertia)
+    return np.hstack([linear, angular])
+
+
+def test_bodies_that_hold_each_other_keep_their_momenta_and_lose_what_the_damper_takes():
+    scene, t = Pair(), np.linspace(0.0, 1.0, 2001)
+    z = reference(scene, 1.0)(t)
+    q, v = z["q"], z["v"]
+    found = momenta(scene, q, v)
+    assert np.abs(found[0]).min() > 1e-3
+    assert found == pytest.approx(np.tile(found[0], (len(t), 1)), abs=1e-10)
+    assert np.linalg.norm(q.reshape(-1, 7)[:, 3:], axis=1) == pytest.approx(1.0, abs=1e-12)
+    energy = np.array(
+        [float(RigidBodies.energy(scene, *s)) for s in zip(q[::100], v[::100], strict=True)]
+    )
+    frames = jax.vmap(lambda q: scene._stretched(q)[0])(q)
+    rate = np.gradient(np.asarray(frames), t, edge_order=2)
+    lost = 0.5 * np.trapezoid(rate**2, t)
+    assert lost > 0.01
+    assert energy[0] - energy[-1] == pytest.approx(lost, rel=1e-4)
+
+
+def test_velocities_that_are_not_given_have_the_least_energy_under_the_constraints():
+    scene = Pair()
+    q, v, _ = scene.initial_state()
+    given = Rotation.from_rotvec([0.3, -0.4, 1.0]).inv().apply([3.0, 1.0, -2.0])
+    assert v[:6] == pytest.approx([0.1, 0.2, -0.3, *given])
+    rows = np.asarray(
+        jax.jacfwd(
+            lambda v: jax.jvp(lambda q: scene.constraint(q, 0.0), (q,), (scene.kinematics(q, v),))[
+                1
+            ]
+        )(v)
+    )
+    assert rows @ v == pytest.approx(np.zeros(3), abs=1e-14)
+    # The momenta that body b gains come from one force in the joint.
+    momentum = (np.asarray(scene.mass(q)) @ v)[6:]
+    impulse = np.linalg.lstsq(rows[:, 6:].T, momentum)[0]
+    assert rows[:, 6:].T @ impulse == pytest.approx(momentum, abs=1e-14)
+
+
+# ---- two mechanisms by one angle -------------------------------------------------------
+def by_one_angle(places, masses, inertias, rate, t):
+    """Angle, rate and acceleration of a mechanism whose bodies follow one angle, in gravity.
+
+    ``places(th)`` gives centres ``(n, 3)`` and axes of the inertias in columns, ``(n, 3, 3)``.
+    """
+
+    def inertia(th):
+        _, (by_centre, by_axes) = jax.jvp(places, (th,), (1.0,))
+        spins = jnp.einsum("kij,kil->kjl", places(th)[1], by_axes)
+        omega = jnp.stack([spins[:, 2, 1], spins[:, 0, 2], spins[:, 1, 0]], axis=1)
+        return jnp.sum(masses * jnp.sum(by_centre**2, axis=1)) + jnp.sum(inertias * omega**2)
+
+    def weight(th):
+        return 9.81 * masses @ places(th)[0][:, 2]
+
+    @jax.jit
+    def acceleration(th, w):
+        size, change = jax.jvp(inertia, (th,), (1.0,))
+        return -(0.5 * change * w**2 + jax.grad(weight)(th)) / size
+
+    found = solve_ivp(
+        lambda _, s: [s[1], float(acceleration(*s))],
+        (t[0], t[-1]), [0.0, rate], "DOP853", t, rtol=1e-13, atol=1e-13,
+    )  # fmt: skip
+    return *found.y, np.asarray(jax.vmap(acceleration)(*found.y))
+
+
+def rod_axes(e, across):
+    """Axes of a rod along e whose second axis stays square to e and to another direction."""
+    a = jnp.cross(e, across)
+    a = a / jnp.sqrt(a @ a)
+    return jnp.stack([e, a, jnp.cross(e, a)], axis=1)
+
+
+def four_bar(t):
+    pivot, size, r = np.array([0.4, 0.1, 0.0]), np.sqrt(0.09 + 0.01 + 0.09), 0.01
+    y = np.array([0.0, 1.0, 0.0])
+
+    def places(th):
+        b = 0.1 * jnp.stack([jnp.cos(th), jnp.sin(th), 0.0])
+        w = b - pivot
+        s = (w @ w + 0.3**2 - size**2) / (0.6 * w[0])
+        u = jnp.stack([s, 0.0, jnp.sqrt(1 - s * s)])
+        c = pivot + 0.3 * u
+        centres = jnp.stack([b / 2, (b + c) / 2, (c + pivot) / 2])
+        crank = rod_axes(b / 0.1, np.array([0.0, 0.0, 1.0]))
+        return centres, jnp.stack([crank, rod_axes((c - b) / size, y), rod_axes(u, y)])
+
+    lengths = np.array([0.1, size, 0.3])
+    masses = 2.0 * lengths
+    across = masses * (lengths**2 / 12 + r**2 / 4)
+    inertias = np.column_stack([masses * r**2 / 2, across, across])
+    return places, *by_one_angle(places, masses, inertias, 12.0, t)
+
+
+def slider_crank(t):
+    bearing = np.array([0.0, 0.1, 0.12])
+    x = np.array([1.0, 0.0, 0.0])
+
+    def places(th):
+        b = bearing + 0.08 * jnp.stack([0.0, -jnp.sin(th), jnp.cos(th)])
+        c = jnp.sqrt(0.09 - b @ b) * x
+        along = (b - bearing) / 0.08
+        crank = jnp.stack([jnp.asarray(x), along, jnp.cross(x, along)], axis=1)
+        centres = jnp.stack([(bearing + b) / 2, (b + c) / 2, c])
+        return centres, jnp.stack([crank, rod_axes((c - b) / 0.3, x), jnp.eye(3)])
+
+    masses = np.array([0.12, 0.5, 2.0])
+    inertias = np.array([[1e-4, 1e-5, 1e-4], [4e-4, 4e-3, 4e-3], [1e-4, 1e-4, 1e-4]])
+    return places, *by_one_angle(places, masses, inertias, 6.0, t)
+
+
+@pytest.mark.parametrize(
+    ("scene", "minimal", "axis"),
+    [(SpatialFourBar(), four_bar, 2), *long((SpatialSliderCrank(), slider_crank, 0))],
+    ids=lambda value: getattr(value, "name", ""),
+)
+def test_the_mechanism_moves_as_by_its_one_angle(scene, minimal, axis):
+    t = np.linspace(0.0, 0.5, 11)
+    places, th, rate, acceleration = minimal(t)
+    z = reference(scene, 0.5)(t)
+    q, v, a = (z[g].reshape(11, 3, -1) for g in "qva")
+    assert v[:, 0, 3 + axis] == pytest.approx(rate, abs=1e-9)
+    assert a[:, 0, 3 + axis] == pytest.approx(acceleration, abs=1e-7)
+    centres, axes = map(np.asarray, jax.vmap(places)(th))
+    assert q[..., :3] == pytest.approx(centres, abs=1e-9)
+    for k in range(3):
+        turned = Rotation.from_quat(q[:, k, 3:], scalar_first=True).as_matrix()
+        assert turned @ axes[0, k] == pytest.approx(axes[:, k], abs=1e-9)
+    energy = [float(scene.energy(*s)) for s in zip(z["q"], z["v"], strict=True)]
+    assert energy == pytest.approx(np.full(11, energy[0]), rel=1e-11)
+    # Something moves by more than a tenth of a revolution, and gravity and inertia matter.
+    assert np.ptp(th) > 1.0
+    assert np.ptp(rate) > 1.0
+
+
+def test_the_start_of_the_slider_crank_is_that_of_its_source():
+    """The velocities of all bodies follow from that of the crank (values of the benchmark)."""
+    v = SpatialSliderCrank().initial_state().v.reshape(3, 6)
+    assert v[1] == pytest.approx([0.12, -0.24, 0.0, 1.92, -0.96, 0.48], abs=1e-13)
+    assert v[2] == pytest.approx([0.24, 0.0, 0.0, 0.0, 0.0, 0.0], abs=1e-13)
+
+
+# ---- methods ---------------------------------------------------------------------------
+def test_generalized_alpha_has_order_two_on_the_four_bar():
+    scene, steps = SpatialFourBar(), [0.005, 0.0025, 0.00125]
+    method = GeneralizedAlpha(rho_inf=0.8)
+    runs = [method.prepare(scene, 0.5, Steps(h)).measure() for h in steps]
+    tables = [relative_errors(run, reference(scene, 0.5)).errors for run in runs]
+    for group in ("q", "v", "a", "lam"):
+        assert 1.8 < slope(steps, [table[group]["settled"] for table in tables]) < 2.3
+
+
+@pytest.mark.parametrize("method", long(IDA(), PHEM56()), ids=lambda method: method.name)
+def test_tolerances_are_followed_on_the_four_bar(method):
+    scene, tolerances = SpatialFourBar(), (1e-4, 1e-6, 1e-8)
+    runs = [method.prepare(scene, 0.5, Tolerances(rtol)).measure() for rtol in tolerances]
+    tables = [relative_errors(run, reference(scene, 0.5)).errors for run in runs]
+    for group in ("q", "v"):
+        errors = [table[group]["max"] for table in tables]
+        assert errors[0] > 5 * errors[1] > 25 * errors[2]
+        assert errors[2] < 1e-5
+
+
+# ---- the worked example of docs/mechanisms.md ------------------------------------------
+EXAMPLE = re.findall(
+    r"```python\n(# four_bar.py\n.*?)```", Path("docs/mechanisms.md").read_text("utf-8"), re.DOTALL
+)[0]
+
+
+def test_the_example_is_the_four_bar_in_less_than_40_lines(tmp_path):
+    assert len(EXAMPLE.splitlines()) < 40
+    (tmp_path / "four_bar.py").write_text(EXAMPLE, encoding="utf-8")
+    scene, known = Registry([tmp_path]).problem("four_bar"), SpatialFourBar()
+    for one, other in zip(consistent_start(scene).z, consistent_start(known).z, strict=True):
+        assert one == pytest.approx(other, abs=1e-9)
+
+
+@pytest.mark.long
+def test_the_example_passes_every_check(tmp_path):
+    (tmp_path / "four_bar.py").write_text(EXAMPLE, encoding="utf-8")
+    registry = Registry([tmp_path])
+    findings = [examine(registry, "problems", "four_bar", check) for check in CHECKS["problems"]]
+    assert [finding.text for finding in findings if finding.verdict == FAILED] == []
+
+
+# ---- what cannot be used ---------------------------------------------------------------
+def variant(**blocks):
+    """The pendulum with other parts."""
+    return type("Variant", (PartsPendulum,), blocks)()
+
+
+def test_starts_that_cannot_be_are_refused():
+    wild = Body("rod", 1.0, (0.1, 0.1, 0.1), velocity=(1.0, 0.0, 0.0))
+    with pytest.raises(InconsistentStart, match="at velocity level"):
+        consistent_start(variant(bodies=lambda self: (wild,)))
+    skew = Universal(GROUND, "rod", np.zeros(3), AXIS, AXIS + SQUARE)
+    with pytest.raises(InconsistentStart, match="at position level"):
+        consistent_start(variant(joints=lambda self: (skew,)))
+
+
+@pytest.mark.parametrize(
+    ("blocks", "sentence"),
+    [
+        (
+            {"joints": lambda self: (Spherical(GROUND, "rood", POINT),)},
+            r"Spherical has no body 'rood'; did you mean 'rod'\?",
+        ),
+        ({"joints": lambda self: ()}, "has no joints; write constraint = None"),
+        ({"bodies": lambda self: PartsPendulum().bodies() * 2}, "two bodies have the name 'rod'"),
+        ({"bodies": lambda self: (Body("rod", 0.0, (1, 1, 1)),)}, "is not positive"),
+    ],
+)
+def test_parts_that_do_not_fit_are_told_in_a_sentence(blocks, sentence):
+    with pytest.raises(SpecError, match=sentence):
+        consistent_start(variant(**blocks))
