@@ -181,6 +181,7 @@ def integrate(
     method: Collocation,
     tolerance: float,
     longest: float,
+    least: Float[np.ndarray, " n"] | float = 0.0,
 ) -> Motion:
     """Integrate s' = rates(t, s) over an interval in s.
 
@@ -196,13 +197,15 @@ def integrate(
         Of the last coefficient of each step, relative to the largest value of the component so far.
     longest
         Longest step in s.
+    least
+        Size that a component has at least.
 
     Raises
     ------
     TooSmallStep
         If no step is small enough, as where the solution ends.
     """
-    (t, end), u, largest = interval, start, np.abs(start)
+    (t, end), u, largest = interval, start, np.maximum(np.abs(start), least)
     stages, guess = _Stages(method, rates), np.zeros((STAGES, len(start)))
     ends, pieces, carry, before = [t], [], np.zeros_like(start), np.inf
     calm = _CALM

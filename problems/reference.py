@@ -31,6 +31,8 @@ _TOLERANCE = 3e-14
 #: Longest steps of the two integrations, in nominal steps: no event lasts so short that it falls
 #: between two of the twelve nodes.
 _LONGEST = 4, 3
+#: Accelerations of a scene at rest, between these in size, are the rounding of forces in balance.
+_BALANCED = 1e-16, 1e-9
 #: A scene with more coordinates and multipliers has no reference: each of its many evaluations is
 #: a dense solve.
 _MOST_UNKNOWNS = 300
@@ -199,15 +201,22 @@ class Reference:
         scene, at = self.scene, state_layout(self.scene.sizes)
         start = consistent_start(scene).z
         rates, p = compiled(scene).rates, np.array(list(scene.parameters().values()))
+        first = np.concatenate([start.q, start.v, start.x])
+        # In equilibrium v is rounding, which is no size: no step would be small enough for it.
+        low, high = _BALANCED
+        still = not start.v.any() and low < np.abs(start.a).max(initial=0.0) < high
+        least = np.zeros(len(first))
+        least[at.v] = float(still)
         try:
             return integrate(
                 lambda t, s: np.asarray(rates(p, t, s)),
-                np.concatenate([start.q, start.v, start.x]),
+                first,
                 (scene.interval[0], self.t_end),
                 groups=(at.q, at.v, at.x),
                 method=(gauss, radau)[which](),
                 tolerance=_TOLERANCE * (1 + which),
                 longest=_LONGEST[which] * scene.nominal_step,
+                least=least,
             )
         except TooSmallStep as error:
             raise ReferenceFailed(f"No reference for {scene.spec}: {error}.") from None

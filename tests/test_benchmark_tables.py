@@ -24,7 +24,8 @@ def test_every_native_method_is_in_a_race():
 
     registry = Registry()
     native = {n for n in registry.integrators if isinstance(registry.integrator(n), NativeMethod)}
-    raced = {scene: families.all_native(scene) for scene in (families.SCENE, families.FREE)}
+    scenes = families.SCENE, families.FREE, families.LIE
+    raced = {scene: families.all_native(scene) for scene in scenes}
     names = {spec.partition("[")[0] for specs in raced.values() for spec in specs}
     assert names == native > {"rodas5p", "stormer_verlet", "cr"}
     assert {specs[0] for specs in raced.values()} == {families.OURS}

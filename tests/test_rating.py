@@ -59,6 +59,20 @@ def test_a_size_that_is_good_by_accident_is_not_taken():
     assert bracket(tried, 1e-3) == (0.05, 0.1)
 
 
+def test_a_finer_size_that_fails_does_not_spoil_a_coarser_one():
+    tried = {0.4: 1.0, 0.2: 0.05, 0.1: 0.01, 0.05: math.inf, 0.02: 1e-4, 0.01: math.inf}
+    assert bracket(tried, 0.1) == (0.2, 0.4)
+    assert bracket(tried, 1e-3) == (0.02, 0.05)
+    assert bracket(tried, 1e-5) == (None, 0.01)
+
+    def error(h):  # steps that come near a singular position
+        return math.inf if round(100 / h) % 7 == 0 else h**2
+
+    for limit in (1e-2, 1e-4, 1e-8):
+        good, _ = bracket(search(STEPS, error, limit), limit)
+        assert limit / 2 < error(good) <= limit
+
+
 def test_errors_that_do_not_fall_end_the_search_soon():
     tried = search(STEPS, lambda h: max(h**2, 1e-6), 1e-8)
     assert bracket(tried, 1e-8).good is None

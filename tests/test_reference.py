@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from helpers import long
 
 from bench.plugins.facts import Sources
 from bench.running import inventory
@@ -15,6 +16,7 @@ from problems import MechatronicSystem, State, jnp, reference
 from problems.collocation import Motion, TooSmallStep, gauss, integrate, radau
 from problems.reference import Reference
 from problems.scenes.pendulum import Pendulum
+from problems.scenes.planar_truck import PlanarTruck, PlanarTruckJoint
 from problems.scenes.spring_mass import SpringMass
 
 # t, q, v, a, x, xdot of the controlled spring-mass with the parameters of Bruels & Arnold
@@ -248,3 +250,11 @@ def test_a_solution_that_ends_is_told_with_its_time():
         solved(lambda t, s: s**2, [1.0], 2.0, METHODS["gauss"])
     with pytest.raises(TooSmallStep, match="t=0 s"):
         solved(lambda t, s: np.nan * s, [1.0], 2.0, METHODS["radau"])
+
+
+@pytest.mark.parametrize("truck", [PlanarTruckJoint(), *long(PlanarTruck())])
+def test_forces_in_balance_leave_rounding_that_is_no_size_of_the_motion(truck):
+    ours = Reference(truck, 5.0)
+    assert max(np.max(ours.error[group]) for group in "qv") < 1e-12
+    (q,) = (published for published in truck.published if published.quantity == "q")
+    assert ours(np.array([q.t]))["q"][0] == pytest.approx(q.values, abs=1e-10)

@@ -23,7 +23,7 @@ NOT_MET = "not met"
 
 
 class Bracket(NamedTuple):
-    """The coarsest size that is good, with all finer ones, and the finest that is not."""
+    """The coarsest size that is good, and the finest that is not; it is coarser if there is one."""
 
     good: float | None
     bad: float | None
@@ -32,16 +32,18 @@ class Bracket(NamedTuple):
 def bracket(tried: Mapping[float, float], limit: float) -> Bracket:
     """Return the bracket of a limit.
 
-    A size whose error is small by accident, as a finer one fails, is not good.
+    A size whose error is small by accident, as a finer one has a larger error than the limit, is
+    not good. A finer one that did not reach the end, as near a singular position, says nothing.
 
     Parameters
     ----------
     tried
         Errors by sizes, infinite where a run failed.
     """
-    bad = min((size for size, error in tried.items() if not error <= limit), default=None)
-    good = (size for size in tried if bad is None or size < bad)
-    return Bracket(max(good, default=None), bad)
+    wrong = min((s for s, e in tried.items() if limit < e < math.inf), default=math.inf)
+    good = max((s for s, e in tried.items() if e <= limit and s < wrong), default=None)
+    bad = (s for s, e in tried.items() if e > limit and (good is None or s > good))
+    return Bracket(good, min(bad, default=None))
 
 
 class Demand(NamedTuple):

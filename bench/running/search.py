@@ -14,8 +14,9 @@ from integrators.resolutions import Steps, Tolerances
 RESOLVED = 1.1
 #: Most runs of a method on a scene for one limit.
 MOST_RUNS = 24
-#: Errors that are hardly smaller at so many times finer sizes will not fall any more.
-_HOPELESS, _FINER = 0.7, 16.0
+#: Errors that are hardly smaller at so many times finer steps, or tolerances, which errors follow
+#: less closely, will not fall any more.
+_HOPELESS, _FINER, _FINER_RTOL = 0.7, 16.0, 256.0
 #: Order that is assumed while there is one error alone, and the range of orders that are believed.
 _ORDER, _ORDERS = 2.0, (0.5, 8.0)
 
@@ -74,7 +75,8 @@ class Sizes:
             return None
         if good is None:
             assert bad is not None
-            if _hopeless(tried) or bad <= self.finest:
+            finer = _FINER_RTOL if self.length is None else _FINER
+            if _hopeless(tried, finer) or bad <= self.finest:
                 return None
             factor = _toward(tried, bad, limit, 0.8) if math.isfinite(tried[bad]) else 0.25
             size = bad * min(max(factor, 1 / 32), 0.5)
@@ -94,11 +96,11 @@ class Sizes:
         return None if size in tried else size
 
 
-def _hopeless(tried: Mapping[float, float]) -> bool:
+def _hopeless(tried: Mapping[float, float], finer: float) -> bool:
     """Whether errors do not fall any more at finer sizes: the finest three tell it."""
     sizes = sorted(tried)[:3]
     fell = tried[sizes[0]] < _HOPELESS * tried[sizes[-1]]
-    return len(sizes) == 3 and sizes[-1] >= _FINER * sizes[0] and not fell
+    return len(sizes) == 3 and sizes[-1] >= finer * sizes[0] and not fell
 
 
 def _toward(tried: Mapping[float, float], size: float, limit: float, caution: float) -> float:

@@ -45,6 +45,7 @@ from problems.reference import Reference
 from problems.runtime import one_thread
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.duffing import Duffing
+from problems.scenes.heavy_top_lie import HeavyTopR3SO3
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrankMinimal
 from problems.system import MechatronicSystem
@@ -76,6 +77,8 @@ MEMBERS = (
 )
 #: A scene for methods that take no constraints.
 FREE = Duffing()
+#: A scene for those that take rotations in space alone.
+LIE = HeavyTopR3SO3()
 #: Steps of generalized-alpha in the races at equal error, and tolerances beside IDA.
 SIZES, RTOLS = (1e-3, 1e-4), (1e-4, 1e-6, 1e-8)
 #: IDA whose calls of equations are timed one by one.
@@ -122,7 +125,9 @@ def all_native(scene: MechatronicSystem) -> list[str]:
     if scene is SCENE:
         return [*MEMBERS, *(name for name, one in native.items() if not one.why_not(SCENE))]
     taken = [
-        name for name, one in native.items() if one.why_not(SCENE) and not one.why_not(scene)
+        name
+        for name, one in native.items()
+        if not one.why_not(scene) and all(one.why_not(s) for s in (SCENE, FREE) if s is not scene)
     ]
     return [OURS, *taken]
 
@@ -295,7 +300,7 @@ def main() -> None:
         record = {"machine": msgspec.to_builtins(environment()), "rows": rows}
         given.out.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
-    for scene in (SCENE, FREE):
+    for scene in (SCENE, FREE, LIE):
         keep(same_step(all_native(scene), STEPS, given.rounds, scene), same_step_table)
     for scene in (SCENE, CarAxis()):
         for rtol in RTOLS:
@@ -303,7 +308,7 @@ def main() -> None:
     scenes, rtol = _IN_C
     for scene, solvers in product(scenes, _SOLVERS):
         keep(beside_python(scene, rtol, solvers, given.rounds), ida_table)
-    for scene, h in product((SCENE, FREE), SIZES):
+    for scene, h in product((SCENE, FREE, LIE), SIZES):
         rows_of = same_error(all_native(scene), h, max(3, given.rounds // 2), scene)
         keep(rows_of, same_error_table)
     print(f"Written to {given.out}.")
