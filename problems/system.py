@@ -392,7 +392,10 @@ class MechatronicSystem:
     ) -> Float[Array | np.ndarray, "nv ny"]:
         """Return L at q, whether it depends on q or not."""
         actuation: Any = self.actuation
-        return actuation(q) if inspect.signature(actuation).parameters else actuation()
+        named = inspect.signature(actuation).parameters.values()
+        return (
+            actuation(q) if any(p.kind is p.POSITIONAL_OR_KEYWORD for p in named) else actuation()
+        )
 
     def parameters(self) -> dict[str, float]:
         """The traced parameters by name."""

@@ -23,6 +23,8 @@ from problems.runtime import jax
 #: seen to differ by 1.2e-14, which is 2e-16 of the largest term.
 ROUNDING = 1e-14
 _OF_SMALL_REMAINDERS = {"heavy_top": 2e-14}
+#: Scenes in space whose equations are too long for a compiler; IDA calls them through Python.
+_TOO_LARGE = ("bicycle", "bricard")
 SCENES = Registry([]).problems
 FORMULATIONS = ("index1", "index2", "stabilised_index2", "index3")
 
@@ -69,6 +71,10 @@ def differences(scene, formulation, sparse=False):
 )
 def test_residual_and_jacobian_are_those_of_jax_to_rounding(name, formulation):
     allowed = _OF_SMALL_REMAINDERS.get(name, ROUNDING)
+    if name in _TOO_LARGE:
+        with pytest.raises(NotLowered, match="a compiler is given at most 13000"):
+            differences(Registry([]).problem(name), formulation)
+        return
     assert max(differences(Registry([]).problem(name), formulation)) < allowed
 
 

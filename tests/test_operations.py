@@ -382,4 +382,4 @@ def test_every_scene_has_operations_that_are_known(name):
     assert sorted_out(dae.packed_residual(*key).costs).arithmetic > 0
     rate = sorted_out(ode.packed_rate(scene.template()).costs)
     assert rate.algebra + rate.algebra_per_turn > 0
-    assert bool(rate.algebra_per_turn) == bool(scene.sizes.ny)
+    assert bool(rate.algebra_per_turn) == bool(scene.sizes.ny or scene.has("coupled_force"))

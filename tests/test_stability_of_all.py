@@ -37,6 +37,10 @@ def test_each_has_a_spectrum_or_a_reason(name):
         with pytest.raises(SpecError, match="chooses its own steps"):
             spectrum(method, Oscillator())
         return
+    if constant.why_not(Oscillator()):
+        with pytest.raises(SpecError, match="take generalized_alpha, the same method there"):
+            spectrum(constant, Oscillator())
+        return
     found = vars(spectrum(constant, Oscillator(), (1.0,), (0.1,)))
     k = found["omega_h"].tolist().index(0.1)
     # All are of order 1 at least: exp(i 0.1) has size and angle within a term of second order.

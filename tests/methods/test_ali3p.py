@@ -121,12 +121,18 @@ def test_what_a_scene_states_as_redundant_leaves_the_explicit_equations_regular(
 @pytest.mark.parametrize(
     "method", [ALI3P(), *long(Dopri8(), Dopri8(constraints="projected"), Radau())], ids=str
 )
-def test_methods_that_take_redundant_constraints_move_as_without_them(method):
+def test_methods_that_take_redundant_constraints_are_as_accurate_as_without_them(method):
     at = Steps(0.01) if method.controls == "step" else Tolerances(1e-6)
     one, two = (method.prepare(s, 1.35, at).measure() for s in (Pendulum(), Stated()))
     assert one.status == two.status == "ok", two.message
-    assert two.a == pytest.approx(one.a, abs=1e-7)
-    assert two.lam.sum(axis=1) == pytest.approx(one.lam[:, 0], abs=1e-7)
+    # Each by its own rows: another rounding moves the steps of an adaptive method.
+    (a, lam), (other_a, other_lam) = (
+        (abs(r.a - exact["a"]).max(), abs(r.lam.sum(axis=1) - exact["lam"][:, 0]).max())
+        for r in (one, two)
+        for exact in (Pendulum().exact(r.t),)
+    )
+    assert other_a < 1.05 * a + 1e-10
+    assert other_lam < 1.05 * lam + 1e-10
 
 
 @pytest.mark.parametrize(
