@@ -24,7 +24,8 @@ from problems.answers import (
     text,
     whole,
 )
-from problems.system import GROUPS, MechatronicSystem, Sizes
+from problems.system import MechatronicSystem
+from problems.variables import GROUPS, Sizes
 
 #: Times of rows may leave the interval by this part of them, which is rounding.
 _ROUNDING = 1e-9

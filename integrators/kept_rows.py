@@ -12,7 +12,7 @@ from problems.layouts import row_layout
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-    from problems.system import Sizes
+    from problems.variables import Sizes
 
 #: A trajectory has a row for every step of a run with at most so many, and of a longer run those of
 #: `is_row`. Memory does not grow with the number of steps.

@@ -14,7 +14,8 @@ from problems.joints import (
     Universal,
 )
 from problems.runtime import jax, jnp
-from problems.system import MechatronicSystem, Published, State, Variables, parameter
+from problems.system import MechatronicSystem, parameter
+from problems.variables import Published, State, Variables
 
 if TYPE_CHECKING:
     from problems.models.sympy_models import from_sympy

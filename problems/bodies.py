@@ -18,7 +18,8 @@ from problems import spec
 from problems.joints import Frame, Joint, Link, SpringDamper, Vector, vector
 from problems.rotations import conjugate, product, quaternion_rate, rotated, turned
 from problems.runtime import Array, Float, jax, jnp
-from problems.system import MechatronicSystem, State
+from problems.system import MechatronicSystem
+from problems.variables import State
 
 #: Name of what does not move.
 GROUND = "ground"
@@ -130,7 +131,7 @@ class RigidBodies(MechatronicSystem):
         return found
 
     def _of_both(self, links: Sequence[Link], q: Array, ask: str) -> list[Any]:
-        """What each joint or spring answers to the frames of its bodies."""
+        """Return the answers of joints or springs to the frames of their bodies."""
         frames, found = self.frames(q), []
         for link in links:
             for name in (link.first, link.second):
@@ -182,7 +183,7 @@ class RigidBodies(MechatronicSystem):
         return force - pull(stiffness * self._stretched(q) + damping * rate)[0]
 
     def _stretched(self, q: Array) -> Array:
-        """By how much springs are longer than without force, in m."""
+        """Lengths of the springs less those without force, in m."""
         return jnp.stack(self._of_both(self.springs(), q, "stretched"))
 
     def constraint(self, q: Array, t: Array) -> Array:

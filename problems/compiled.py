@@ -8,18 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from problems.constraints import constraint_acceleration, constraint_velocity
 from problems.exported_programs import exported
-from problems.formulations import (
-    Start,
-    algebraic_iterations,
-    complete,
-    constraint_acceleration,
-    constraint_velocity,
-    ode_rate,
-    with_rates,
-)
+from problems.formulations import Start, algebraic_iterations, complete, ode_rate, with_rates
 from problems.runtime import Array, Float, Int, jax, jnp
-from problems.system import INVARIANTS, MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import INVARIANTS, Variables
 
 #: Rows are taken in blocks of these sizes, so that two programs serve any number of rows.
 _ROW_BLOCK, _LARGE_BLOCK = 256, 4096

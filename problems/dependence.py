@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from problems.runtime import jax
-from problems.system import GROUPS, MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import GROUPS, Variables
 
 
 def depends(function: Callable, on: Iterable[int], *arguments: Any) -> bool:

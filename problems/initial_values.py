@@ -11,10 +11,12 @@ import numpy as np
 
 from problems import answers, sparsity
 from problems.compiled import compiled
-from problems.formulations import Start, constraint_velocity, with_rates
+from problems.constraints import constraint_velocity
+from problems.formulations import Start, with_rates
 from problems.runtime import Array, jax, jnp
 from problems.start_equations import least_start, sparse_start
-from problems.system import MechatronicSystem, State
+from problems.system import MechatronicSystem
+from problems.variables import State
 
 #: A start is consistent if its residuals, relative to the size of q or v, are below this.
 CONSISTENCY_TOLERANCE = 1e-9

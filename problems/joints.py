@@ -26,7 +26,7 @@ def vector(given: Any) -> Any:
 
 
 class Frame(NamedTuple):
-    """Where a body has gone since the start, by which all its points and axes have moved.
+    """Displacement of a body since the start, which all its points and axes share.
 
     ``start``, ``now``
         its centre of mass, in m
@@ -39,11 +39,11 @@ class Frame(NamedTuple):
     axes: Any = None
 
     def point(self, point: Vector) -> Float[Array, "*k 3"]:
-        """Where points of the body are now, in m, that were at ``point`` at the start."""
+        """Return the places now, in m, of points of the body that were at ``point`` before."""
         return self.now + self.axis(vector(point) - self.start)
 
     def axis(self, axis: Vector) -> Float[Array, "*k 3"]:
-        """Which directions axes of the body have now that had these at the start."""
+        """Return the directions now of axes of the body that had these at the start."""
         given: Any = vector(axis)
         return given if self.axes is None else given @ self.axes
 

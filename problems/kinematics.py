@@ -64,7 +64,7 @@ def origin(q: Place) -> Float[Array, " nq"]:
 
 
 def _along(scene: MechatronicSystem, q: Array, w: Array) -> Array:
-    """Where dq/dt = T(q) w leads in unit time, by one classical Runge-Kutta step: up to w^5."""
+    """Follow dq/dt = T(q) w for unit time by one classical Runge-Kutta step: up to w^5."""
     k1 = scene.kinematics(q, w)
     k2 = scene.kinematics(q + k1 / 2, w)
     k3 = scene.kinematics(q + k2 / 2, w)

@@ -10,7 +10,7 @@ import numpy as np
 from problems.runtime import jax, jnp
 
 if TYPE_CHECKING:
-    from problems.system import Sizes
+    from problems.variables import Sizes
 
 
 class Layout:

@@ -5,7 +5,7 @@ Shapes and units are those of `problems.formulations`.
 
 from __future__ import annotations
 
-from problems.formulations import constraint_change, constraint_velocity, regular
+from problems.constraints import constraint_change, constraint_velocity, regular
 from problems.kinematics import advance
 from problems.layouts import state_layout
 from problems.named_equations import equation

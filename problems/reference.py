@@ -24,7 +24,8 @@ from problems.compiled import compiled
 from problems.initial_values import consistent_start
 from problems.layouts import state_layout
 from problems.runtime import Float
-from problems.system import GROUPS, MechatronicSystem
+from problems.system import MechatronicSystem
+from problems.variables import GROUPS
 from problems.whole_files import keep, kept
 
 _TOLERANCE = 3e-14

@@ -13,13 +13,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from problems.constraints import constraint_change
 from problems.exported_programs import exported
-from problems.formulations import Start, algebraic_residual, constraint_change
+from problems.formulations import Start, algebraic_residual
 from problems.kinematics import q_rate
 from problems.layouts import algebraic_layout
 from problems.runtime import Array, Float, jax, jnp
 from problems.sparsity import Pattern
-from problems.system import MechatronicSystem, State, Variables
+from problems.system import MechatronicSystem
+from problems.variables import State, Variables
 
 _TOLERANCE, _MOST_ITERATIONS = 1e-9, 50
 #: Pivots of sparse factors that are smaller, relative to the largest, are rounding.

@@ -9,7 +9,8 @@ import numpy as np
 from problems import answers
 from problems.compiled import compiled
 from problems.runtime import Float
-from problems.system import GROUPS, MechatronicSystem, Published
+from problems.system import MechatronicSystem
+from problems.variables import GROUPS, Published
 
 #: Rows belong to a published time if they differ from it by this part of the interval.
 _SAME_TIME = 1e-9

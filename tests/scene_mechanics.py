@@ -10,6 +10,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from problems import MechatronicSystem, formulations, jax, jnp
+from problems.constraints import constraint_acceleration, constraint_velocity
 from problems.initial_values import consistent_start
 from problems.reference import Reference
 
@@ -70,7 +71,7 @@ def _of_motion(scene: MechatronicSystem, q: Any, v: Any, t: Any) -> dict[str, An
     found = {"mass": scene.mass(q), "force": scene.force(q, v, t)}
     if scene.has("constraint"):
         found["jacobian"] = jax.jacfwd(scene.constraint)(q, t)
-        found["rest"] = formulations.constraint_acceleration(scene, q, v, 0 * q, t)
+        found["rest"] = constraint_acceleration(scene, q, v, 0 * q, t)
     return found
 
 
@@ -78,7 +79,7 @@ def _of_all(scene: MechatronicSystem, q: Any, v: Any, t: Any) -> dict[str, Any]:
     found = _of_motion(scene, q, v, t)
     if scene.has("constraint"):
         found["constraint"] = scene.constraint(q, t)
-        found["velocity"] = formulations.constraint_velocity(scene, q, v, t)
+        found["velocity"] = constraint_velocity(scene, q, v, t)
         found["moved"] = jax.jacfwd(scene.constraint, 1)(q, t)
     if hasattr(scene, "kinetic_energy"):
         found["kinetic_energy"] = scene.kinetic_energy(q, v)

@@ -22,6 +22,7 @@ from integrators.methods.generalized_alpha_parameters import (
 )
 from integrators.native import constant_steps
 from problems import MechatronicSystem, State, formulations, jnp, parameter
+from problems.constraints import constraint_force
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
 from problems.spec import SpecError
@@ -148,7 +149,7 @@ def test_without_damping_lambda_does_not_converge_on_index_3():
 
 @pytest.mark.long
 def test_a_flipped_sign_of_the_constraint_force_spoils_lambda(mutant):
-    right = formulations.constraint_force
+    right = constraint_force
     mutant(formulations, "constraint_force", lambda *given: -right(*given))
     _, errors = pendulum_errors(0.8, 0.005, count=1)
     assert errors[0]["lam"][-1] > 1.0

@@ -10,8 +10,8 @@ from chromium import chromium, in_chromium
 from helpers import reference
 from planted import plant, planted
 
+from bench.results.flat_rows import flatten
 from bench.results.quantities import NORMS, RANKED_COSTS, VIOLATIONS
-from bench.results.records import flatten
 from bench.running.errors import ROUNDING, constraint_errors, constraint_sizes, relative_errors
 from bench.running.measure import constraint_unit
 from integrators.contract import Trajectory, Work

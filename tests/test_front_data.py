@@ -9,8 +9,8 @@ import re
 import pytest
 from planted import everything, plant
 
+from reports.pages.columns import column
 from reports.pages.html_report import write_html_report
-from reports.pages.site_data import column
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.reference import Reference
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.soft_impact import SoftImpact
-from problems.system import State
+from problems.variables import State
 from reports.charts.error_panels import run_rows
 from reports.questions.answers import answers
 from reports.questions.question import FIRST

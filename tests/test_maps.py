@@ -19,7 +19,7 @@ from bench.sweeps.outcome_map import OUTCOMES, outcome_map
 from bench.sweeps.variation import find_range
 from integrators import Steps, Tolerances
 from problems.reference import Reference
-from problems.system import GROUPS
+from problems.variables import GROUPS
 from reports.pages.outcome_map import axis_ticks, blend, map_image
 
 REGISTRY = Registry()

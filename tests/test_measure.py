@@ -27,7 +27,7 @@ from problems.reference import Reference
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.soft_impact import SoftImpact
 from problems.scenes.spring_mass import SpringMass
-from problems.system import Component, Sizes
+from problems.variables import Component, Sizes
 
 TIMES = np.linspace(0.0, 0.4, 5)
 

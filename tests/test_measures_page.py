@@ -13,8 +13,9 @@ import pytest
 from small_stores import a_record
 
 from bench.results.csv_text import csv_export, csv_text
+from bench.results.flat_rows import flatten
 from bench.results.quantities import group_and_norm
-from bench.results.records import flatten, median
+from bench.results.records import median
 from problems.spec import SpecError
 
 pytestmark = pytest.mark.long  # one run of the command

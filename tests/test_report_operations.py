@@ -6,8 +6,9 @@ import altair
 import pytest
 from planted import planted
 
+from bench.results.flat_rows import flatten
 from bench.results.quantities import PARTS
-from bench.results.records import Record, flatten
+from bench.results.records import Record
 from reports.charts.bills import MOST_BARS, bills
 from reports.charts.line_styles import line_styles
 from reports.series import series_of

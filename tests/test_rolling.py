@@ -18,7 +18,8 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.half_explicit import PHEM56
 from problems import jax, jnp
 from problems.compiled import compiled
-from problems.formulations import constraint_velocity, ode_rate
+from problems.constraints import constraint_velocity
+from problems.formulations import ode_rate
 from problems.scenes.bicycle import Bicycle
 from problems.scenes.chaplygin_sleigh import ChaplyginSleigh
 from problems.scenes.rolling_disc import RollingDisc

@@ -15,6 +15,7 @@ from integrators.methods.half_explicit import PHEM56
 from integrators.methods.rodas5p import Rodas5P
 from problems import formulations, jax, jnp, lagrange, parameter
 from problems.compiled import compiled
+from problems.constraints import constraint_acceleration, constraint_velocity
 from problems.reference import Reference
 from problems.scenes.andrews import Andrews
 from problems.scenes.car_axis import CarAxis
@@ -294,7 +295,7 @@ def test_a_long_chain_is_no_larger_a_program():
             z = formulations.Variables(q, v, a, lam, (), (), 0.0)
             return (
                 formulations.dynamics_residual(scene, z),
-                formulations.constraint_acceleration(scene, q, v, a, 0.0),
+                constraint_acceleration(scene, q, v, a, 0.0),
                 scene.energy(q, v),
             )
 
@@ -382,7 +383,7 @@ def test_the_start_is_consistent_and_can_be_drawn(scene):
     if scene.has("constraint"):
         t = scene.interval[0]
         assert np.abs(np.asarray(scene.constraint(q, t))).max() < 1e-13
-        rate = formulations.constraint_velocity(scene, q, v, t)
+        rate = constraint_velocity(scene, q, v, t)
         assert np.abs(np.asarray(rate)).max() < 1e-13 * max(1.0, np.abs(v).max())
         # A start at rest, or without jerk, would hide what a method gets wrong there.
         assert np.abs(v).max() > 0

@@ -22,7 +22,8 @@ from integrators.methods.half_explicit import PHEM56
 from integrators.methods.radau_iia import RadauIIA
 from integrators.methods.rodas5p import Rodas5P
 from integrators.methods.simulator_steppers import SemiImplicitEuler
-from problems import MechatronicSystem, State, answers, formulations, jax, jnp, parameter
+from problems import MechatronicSystem, State, answers, jax, jnp, parameter
+from problems.constraints import constraint_force
 from problems.kinematics import advance, displaced
 from problems.layouts import state_layout
 from problems.projections import projected_state
@@ -214,7 +215,7 @@ def test_projections_keep_to_the_constraints_of_velocities():
     q, v, _ = state_layout(scene.sizes).split(projected_state(scene, jnp.zeros(()), jnp.asarray(s)))
     assert np.asarray(q) == pytest.approx(s[:3])
     assert float(scene.velocity_constraint(q, v, 0.0)[0]) == pytest.approx(0.0, abs=1e-15)
-    force = formulations.constraint_force(scene, q, jnp.zeros(()), jnp.ones(1))
+    force = constraint_force(scene, q, jnp.zeros(()), jnp.ones(1))
     assert np.cross(scene.mass(q) @ (v - s[3:]), force) == pytest.approx(np.zeros(3), abs=1e-15)
 
 

@@ -12,7 +12,7 @@ from bench.atlas.experiments import Settings
 from bench.results.quantities import NORM, NORMS, TRUST
 from bench.results.records import Record, Rows
 from bench.running.worker import Worker
-from problems.formulations import constraint_force
+from problems.constraints import constraint_force
 from problems.initial_values import consistent_start
 from problems.runtime import jax, jnp
 from problems.spec import one_of

@@ -15,10 +15,10 @@ from bench.commands.options import PathName
 from bench.commands.pages import view
 from bench.results.compare import compare_folders, read_limits, regressions
 from bench.results.csv_text import csv_export
+from bench.results.flat_rows import flatten
 from bench.results.history import History, history
 from bench.results.merge import merge
 from bench.results.quantities import ASKED, COSTS, NORM, NORMS, RANKED_COSTS
-from bench.results.records import flatten
 from bench.results.store import Store
 from bench.results.table import Table
 from problems.spec import SpecError

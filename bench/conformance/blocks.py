@@ -11,7 +11,8 @@ import numpy as np
 from bench.conformance.verdicts import DoesNotApply, Failed, shortly
 from bench.plugins.registry import Registry
 from problems import jax, jnp, spec
-from problems.system import INVARIANTS, MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import INVARIANTS, Variables
 
 #: Derivatives agree with difference quotients to this, relative to the block's largest entry.
 _DERIVATIVE_ERROR = 1e-6

@@ -15,10 +15,11 @@ from bench.results.quantities import LEVELS
 from bench.running.errors import relative_reference_error
 from problems import answers, jax, jnp
 from problems.compiled import compiled
-from problems.formulations import constraint_change
+from problems.constraints import constraint_change
 from problems.initial_values import consistent_start
 from problems.kinematics import q_rate
-from problems.system import INVARIANTS, MechatronicSystem
+from problems.system import MechatronicSystem
+from problems.variables import INVARIANTS
 from problems.witnesses import published_digits
 
 #: Largest estimated error of a reference in q and v, relative to their largest values.

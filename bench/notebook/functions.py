@@ -13,9 +13,10 @@ from bench.commands.pages import write_reports
 from bench.commands.single_runs import order_cells
 from bench.commands.suite import run_suite
 from bench.notebook.answers import Orders, Results, Solution, pandas_module
+from bench.results.flat_rows import flatten
 from bench.results.orders import order_summary
 from bench.results.quantities import GROUPS
-from bench.results.records import Rows, endings, flatten
+from bench.results.records import Rows, endings
 from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, make_suite, resolution_of

@@ -12,7 +12,7 @@ from bench.plugins.registry import KINDS, Plugin, Registry
 from integrators import answers
 from problems.answers import asked, refused, step, tidy
 from problems.answers import text as text_of
-from problems.system import GROUPS
+from problems.variables import GROUPS
 
 #: Paragraphs of a plugin's documentation that are told.
 _MOST_PARAGRAPHS = 20

@@ -9,7 +9,7 @@ import msgspec
 
 from bench.results.records import Count, Name, NotNegative, Positive
 from bench.results.table import Table, number
-from problems.system import INVARIANTS
+from problems.variables import INVARIANTS
 
 #: Quantities that drift by name, with the words of a column and the unit of their numbers; Φ is
 #: that of the constraints, 1 that of relative numbers.

@@ -9,7 +9,7 @@ from collections.abc import Collection
 from typing import NamedTuple
 
 from problems.spec import SpecError, one_of, suggest
-from problems.system import GROUPS as GROUPS
+from problems.variables import GROUPS as GROUPS
 
 #: Titles of the groups of variables in which errors are measured.
 GROUP_NAMES = {

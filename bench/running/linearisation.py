@@ -9,8 +9,9 @@ import numpy as np
 
 from bench.running.errors import scales
 from integrators.contract import Trajectory
+from problems.constraints import constraint_velocity
 from problems.exported_programs import exported
-from problems.formulations import constraint_velocity, ode_rate
+from problems.formulations import ode_rate
 from problems.kinematics import q_rate
 from problems.layouts import state_layout
 from problems.reference import Reference

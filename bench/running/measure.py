@@ -21,8 +21,9 @@ from problems.compiled import compiled
 from problems.initial_values import InconsistentStart, NoConsistentStart
 from problems.reference import Reference
 from problems.runtime import Float
-from problems.system import INVARIANTS, MechatronicSystem, State
+from problems.system import MechatronicSystem
 from problems.usage import computed_seconds
+from problems.variables import INVARIANTS, State
 from problems.witnesses import published_digits
 
 #: A run whose speed or change of energy is so many times the motion's largest has blown up.

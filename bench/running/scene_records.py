@@ -18,7 +18,8 @@ from problems import answers
 from problems.reference import Reference
 from problems.runtime import jnp
 from problems.start_equations import missing_rank
-from problems.system import GROUPS, MechatronicSystem
+from problems.system import MechatronicSystem
+from problems.variables import GROUPS
 
 #: Times at which a still picture shows a scene, and at which a page plays it.
 GHOSTS, FRAMES = 7, 61

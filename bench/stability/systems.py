@@ -13,7 +13,7 @@ import numpy as np
 from problems import MechatronicSystem, State, Variables, jnp, parameter
 from problems.layouts import Layout, state_layout
 from problems.runtime import Float
-from problems.system import Sizes
+from problems.variables import Sizes
 
 
 @dataclass(frozen=True, kw_only=True)

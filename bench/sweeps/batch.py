@@ -31,7 +31,8 @@ from problems.initial_values import consistent_starts
 from problems.layouts import row_layout
 from problems.runtime import Float, Int, jax
 from problems.spec import SpecError
-from problems.system import MechatronicSystem, Sizes
+from problems.system import MechatronicSystem
+from problems.variables import Sizes
 
 #: Most runs side by side, and most bytes of their tangents and rows. On a CPU more runs save
 #: little time and overflow the caches; a GPU needs thousands.

@@ -19,7 +19,8 @@ from problems.kinematics import q_rate
 from problems.layouts import Layout, dae_layout
 from problems.runtime import jax, jnp
 from problems.sparsity import Pattern
-from problems.system import MechatronicSystem, Sizes
+from problems.system import MechatronicSystem
+from problems.variables import Sizes
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int32

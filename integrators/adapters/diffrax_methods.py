@@ -10,7 +10,8 @@ from integrators.adapters.diffrax_runs import DiffraxAdaptiveRun, DiffraxScheme
 from integrators.adapters.ode import ODEMethod
 from integrators.contract import Integrator, PreparedRun, option
 from integrators.native.step_method import NativeMethod
-from problems.system import GROUPS, MechatronicSystem
+from problems.system import MechatronicSystem
+from problems.variables import GROUPS
 
 
 def _in_every_group(order: int) -> dict[str, int]:

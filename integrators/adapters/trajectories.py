@@ -14,7 +14,8 @@ from problems.compiled import compiled
 from problems.runtime import Float, jax
 from problems.sparsity import NoPattern, prefers_sparse
 from problems.start_equations import sparse_complete
-from problems.system import MechatronicSystem, State
+from problems.system import MechatronicSystem
+from problems.variables import State
 
 
 def trajectory_from_states(

@@ -16,10 +16,17 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Scalar, Time, largest
 from integrators.native.step_work import StepWork
 from problems import formulations
+from problems.constraints import (
+    constraint_acceleration,
+    constraint_force,
+    constraint_velocity,
+    least_multipliers,
+)
 from problems.dependence import output_takes
 from problems.kinematics import advance
 from problems.runtime import Array, jax, jnp
-from problems.system import MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables
 
 _EPS = float(np.finfo(float).eps)
 
@@ -84,7 +91,7 @@ class ALI3P(StageMethod, ImplicitStepMethod):
         if scene.sizes.nl:
             z, xdot = self._projected(scene, z, xdot, base.x, h, softness, work)
         if scene.redundant:
-            z = z._replace(lam=formulations.least_multipliers(scene, z.q, t, z.lam))
+            z = z._replace(lam=least_multipliers(scene, z.q, t, z.lam))
         return StageState(self.reported(scene, z, xdot, work), guess)
 
     def _softness(self, scene: MechatronicSystem, q: Array, t: Time) -> Scalar:
@@ -93,7 +100,7 @@ class ALI3P(StageMethod, ImplicitStepMethod):
             return 0.0
         # Rows that are equal or opposite do not cancel with these weights.
         weights = jnp.linspace(1.0, 2.0, scene.sizes.nl)
-        gradient = largest(formulations.constraint_force(scene, q, t, weights))
+        gradient = largest(constraint_force(scene, q, t, weights))
         return gradient**2 / (self.penalty * formulations.largest_inertia(scene, q))
 
     @staticmethod
@@ -131,7 +138,7 @@ class ALI3P(StageMethod, ImplicitStepMethod):
                 new, mu, *others = jnp.split(u, cuts)
                 (force, *rest), d = rows(new, mu, *others), new - w
                 inner = formulations.inertia(scene, q, d) - force_along(h**2 / 4 * d, h / 2 * d)
-                outer = formulations.constraint_force(scene, q, t, mu)
+                outer = constraint_force(scene, q, t, mu)
                 return jnp.concatenate([inner + outer - force, *rest])
 
             guess = jnp.concatenate([w, jnp.zeros(nl), *control])
@@ -148,11 +155,11 @@ class ALI3P(StageMethod, ImplicitStepMethod):
             return jnp.asarray(scene.actuation_at(q)) @ (y - z.y)
 
         def of_v(v: Array, mu: Array) -> list[Array]:
-            return [h / 2 * by_outputs(y), formulations.constraint_velocity(scene, q, v, t)]
+            return [h / 2 * by_outputs(y), constraint_velocity(scene, q, v, t)]
 
         def of_a(a: Array, mu: Array, xdot: Array, y: Array) -> list[Array]:
             new = Variables(q, v, a, z.lam + mu, x + h / 2 * xdot, y, t)
-            rows = [by_outputs(y), formulations.constraint_acceleration(scene, q, v, a, t)]
+            rows = [by_outputs(y), constraint_acceleration(scene, q, v, a, t)]
             return rows + formulations.control_residuals(scene, new, xdot)
 
         y = z.y

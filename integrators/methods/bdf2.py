@@ -85,12 +85,12 @@ class BDF2(OwnValues, Formulated, ImplicitStepMethod):
     def extrapolated(
         self, scene: MechatronicSystem, q: Array, kept: Array, weights: tuple, change: Array
     ) -> Place:
-        """Where q goes by the formula and ``change``; weights are those of now and of before."""
+        """Move q by the formula and ``change``; weights are those of now and of before."""
         newest, older = weights
         return newest * q - older * kept + change
 
     def kept(self, q: Array, base: Place, change: Array) -> Array:
-        """What the next step needs of a step that moved q to ``base`` and by ``change``."""
+        """Return what the next step takes of a step that moved q to ``base`` and by ``change``."""
         return q
 
 

@@ -18,7 +18,8 @@ from integrators.native.step_work import StepWork
 from problems.dependence import output_takes
 from problems.kinematics import displaced
 from problems.runtime import Array, jnp
-from problems.system import MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables
 
 
 @dataclass(frozen=True)

@@ -44,12 +44,14 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading, Time, largest
 from integrators.native.step_work import StepWork
 from problems import lagrange
-from problems.formulations import constraint_velocity, inertia
+from problems.constraints import constraint_velocity
+from problems.formulations import inertia
 from problems.kinematics import advance
 from problems.layouts import Layout
 from problems.named_equations import equation
 from problems.runtime import Array, jax, jnp
-from problems.system import MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables
 
 #: Largest part of the forces that the energies need not explain.
 _UNEXPLAINED = 1e-8

@@ -14,7 +14,8 @@ from integrators.native.step_work import StepWork
 from problems.formulations import Start, complete
 from problems.kinematics import advance
 from problems.runtime import Array
-from problems.system import MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables
 
 
 @dataclass(frozen=True)

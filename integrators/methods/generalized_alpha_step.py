@@ -39,7 +39,8 @@ from problems.formulations import Start
 from problems.kinematics import displaced
 from problems.projections import constrained_part
 from problems.runtime import Array, jnp
-from problems.system import MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables
 
 
 class AlphaState(NamedTuple):

@@ -17,11 +17,13 @@ from integrators.native.step_method import NewtonSettings, StepMethod, linear_so
 from integrators.native.step_records import Scalar, Time
 from integrators.native.step_work import StepWork
 from problems import formulations
+from problems.constraints import constraint_change, constraint_force, constraint_velocity
 from problems.dependence import output_takes
 from problems.kinematics import advance, q_rate
 from problems.layouts import algebraic_layout
 from problems.runtime import Array, jnp
-from problems.system import MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables
 
 #: Relative error that the iteration for outputs may leave, and its most turns.
 _TOLERANCE, _MOST = 1e-12, 20
@@ -60,7 +62,7 @@ def stage(
         rows = [formulations.dynamics_residual(scene, z)]
         if sizes.nl:
             v = ahead.base + ahead.slope * z.a
-            velocity = formulations.constraint_velocity(scene, ahead.q, v, ahead.t)
+            velocity = constraint_velocity(scene, ahead.q, v, ahead.t)
             rows.append(velocity / ahead.slope)
         if sizes.ny:
             rows.append(z.y - scene.output(z))
@@ -154,10 +156,8 @@ def _projected(scene: MechatronicSystem, z: Variables, w: Array, work: StepWork)
     def residual(u: Array) -> Array:
         w_now, lam = jnp.split(u, [scene.sizes.nv])
         change = formulations.inertia(scene, z.q, w_now - w)
-        along = formulations.constraint_change(scene, z.q, z.t, w_now)
-        return jnp.concatenate(
-            [change + formulations.constraint_force(scene, z.q, z.t, lam), along]
-        )
+        along = constraint_change(scene, z.q, z.t, w_now)
+        return jnp.concatenate([change + constraint_force(scene, z.q, z.t, lam), along])
 
     return work.once(residual, jnp.concatenate([w, jnp.zeros(scene.sizes.nl)]))[: scene.sizes.nv]
 

@@ -21,7 +21,8 @@ from problems.formulations import Start, dynamics_residual, inertia
 from problems.kinematics import displaced
 from problems.runtime import Array, jnp
 from problems.spec import SpecError, validate
-from problems.system import MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables
 
 #: Negrut et al.: safety, limits of the ratio of steps, and the ratio after Newton's method failed.
 _SAFETY, _SHARPEST, _GROWTH, _AFTER_FAILURE = 0.9, 0.1, 5.0, 0.25

@@ -19,7 +19,8 @@ from problems.dependence import force_takes_velocities, mass_varies
 from problems.formulations import Start
 from problems.kinematics import advance
 from problems.runtime import Array, jnp
-from problems.system import MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables
 
 _EPS = float(np.finfo(float).eps)
 

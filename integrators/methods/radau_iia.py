@@ -48,12 +48,14 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Errors, Reading, Scalar, Time, largest
 from integrators.native.step_work import StepWork
 from problems import formulations
+from problems.constraints import constraint_force, constraint_velocity
 from problems.dependence import output_takes
 from problems.formulations import Start
 from problems.kinematics import advance
 from problems.layouts import stage_layout
 from problems.runtime import Array, Bool, Float, jax, jnp
-from problems.system import MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables
 
 _EPS = float(np.finfo(float).eps)
 #: Part of the bound of rounding errors at which modified Newton's iteration may end. What an old
@@ -194,7 +196,7 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
             v = rate
             if mu.size:
                 parts = zip(q, times, mu, strict=True)
-                force = jnp.stack([formulations.constraint_force(scene, *p) for p in parts])
+                force = jnp.stack([constraint_force(scene, *p) for p in parts])
                 v, a = rate + h * force, b + np.linalg.inv(r.a) @ force
             rows = zip(q, v, a, lam, x, y, times, strict=True)
             return [Variables(*row) for row in rows], Base(rate, a, xdot)
@@ -274,7 +276,7 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         if scene.sizes.nl and self.formulation != "index2":
             rows.append(scene.constraint(z.q, z.t) / h**2)
         if scene.sizes.nl and self.formulation != "index3":
-            rows.append(formulations.constraint_velocity(scene, z.q, z.v, z.t) / h)
+            rows.append(constraint_velocity(scene, z.q, z.v, z.t) / h)
         return rows + formulations.control_residuals(scene, z, xdot)
 
     def _errors(

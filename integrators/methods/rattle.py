@@ -25,11 +25,13 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Time
 from integrators.native.step_work import StepWork
 from problems import formulations
+from problems.constraints import constraint_force
 from problems.dependence import force_takes_velocities, mass_varies
 from problems.formulations import Start
 from problems.kinematics import advance
 from problems.runtime import Array, jax, jnp
-from problems.system import MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables
 
 
 def refused_control(method: str, scene: MechatronicSystem) -> str | None:
@@ -73,7 +75,7 @@ class Kick(NamedTuple):
         """Residual per unit of time if the momentum is M(q) (v + h/2 a) afterwards."""
         r = formulations.inertia(scene, q, a) - rate
         if scene.has("constraint"):
-            r = r + formulations.constraint_force(scene, *self.constrained, lam)
+            r = r + constraint_force(scene, *self.constrained, lam)
         if mass_varies(scene):
             q0, v0 = self.before
             turned = formulations.inertia(scene, q, v0) - formulations.inertia(scene, q0, v0)

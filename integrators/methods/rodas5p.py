@@ -34,11 +34,13 @@ from integrators.native.step_method import NewtonSettings, StepMethod, linear_so
 from integrators.native.step_records import Time
 from integrators.native.step_work import StepWork
 from problems import formulations
+from problems.constraints import constraint_acceleration, constraint_velocity, pulled
 from problems.dependence import output_takes
 from problems.kinematics import advance
 from problems.layouts import stage_layout
 from problems.runtime import Array, jax, jnp
-from problems.system import MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables
 
 _GAMMA = 0.21193756319429014
 #: Weights a_sj of the stages before; the last row is the end of the step.
@@ -191,12 +193,12 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
     def _constraint(self, scene: MechatronicSystem, z: Variables, g: Time) -> Array:
         """The constraint that holds, scaled so that its tangent does not depend on the step."""
         if self.formulation == "index2":
-            return formulations.constraint_velocity(scene, z.q, z.v, z.t) / g
-        row = formulations.constraint_acceleration(scene, z.q, z.v, z.a, z.t)
+            return constraint_velocity(scene, z.q, z.v, z.t) / g
+        row = constraint_acceleration(scene, z.q, z.v, z.a, z.t)
         rates = self.baumgarte(scene)
         if rates:
-            row = row + 2 * rates.alpha * formulations.constraint_velocity(scene, z.q, z.v, z.t)
-            row = formulations.pulled(scene, row, rates.beta**2, z.q, z.t)
+            row = row + 2 * rates.alpha * constraint_velocity(scene, z.q, z.v, z.t)
+            row = pulled(scene, row, rates.beta**2, z.q, z.t)
         return row
 
 

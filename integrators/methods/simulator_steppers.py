@@ -26,19 +26,14 @@ from integrators.native.step_method import NewtonSettings, StepMethod, linear_so
 from integrators.native.step_records import Reading, Time
 from integrators.native.step_work import StepWork
 from problems import lagrange
-from problems.formulations import (
-    Start,
-    constraint_force,
-    constraint_velocity,
-    control_residuals,
-    inertia,
-    pulled,
-)
+from problems.constraints import constraint_force, constraint_velocity, pulled
+from problems.formulations import Start, control_residuals, inertia
 from problems.kinematics import advance
 from problems.layouts import stage_layout
 from problems.named_equations import equation
 from problems.runtime import Array, jax, jnp
-from problems.system import MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables
 
 _Force: TypeAlias = Callable[[Array], Array]
 

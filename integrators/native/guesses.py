@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from integrators.native.step_records import Scalar, largest
 from problems.runtime import Array, Bool, Float, jnp
-from problems.system import Variables
+from problems.variables import Variables
 
 #: The guess is extrapolated if this would have left at most this part of the last change. In a
 #: vibration that the steps do not resolve extrapolation is worse, and Newton's method may fail.

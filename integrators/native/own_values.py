@@ -12,11 +12,13 @@ from integrators.native.step_method import ErrorControl, NativeMethod
 from integrators.native.step_records import Errors, Reading, Time
 from integrators.native.step_work import StepWork
 from problems import formulations
+from problems.constraints import constraint_change, constraint_force, constraint_velocity, joined
 from problems.formulations import Baumgarte, Start, complete
 from problems.kinematics import advance
 from problems.runtime import Array, jnp
 from problems.spec import SpecError, format_value
-from problems.system import MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables
 
 #: Options by name: another option, and the value of it without which they decide nothing.
 Needs: TypeAlias = dict[str, tuple[str, str]]
@@ -236,7 +238,7 @@ def moved_onto_constraints(scene: MechatronicSystem, z: Variables, work: StepWor
 
     def least_change(u: Array) -> Array:
         w, mu = jnp.split(u, [nv])
-        force = formulations.constraint_force(scene, z.q, z.t, mu)
+        force = constraint_force(scene, z.q, z.t, mu)
         motion = formulations.inertia(scene, z.q, w) + force
         return jnp.concatenate([motion, position(advance(scene, z.q, w), w)])
 
@@ -244,14 +246,14 @@ def moved_onto_constraints(scene: MechatronicSystem, z: Variables, work: StepWor
         """Residuals of Phi; a displacement keeps to the constraints of velocities."""
         rows = [scene.constraint(q, z.t)] if scene.sizes.nh else []
         if scene.has("velocity_constraint"):
-            rows.append(formulations.constraint_change(scene, q, z.t, w)[scene.sizes.nh :])
-        return rows[0] if len(rows) == 1 else jnp.concatenate(rows)
+            rows.append(constraint_change(scene, q, z.t, w)[scene.sizes.nh :])
+        return joined(rows)
 
     solution = work.factorised(least_change, jnp.zeros(nv + scene.sizes.nl))
     q, v = z.q, z.v
     for _ in range(_PROJECTIONS):
         change = solution(jnp.concatenate([nothing, position(q, nothing)]))[:nv]
         q = advance(scene, q, -change)
-        drift = formulations.constraint_velocity(scene, q, v, z.t)
+        drift = constraint_velocity(scene, q, v, z.t)
         v = v - solution(jnp.concatenate([nothing, drift]))[:nv]
     return z._replace(q=q, v=v)

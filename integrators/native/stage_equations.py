@@ -30,10 +30,12 @@ from integrators.native.guesses import Guess
 from integrators.native.step_records import Scalar, Time, largest
 from integrators.native.step_work import StepWork
 from problems import formulations
+from problems.constraints import constraint_force, constraint_rows
 from problems.kinematics import Place, advance, origin
 from problems.layouts import Layout, stage_layout
 from problems.runtime import Array, Float, jnp
-from problems.system import MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables
 
 _EPS = float(np.finfo(float).eps)
 #: Largest relative rounding of accelerations that counts in the controller's tolerances.
@@ -151,14 +153,14 @@ def stage_equations(
         v, x = base.v + slopes.v * a, base.x + slopes.x * xdot
         changes = [slopes.q * a]
         if mu.size:
-            changes.append(-(slopes.q * formulations.constraint_force(scene, *before, mu)))
+            changes.append(-(slopes.q * constraint_force(scene, *before, mu)))
         return Variables(advance(scene, base.q, *changes), v, a, lam, x, y, t), xdot
 
     def residual(u: Array) -> Array:
         z, xdot = at(u)
         rows = [motion(z)]
         if scene.sizes.nl:
-            rows += formulations.constraint_rows(scene, formulation, z, slopes.q, slopes.v)
+            rows += constraint_rows(scene, formulation, z, slopes.q, slopes.v)
         rows += formulations.control_residuals(scene, for_controller(z), xdot)
         return jnp.concatenate(rows)
 

@@ -25,7 +25,8 @@ from problems.formulations import Start
 from problems.runtime import Array, Bool, jax, jnp
 from problems.sparsity import NoPattern, Pattern
 from problems.spec import SpecError
-from problems.system import MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables
 
 if TYPE_CHECKING:
     from jax.extend.core import ClosedJaxpr

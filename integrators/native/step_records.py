@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple, TypeAlias
 
 from problems.runtime import Array, Bool, Float, Int, jnp
-from problems.system import Variables
+from problems.variables import Variables
 
 #: Name of the branch that repeats an elimination in a fixed order with pivots.
 PIVOTS = "pivots"

@@ -8,7 +8,8 @@ import numpy as np
 
 from problems.runtime import Float
 from problems.scenes.pendulum import Pendulum
-from problems.system import MechatronicSystem, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables
 
 #: Values of scene and model differ by less, relative to the largest one at the start, in systems of
 #: up to so many coordinates; the rounding of larger ones grows at least with their number.

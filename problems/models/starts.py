@@ -10,7 +10,8 @@ import numpy as np
 
 from problems import spec
 from problems.runtime import Float, jax, jnp
-from problems.system import MechatronicSystem, State
+from problems.system import MechatronicSystem
+from problems.variables import State
 
 #: Newton's method takes less than ten iterations, or does not converge.
 _ITERATIONS = 50

@@ -8,7 +8,7 @@ from typing import Any
 
 from bench.results.quantities import GROUP_NAMES, GROUPS, error_note
 from bench.results.records import Rows
-from problems.system import INVARIANTS
+from problems.variables import INVARIANTS
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
 from reports.formatting import component_title

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from bench.results.drift import DRIFTS, NO_DRIFT, LongRun, comparable_runs, drift_table
-from problems.system import INVARIANTS
+from problems.variables import INVARIANTS
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import TIME, note_lines

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -13,6 +12,7 @@ from bench.results.records import NOT_TRIED, Record, SceneRecord
 from reports.charts.mechanism import little_picture
 from reports.formatting import tie_text
 from reports.names import family_name, form_name, scene_name
+from reports.pages.columns import LARGEST, LETTERS, NONE, column
 from reports.pages.report import Report
 from reports.pages.site import method_page, scene_page
 from reports.questions.answers import Answer, SceneAnswer, answers
@@ -25,14 +25,8 @@ from reports.questions.wrong import wrong_sentences
 from reports.ranking import contestants, same_times
 from reports.series import Series, groups_of, ok_runs, step_or_tolerance, trusted_error
 
-#: Columns hold log10 of a value in this range, in 24 bits.
-_LARGEST = 40.0
 #: Stands for an infinite multiple, which JSON cannot hold; its reciprocal for a zero in a column.
-_MOST = 10.0**_LARGEST
-_STEPS = (1 << 24) - 1
-_ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
-_LETTERS = 4
-_NONE = "-" * _LETTERS
+_MOST = 10.0**LARGEST
 #: Multiples of the best cost at which a performance profile is stated.
 _MULTIPLES = [round(10 ** (k / 10), 4) for k in range(31)]
 
@@ -76,7 +70,7 @@ class SiteData:
         found = {first: self.found[first]} if first in self.found else {}
 
         def shortened(text: str) -> str:
-            return "".join(text[k : k + _LETTERS - 1] for k in range(0, len(text), _LETTERS))
+            return "".join(text[k : k + LETTERS - 1] for k in range(0, len(text), LETTERS))
 
         runs = [
             [
@@ -85,7 +79,7 @@ class SiteData:
             ]
             for own in self.runs
         ]
-        cut = {"letters": _LETTERS - 1, "columns": [self.columns[k] for k in columns]}
+        cut = {"letters": LETTERS - 1, "columns": [self.columns[k] for k in columns]}
         return {
             **self._facts(),
             **self._runs_of(),
@@ -172,7 +166,7 @@ class SiteData:
     # ---- runs ----------------------------------------------------------------------------
     def _runs_of(self) -> dict[str, Any]:
         return {
-            "letters": _LETTERS,
+            "letters": LETTERS,
             "columns": self.columns,
             "resolutions": list(self.resolutions),
             "runs_of": self.runs,
@@ -221,7 +215,7 @@ class SiteData:
         text = column(_value(r, name) for r in series.records)
         first, _, start = name.partition("@")
         usual = column(_value(r, first) for r in series.records if start)
-        return "" if text == (usual or _NONE * len(series.records)) else text
+        return "" if text == (usual or NONE * len(series.records)) else text
 
     # ---- answers -------------------------------------------------------------------------
     def _answers(
@@ -373,27 +367,6 @@ def _scene(name: str, series: Sequence[Series], scene: SceneRecord | None) -> di
         "picture": little_picture(scene.drawings) if scene else [],
         "floor": {g: float(f"{floor:.3g}") for g, floor in floors.items() if floor > 0},
     }
-
-
-# ---- numbers as text ---------------------------------------------------------------------
-def column(values: Iterable[float | None]) -> str:
-    """Positive numbers as text: four characters each, log10 to 5e-6; ``----`` for none.
-
-    A number stays on its side of the nearest power of ten, which is an accuracy.
-    """
-    return "".join(map(_four_characters, values))
-
-
-def _four_characters(value: float | None) -> str:
-    if value is None or not 0 < value < math.inf:
-        return _NONE
-    logarithm = min(max(math.log10(value), -_LARGEST), _LARGEST)
-    bits, power = round((logarithm + _LARGEST) / (2 * _LARGEST) * _STEPS), round(logarithm)
-    side = round(bits * 2 * _LARGEST - (power + _LARGEST) * _STEPS)
-    above = value > 10.0**power
-    bits = min(bits + (above and side <= 0) - (not above and side > 0), _STEPS)
-    text = "".join(_ALPHABET[bits >> shift & 63] for shift in (18, 12, 6, 0))
-    return text if text != _NONE else "---_"
 
 
 def _value(record: Record, name: str) -> float | None:

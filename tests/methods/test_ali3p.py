@@ -23,7 +23,8 @@ from integrators.methods.half_explicit import PHEM56
 from integrators.methods.rattle import VariationalMidpoint
 from integrators.methods.rodas5p import Rodas5P
 from problems import MechatronicSystem, jax, jnp
-from problems.formulations import complete, least_multipliers
+from problems.constraints import least_multipliers
+from problems.formulations import complete
 from problems.initial_values import NoConsistentStart, consistent_start
 from problems.scenes.bricard import Bricard
 from problems.scenes.double_pendulum import DoublePendulumControlled

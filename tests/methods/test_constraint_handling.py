@@ -14,7 +14,7 @@ from integrators.adapters.diffrax_methods import Dopri8, Kvaerno3
 from integrators.adapters.diffrax_runs import adaptive_programs
 from integrators.adapters.scipy_ode import BDF, Radau
 from problems import jax, jnp
-from problems.formulations import constraint_velocity
+from problems.constraints import constraint_velocity
 from problems.initial_values import consistent_start
 from problems.projections import projected_state
 from problems.scenes.car_axis import CarAxis

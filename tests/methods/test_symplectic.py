@@ -18,7 +18,7 @@ from integrators.methods.lobatto_iiia_iiib import LobattoPair
 from integrators.methods.rattle import RATTLE, SHAKE, VariationalMidpoint
 from integrators.methods.stormer_verlet import StormerVerlet
 from problems import MechatronicSystem, State, jax, jnp
-from problems.formulations import constraint_velocity
+from problems.constraints import constraint_velocity
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.stiff_bar import StiffBar
 from problems.spec import SpecError

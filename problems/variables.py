@@ -1,0 +1,137 @@
+"""Variables of a mechatronic system, their names and numbers, and published values of them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from problems import answers
+from problems.runtime import Array, Float
+
+#: Groups of variables; every error belongs to one group.
+GROUPS = ("q", "v", "a", "lam", "x", "y")
+
+
+class Variables(NamedTuple):
+    """All variables of a system at one time; their rates along a motion have the same form.
+
+    ``q``
+        coordinates, in m, rad or as the scene says
+    ``v``, ``a``
+        velocities and their rates, the accelerations: q per s and per s^2, or what ``kinematics``
+        takes for velocities
+    ``lam``
+        multipliers: Phi_q^T lam is a force in N (or a torque in N m)
+    ``x``, ``y``
+        controller states and outputs, in the units of the scene
+    ``t``
+        time in s
+    """
+
+    q: Float[Array, " nq"]
+    v: Float[Array, " nv"]
+    a: Float[Array, " nv"]
+    lam: Float[Array, " nl"]
+    x: Float[Array, " nx"]
+    y: Float[Array, " ny"]
+    t: Float[Array, ""]
+
+
+class State(NamedTuple):
+    """The variables that determine all others at a given time; units as in `Variables`."""
+
+    q: Float[np.ndarray, " nq"]
+    v: Float[np.ndarray, " nv"]
+    x: Float[np.ndarray, " nx"] = np.zeros(0)
+
+
+class Component(NamedTuple):
+    """A component of a group: its name, its unit, and natural sizes of its values and its rates."""
+
+    name: str
+    unit: str = ""
+    scales: tuple[float, ...] = ()
+
+    @classmethod
+    def read(cls, text: str) -> Component:
+        """Read "name", "name [unit]" or "name [unit] ~ size, size of the rate, ...".
+
+        Raises
+        ------
+        FalseAnswer
+            If a size is not a positive number.
+        """
+        name, tilde, sizes = (part.strip() for part in text.partition("~"))
+        name, bracket, unit = name.partition(" [")
+        scales = answers.natural_sizes(sizes.split(","), text) if tilde else ()
+        return cls(name, unit.rstrip("]") if bracket else "", scales)
+
+    @property
+    def scale(self) -> float | None:
+        """The natural size of the values, if it is stated."""
+        return self.scales[0] if self.scales else None
+
+    @property
+    def text(self) -> str:
+        """Name and unit, as a scene writes them."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    def rate(self) -> Component:
+        """Its derivative by time: the same name, the unit per s or s^2, the next natural size."""
+        unit = f"{self.unit[:-2]}/s^2" if self.unit.endswith("/s") else f"{self.unit}/s"
+        return Component(self.name, unit if self.unit else "", self.scales[1:])
+
+
+class Invariant(NamedTuple):
+    """A function of q and v that motions conserve, as the block of its name states it.
+
+    ``rate_unit``
+        unit of its rate
+    ``kinetic``
+        whether it is one number whose size is that of its kinetic part; else it has any number of
+        entries, and the size of each is its largest value
+    """
+
+    rate_unit: str
+    kinetic: bool = False
+
+
+#: Invariants by name of their block; what checks, measures and shows them goes by this table.
+INVARIANTS = {"energy": Invariant("W", kinetic=True), "momentum": Invariant("N (or N m)")}
+
+
+class Published(NamedTuple):
+    """Published values of a quantity at a time, for the scene's default parameters.
+
+    ``quantity``
+        a group of variables, or a named point
+    ``t``
+        time in s
+    ``values``
+        all its entries, in their units
+    ``tolerance``
+        difference in the same units up to which the values hold
+    """
+
+    quantity: str
+    t: float
+    values: tuple[float, ...]
+    tolerance: float
+
+
+class Sizes(NamedTuple):
+    """Numbers of coordinates, of velocities (as many as accelerations and equations of motion), of
+    multipliers, controller states and outputs; ``nh`` of multipliers that belong to Phi."""
+
+    nq: int
+    nv: int
+    nl: int
+    nx: int
+    ny: int
+    nh: int
+
+    def of(self, group: str) -> int:
+        """Number of entries of a group, or of "xdot"."""
+        owner = {"q": "nq", "lam": "nl", "x": "nx", "xdot": "nx", "y": "ny"}
+        return getattr(self, owner.get(group, "nv"))
