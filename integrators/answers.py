@@ -25,11 +25,11 @@ from problems.answers import (
     whole,
 )
 from problems.system import MechatronicSystem
-from problems.variables import GROUPS, Sizes
+from problems.variables import GROUPS, VARIABLES, Sizes
 
 #: Times of rows may leave the interval by this part of them, which is rounding.
 _ROUNDING = 1e-9
-_ROWS = (*GROUPS, "xdot")
+_ROWS = (*VARIABLES, "xdot")
 
 
 class Facts(NamedTuple):
@@ -152,7 +152,21 @@ def checked_trajectory(value: object, sizes: Sizes, t0: float, t_end: float) -> 
         message=text(part["message"], "message", empty=status == "ok"),
         work=_work(part["work"]),
         notes=_notes(part["notes"], len(t)),
+        **_at_jumps(part, len(t), sizes.nd),
     )
+
+
+def _at_jumps(part: Mapping[str, Any], count: int, nd: int) -> dict[str, np.ndarray]:
+    """Held values and phases of rows, and the events; nothing if none are given."""
+    if not np.size(part["phase"]) and not np.size(part["xd"]):
+        return {}
+    phase = array(part["phase"], "phase", (count,)) if np.size(part["phase"]) else np.zeros(count)
+    events = part["events"]
+    return {
+        "xd": _rows(part["xd"], "xd", count, nd),
+        "phase": phase.astype(int),
+        "events": array(events, "events", (*np.shape(events)[:1], 2)),
+    }
 
 
 def _times(value: object, t0: float, t_end: float, strictly: bool) -> np.ndarray:

@@ -14,7 +14,8 @@ from problems.joints import (
     Universal,
 )
 from problems.runtime import jax, jnp
-from problems.system import MechatronicSystem, parameter
+from problems.sampled import SampledSystem
+from problems.system import MechatronicSystem, held, parameter
 from problems.variables import Published, State, Variables
 
 if TYPE_CHECKING:
@@ -31,12 +32,14 @@ __all__ = [
     "Published",
     "Revolute",
     "RigidBodies",
+    "SampledSystem",
     "Spherical",
     "SpringDamper",
     "State",
     "Universal",
     "Variables",
     "from_sympy",
+    "held",
     "jax",
     "jnp",
     "parameter",

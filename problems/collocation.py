@@ -18,7 +18,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 if TYPE_CHECKING:
-    from jaxtyping import Complex, Float
+    from jaxtyping import Complex, Float, Int
 
     Rates = Callable[[Float[np.ndarray, " k"], Float[np.ndarray, "k n"]], np.ndarray]
 
@@ -105,15 +105,28 @@ class Motion(NamedTuple):
     ends: Float[np.ndarray, " k+1"]
     series: Float[np.ndarray, "k m n"]
 
-    def __call__(self, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k n"]:
-        """Compute the solution at times t in s, a row each."""
-        last = len(self.series) - 1
-        at = np.clip(np.searchsorted(self.ends, t, side="right") - 1, 0, last)
+    def __call__(
+        self,
+        t: Float[np.ndarray, " k"],
+        first: Int[np.ndarray, " k"] | int = 0,
+        last: Int[np.ndarray, " k"] | int | None = None,
+    ) -> Float[np.ndarray, "k n"]:
+        """Compute the solution at times t in s, a row each, of pieces from first to last."""
+        last = len(self.series) - 1 if last is None else last
+        at = np.clip(np.searchsorted(self.ends, t, side="right") - 1, first, last)
         x = 2 * (t - self.ends[at]) / (self.ends[at + 1] - self.ends[at]) - 1
         found = np.zeros((len(t), self.series.shape[2]))
         for k, column in enumerate(legendre.legvander(x, self.series.shape[1] - 1).T):
             found += column[:, None] * self.series[at, k]
         return found
+
+    def until(self, end: float) -> Motion:
+        """Cut the only piece off at a time in s."""
+        m = self.series.shape[1]
+        x = np.cos(np.pi * np.arange(m) / (m - 1))
+        t = self.ends[0] + 0.5 * (x + 1) * (end - self.ends[0])
+        series = np.linalg.solve(legendre.legvander(x, m - 1), self(t))
+        return Motion(np.array([self.ends[0], end]), series[None])
 
 
 @dataclass
@@ -182,6 +195,7 @@ def integrate(
     tolerance: float,
     longest: float,
     least: Float[np.ndarray, " n"] | float = 0.0,
+    ends: Callable[[Motion], float | None] = lambda step: None,
 ) -> Motion:
     """Integrate s' = rates(t, s) over an interval in s.
 
@@ -199,6 +213,8 @@ def integrate(
         Longest step in s.
     least
         Size that a component has at least.
+    ends
+        Asked after each step for a time in it at which the motion ends.
 
     Raises
     ------
@@ -207,7 +223,7 @@ def integrate(
     """
     (t, end), u, largest = interval, start, np.maximum(np.abs(start), least)
     stages, guess = _Stages(method, rates), np.zeros((STAGES, len(start)))
-    ends, pieces, carry, before = [t], [], np.zeros_like(start), np.inf
+    times, pieces, carry, before = [t], [], np.zeros_like(start), np.inf
     calm = _CALM
     h = longest / 100
     while t < end:
@@ -217,7 +233,7 @@ def integrate(
         if h <= 4 * np.spacing(abs(t)):
             raise TooSmallStep(f"no step is small enough at t={t:.9g} s")
         if pieces:
-            x = 1 + 2 * method.nodes * h / (ends[-1] - ends[-2])
+            x = 1 + 2 * method.nodes * h / (times[-1] - times[-2])
             guess = legendre.legval(x, pieces[-1]).T - u
         size = _sizes(np.maximum(largest, np.abs(u + guess).max(axis=0)), groups)
         with np.errstate(all="ignore"):
@@ -236,10 +252,13 @@ def integrate(
         change = change + carry
         u, carry = u + change, change - ((u + change) - u)
         largest = np.maximum(largest, np.abs(piece[0]))
-        ends.append(now)
-        pieces.append(piece)
+        step = Motion(np.array([t, now]), piece[None])
+        if (cut := ends(step)) is not None:
+            step, end = step.until(cut), cut
+        times.append(float(step.ends[1]))
+        pieces.append(step.series[0])
         t, h, before = now, h * min(2.0, max(0.3, factor)), np.inf
-    return Motion(np.array(ends), np.array(pieces))
+    return Motion(np.array(times), np.array(pieces))
 
 
 def _sizes(largest: np.ndarray, groups: Sequence[slice]) -> np.ndarray:

@@ -10,10 +10,18 @@ import numpy as np
 
 from problems.constraints import constraint_acceleration, constraint_velocity
 from problems.exported_programs import exported
-from problems.formulations import Start, algebraic_iterations, complete, ode_rate, with_rates
+from problems.formulations import (
+    Start,
+    algebraic_iterations,
+    complete,
+    event_values,
+    ode_rate,
+    with_rates,
+)
+from problems.projections import projected_state
 from problems.runtime import Array, Float, Int, jax, jnp
 from problems.system import MechatronicSystem
-from problems.variables import INVARIANTS, Variables
+from problems.variables import INVARIANTS, VARIABLES, Variables
 
 #: Rows are taken in blocks of these sizes, so that two programs serve any number of rows.
 _ROW_BLOCK, _LARGE_BLOCK = 256, 4096
@@ -40,6 +48,12 @@ class Compiled(NamedTuple):
         one of `INVARIANTS` at k times, ``(k,)`` or ``(k, n)``
     ``points(p, q)``
         the named points at k times, each ``(k, 2)`` or ``(k, 3)``
+    ``events(p, q, v, x, t)``
+        `formulations.event_values` at k times, each ``(k, n)``
+    ``sample(p, z)``, ``jumps[event](p, z)``
+        values after a sample instant and after each event, as the scene states them
+    ``projected(p, t, s)``
+        `projections.projected_state` of s = [q, v, x]
     ``iterations(p, q, v, x, t)``
         iterations in `formulations.complete` at k times, ``(k,)``; for scenes with outputs
     """
@@ -51,6 +65,10 @@ class Compiled(NamedTuple):
     levels: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]
     invariants: Mapping[str, Callable[..., Float[np.ndarray, "k ..."]]]
     points: Callable[..., dict[str, Float[np.ndarray, "k n"]]]
+    events: Callable[..., tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k n"]]]
+    sample: Callable[..., Mapping[str, Any]]
+    jumps: tuple[Callable[..., Mapping[str, Any]], ...]
+    projected: Callable[..., Float[Array, " n"]]
     iterations: Callable[..., Int[np.ndarray, " k"]]
 
 
@@ -83,6 +101,9 @@ def _compiled(template: MechatronicSystem) -> Compiled:
     def over_rows(name: str, function: Callable) -> Callable:
         return _over_rows(function, (name, template))
 
+    def jump(event: int) -> Callable:
+        return alone(f"jump {event}", lambda p, z: at(p).jump(z, event))
+
     return Compiled(
         start=alone("start", lambda p, q, v, x, t: with_rates(at(p), q, v, x, t)),
         ode=alone("ode", lambda p, t, s: ode_rate(at(p), t, s)),
@@ -94,10 +115,21 @@ def _compiled(template: MechatronicSystem) -> Compiled:
             for block in INVARIANTS
         },
         points=over_rows("points", lambda p, q: at(p).points(q)),
+        events=over_rows("events", lambda p, q, v, x, t: event_values(at(p), q, v, x, t)),
+        sample=alone("sample", lambda p, z: at(p).sample(z)),
+        jumps=tuple(map(jump, range(_number_of_events(template)))),
+        projected=alone("projected", lambda p, t, s: projected_state(at(p), t, s)),
         iterations=over_rows(
             "iterations", lambda p, q, v, x, t: algebraic_iterations(at(p), q, v, x, t)
         ),
     )
+
+
+def _number_of_events(template: MechatronicSystem) -> int:
+    if not template.has("events"):
+        return 0
+    z: Any = [*(np.zeros(template.sizes.of(g)) for g in VARIABLES), np.zeros(())]
+    return len(jax.eval_shape(template.events, Variables(*z)))
 
 
 def _over_rows(function: Callable, about: tuple) -> Callable:

@@ -9,7 +9,7 @@ import numpy as np
 
 from problems.runtime import jax
 from problems.system import MechatronicSystem
-from problems.variables import GROUPS, Variables
+from problems.variables import VARIABLES, Variables
 
 
 def depends(function: Callable, on: Iterable[int], *arguments: Any) -> bool:
@@ -39,7 +39,7 @@ def is_autonomous(scene: MechatronicSystem) -> bool:
         if scene.has(block)
     )
     of_all = (b for b in ("coupled_force", "state_rate", "output") if scene.has(b))
-    return not (timed or any(_takes(getattr(scene, block), scene, ["t"]) for block in of_all))
+    return not (timed or any(takes(getattr(scene, block), scene, ["t"]) for block in of_all))
 
 
 def mass_varies(scene: MechatronicSystem) -> bool:
@@ -59,19 +59,19 @@ def damping_varies(scene: MechatronicSystem) -> bool:
 
 def output_takes(scene: MechatronicSystem, *groups: str) -> bool:
     """Whether the outputs depend on one of these groups of variables."""
-    return bool(scene.sizes.ny) and _takes(scene.output, scene, groups)
+    return bool(scene.sizes.ny) and takes(scene.output, scene, groups)
 
 
 def states_follow_accelerations(scene: MechatronicSystem) -> bool:
     """Whether the rates of controller states depend on a or lam, also through the outputs."""
     through = output_takes(scene, "a", "lam")
     groups = ("a", "lam", "y") if through else ("a", "lam")
-    return bool(scene.sizes.nx) and _takes(scene.state_rate, scene, groups)
+    return bool(scene.sizes.nx) and takes(scene.state_rate, scene, groups)
 
 
-def _takes(block: Callable, scene: MechatronicSystem, groups: Iterable[str]) -> bool:
+def takes(block: Callable, scene: MechatronicSystem, groups: Iterable[str]) -> bool:
     """Whether a block of all variables depends on one of these groups."""
-    z = [*(np.zeros(scene.sizes.of(group)) for group in GROUPS), np.zeros(())]
+    z = [*(np.zeros(scene.sizes.of(group)) for group in VARIABLES), np.zeros(())]
     places = map(Variables._fields.index, groups)
     return depends(lambda *z: block(Variables(*z)), places, *z)
 

@@ -259,6 +259,23 @@ def ode_rate(
     return jnp.concatenate([q_rate(scene, q, v), z.a, xdot])
 
 
+def event_values(
+    scene: MechatronicSystem,
+    q: Float[Array, " nq"],
+    v: Float[Array, " nv"],
+    x: Float[Array, " nx"],
+    t: Float[Array, ""],
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Compute the functions of the scene's events, and their rates along the motion."""
+    layout = state_layout(scene.sizes)
+
+    def values(t: Array, s: Array) -> Array:
+        return scene.events(complete(scene, *layout.split(s), t)[0])
+
+    s = jnp.concatenate([q, v, x])
+    return jax.jvp(values, (t, s), (jnp.ones_like(t), ode_rate(scene, t, s)))
+
+
 def with_rates(
     scene: MechatronicSystem,
     q: Float[Array, " nq"],

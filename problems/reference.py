@@ -23,15 +23,18 @@ from problems.collocation import Motion, TooSmallStep, gauss, integrate, radau
 from problems.compiled import compiled
 from problems.initial_values import consistent_start
 from problems.layouts import state_layout
-from problems.runtime import Float
+from problems.phases import Cut, EndlessEvents, crossing, falls, march
+from problems.runtime import Float, Int, jax
 from problems.system import MechatronicSystem
-from problems.variables import GROUPS
+from problems.variables import GROUPS, VARIABLES
 from problems.whole_files import keep, kept
 
 _TOLERANCE = 3e-14
 #: Longest steps of the two integrations, in nominal steps: no event lasts so short that it falls
 #: between two of the twelve nodes.
 _LONGEST = 4, 3
+#: Times in a step at which functions of events are looked at.
+_WATCHED = 25
 #: Accelerations of a scene at rest, between these in size, are the rounding of forces in balance.
 _BALANCED = 1e-16, 1e-9
 #: A scene with more coordinates and multipliers has no reference: each of its many evaluations is
@@ -84,9 +87,13 @@ class Reference:
     t_end: float
 
     @property
+    def _has_closed_form(self) -> bool:
+        return self.scene.has("exact") and not self.scene.is_hybrid
+
+    @property
     def method(self) -> str:
         """Method of its computation, in words for a report."""
-        if self.scene.has("exact"):
+        if self._has_closed_form:
             return "closed form"
         return f"Gauss collocation of order 24, tolerance {_TOLERANCE:g}, on the explicit ODE"
 
@@ -94,20 +101,29 @@ class Reference:
     def missing(self) -> str:
         """Reason why the scene has no reference; empty if it has one."""
         sizes = self.scene.sizes
-        if self.scene.has("exact") or sizes.nq + sizes.nl <= _MOST_UNKNOWNS:
+        if self._has_closed_form or sizes.nq + sizes.nl <= _MOST_UNKNOWNS:
             return ""
         return (
             f"No reference is made of {self.scene.spec}: it has {sizes.nq + sizes.nl} unknowns, "
             f"more than {_MOST_UNKNOWNS}."
         )
 
-    def __call__(self, t: Float[np.ndarray, " k"]) -> dict[str, Float[np.ndarray, "k n"]]:
+    def __call__(
+        self, t: Float[np.ndarray, " k"], phase: Int[np.ndarray, " k"] | None = None
+    ) -> dict[str, Float[np.ndarray, "k n"]]:
         """Compute the solution at times t in s.
+
+        Parameters
+        ----------
+        phase
+            Where values jump, the numbers of the phases in which rows of a run lie; a time outside
+            of its phase is moved to the nearest end of that. Without them a time at which values
+            jump belongs to the phase before.
 
         Returns
         -------
         dict
-            q, v, a, lam, x, xdot and y, in the units of the scene.
+            q, v, a, lam, x, xdot, y and xd, in the units of the scene.
 
         Raises
         ------
@@ -117,9 +133,14 @@ class Reference:
             If the closed form lacks groups, or is not finite.
         """
         t = np.asarray(t, dtype=float)
-        if self.scene.has("exact"):
+        if self._has_closed_form:
             return self._closed_form(t)
-        return self._evaluate(self._known.motion, t)
+        return self._evaluate(self._known.phases, t, phase)
+
+    @property
+    def events(self) -> Float[np.ndarray, "n 2"]:
+        """Times in s and numbers of all events, if they are known by integration."""
+        return np.zeros((0, 2)) if self._has_closed_form else self._known.phases.events
 
     @property
     def times(self) -> Float[np.ndarray, " k"]:
@@ -148,7 +169,7 @@ class Reference:
 
     @cached_property
     def _known(self) -> _Known:
-        if self.scene.has("exact"):
+        if self._has_closed_form:
             t = self.times
             return _known(self._closed_form(t), self._closed_form(np.nextafter(t, np.inf)))
         path = _file_of(self.scene, self.t_end) if _file_of else None
@@ -180,53 +201,140 @@ class Reference:
     def _integrated(self) -> _Known:
         """The integration, compared with the other one."""
         _told("making", self.scene)
-        ours = self._integrate(0)
-        t = np.union1d(self.times, ours.ends)
-        other = self._evaluate(self._integrate(1), t)
-        return _known(self._evaluate(ours, t), other)._replace(motion=ours)
+        ours, other = self._integrate(0), self._integrate(1)
+        t = np.union1d(self.times, ours.motion.ends)
+        phase = ours.phase_at(t)
+        found = (self._evaluate(phases, t, phase) for phases in (ours, other))
+        return _known(*found)._replace(phases=ours)
 
     def _closed_form(self, t: np.ndarray) -> dict[str, np.ndarray]:
         sizes = {g: self.scene.sizes.of(g) for g in (*GROUPS, "xdot")}
-        values = {g: np.zeros((len(t), 0)) for g in ("x", "xdot", "y", "lam")}
+        values = {g: np.zeros((len(t), 0)) for g in ("x", "xdot", "y", "lam", "xd")}
         return values | answers.closed_form(self.scene.exact(t), len(t), sizes)
 
-    def _evaluate(self, motion: Motion, t: np.ndarray) -> dict[str, np.ndarray]:
-        q, v, x = state_layout(self.scene.sizes).split(motion(t))
-        z, xdot = compiled(self.scene).complete(self.scene.parameters(), q, v, x, t)
-        values = {g: np.asarray(getattr(z, g)) for g in GROUPS}
-        return values | {"xdot": np.asarray(xdot)}
+    def _evaluate(
+        self, phases: _Phases, t: np.ndarray, phase: np.ndarray | None = None
+    ) -> dict[str, np.ndarray]:
+        phase, t, states = phases(t, phase)
+        q, v, x = state_layout(self.scene.sizes).split(states)
+        names, shape = self.scene.parameters(), (len(t), self.scene.sizes.nx)
+        rows = [np.zeros((len(t), self.scene.sizes.of(g))) for g in VARIABLES]
+        values = dict(zip(VARIABLES, rows, strict=True)) | {"xdot": np.zeros(shape)}
+        for k in np.unique(phase):
+            here, p = phase == k, dict(zip(names, phases.parameters[k].tolist(), strict=True))
+            z, xdot = compiled(self.scene).complete(p, q[here], v[here], x[here], t[here])
+            for group in VARIABLES:
+                values[group][here] = getattr(z, group)
+            values["xdot"][here] = xdot
+        places = [list(names).index(name) for name in self.scene.held_values()]
+        return values | {"xd": phases.parameters[phase][:, places]}
 
-    def _integrate(self, which: int) -> Motion:
+    def _integrate(self, which: int) -> _Phases:
         if self.missing:
             raise ReferenceFailed(self.missing)
-        scene, at = self.scene, state_layout(self.scene.sizes)
+        phases: list[MechatronicSystem] = []
+        motions: list[Motion] = []
+        events: list[tuple[float, int]] = []
+
+        def flow(phase: MechatronicSystem, stop: float) -> Cut:
+            motion, event = self._phase(which, phase, stop)
+            phases.append(phase)
+            motions.append(motion)
+            t = motion.ends[-1]
+            if event is not None:
+                events.append((t, event))
+            q, v, x = state_layout(phase.sizes).split(motion(np.array([t])))
+            z, _ = compiled(phase).complete(phase.parameters(), q, v, x, np.array([t]))
+            return Cut(jax.tree.map(lambda part: part[0], z), event)
+
+        try:
+            if self.scene.is_hybrid:
+                march(self.scene, self.t_end, flow)
+            else:
+                flow(self.scene, self.t_end)
+        except (TooSmallStep, EndlessEvents) as error:
+            raise ReferenceFailed(f"No reference for {self.scene.spec}: {error}.") from None
+        return _Phases(
+            Motion(
+                np.concatenate([motions[0].ends[:1], *(m.ends[1:] for m in motions)]),
+                np.concatenate([m.series for m in motions]),
+            ),
+            np.cumsum([0, *(len(m.series) for m in motions)]),
+            np.array([list(phase.parameters().values()) for phase in phases]),
+            np.array(events).reshape(-1, 2),
+        )
+
+    def _phase(
+        self, which: int, scene: MechatronicSystem, stop: float
+    ) -> tuple[Motion, int | None]:
+        """The motion of a phase up to its first event, and the number of that."""
+        at, functions, event = state_layout(scene.sizes), compiled(scene), None
         start = consistent_start(scene).z
-        rates, p = compiled(scene).rates, np.array(list(scene.parameters().values()))
+        names, p = scene.parameters(), np.array(list(scene.parameters().values()))
         first = np.concatenate([start.q, start.v, start.x])
         # In equilibrium v is rounding, which is no size: no step would be small enough for it.
         low, high = _BALANCED
         still = not start.v.any() and low < np.abs(start.a).max(initial=0.0) < high
         least = np.zeros(len(first))
         least[at.v] = float(still)
-        try:
-            return integrate(
-                lambda t, s: np.asarray(rates(p, t, s)),
-                first,
-                (scene.interval[0], self.t_end),
-                groups=(at.q, at.v, at.x),
-                method=(gauss, radau)[which](),
-                tolerance=_TOLERANCE * (1 + which),
-                longest=_LONGEST[which] * scene.nominal_step,
-                least=least,
-            )
-        except TooSmallStep as error:
-            raise ReferenceFailed(f"No reference for {scene.spec}: {error}.") from None
+
+        def watched(step: Motion, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return functions.events(names, *at.split(step(t)), t)
+
+        def first_event(step: Motion) -> float | None:
+            nonlocal event
+            t = np.linspace(step.ends[0], step.ends[1], _WATCHED)
+            for fall in falls(t, *watched(step, t)):
+
+                def value(now: float, event: int = fall.event) -> float:
+                    return float(watched(step, np.array([now]))[0][0, event])
+
+                if (found := crossing(value, t[fall.row - 1], fall.until)) is not None:
+                    event = fall.event
+                    return found
+            return None
+
+        motion = integrate(
+            lambda t, s: np.asarray(functions.rates(p, t, s)),
+            first,
+            (scene.interval[0], stop),
+            groups=(at.q, at.v, at.x),
+            method=(gauss, radau)[which](),
+            tolerance=_TOLERANCE * (1 + which),
+            longest=_LONGEST[which] * scene.nominal_step,
+            least=least,
+            **{"ends": first_event} if scene.has("events") else {},
+        )
+        return motion, event
+
+
+class _Phases(NamedTuple):
+    """Motions one after the other, between which values jump; most scenes have a single one."""
+
+    motion: Motion
+    #: Number of the first piece of each, and of all pieces.
+    pieces: Int[np.ndarray, " n+1"]
+    #: Values of the parameters in each.
+    parameters: Float[np.ndarray, "n p"]
+    #: Times in s and numbers of the events among the jumps.
+    events: Float[np.ndarray, "m 2"]
+
+    def phase_at(self, t: np.ndarray) -> np.ndarray:
+        """The phases of times in s; a time at which values jump belongs to the one before."""
+        return np.searchsorted(self.motion.ends[self.pieces[1:-1]], t, side="left")
+
+    def __call__(self, t: np.ndarray, phase: np.ndarray | None) -> tuple[np.ndarray, ...]:
+        """Phases, times in these, and states at times t in s."""
+        phase = self.phase_at(t) if phase is None else np.minimum(phase, len(self.parameters) - 1)
+        first, last = self.pieces[phase], self.pieces[phase + 1]
+        t = np.clip(t, self.motion.ends[first], self.motion.ends[last])
+        return phase, t, self.motion(t, first, last - 1)
 
 
 class _Known(NamedTuple):
     """An integration, its errors, sizes of components and norms by group, as it is kept."""
 
-    motion: Motion
+    phases: _Phases
     error: dict[str, Float[np.ndarray, " n"]]
     sizes: dict[str, Float[np.ndarray, " n"]]
     norms: dict[str, np.ndarray]
@@ -235,7 +343,7 @@ class _Known(NamedTuple):
 def _known(ours: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> _Known:
     eps = np.finfo(float).eps
     return _Known(
-        Motion(np.zeros(0), np.zeros((0, 0, 0))),
+        _Phases(Motion(np.zeros(0), np.zeros((0, 0, 0))), *[np.zeros(0)] * 3),
         {g: np.max(abs(ours[g] - other[g]) + eps * abs(ours[g]), axis=0) for g in GROUPS},
         {g: np.abs(ours[g]).max(axis=0) for g in GROUPS},
         {g: np.linalg.norm(ours[g], axis=1).max() for g in GROUPS},
@@ -244,7 +352,9 @@ def _known(ours: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> _Known:
 
 def _written(known: _Known) -> bytes:
     named = {f"{part} {g}": getattr(known, part)[g] for part in _Known._fields[1:] for g in GROUPS}
-    np.savez(content := io.BytesIO(), **known.motion._asdict(), **named)
+    motion, *phases = known.phases
+    arrays = dict(zip(_Phases._fields[1:], phases, strict=True)) | motion._asdict()
+    np.savez(content := io.BytesIO(), **arrays, **named)
     return content.getvalue()
 
 
@@ -254,5 +364,6 @@ def _read(path: Path) -> _Known | None:
         return None
     with np.load(io.BytesIO(content), allow_pickle=False) as file:
         motion = Motion(file["ends"], file["series"])
+        phases = _Phases(motion, *(file[name] for name in _Phases._fields[1:]))
         parts = ({g: file[f"{part} {g}"] for g in GROUPS} for part in _Known._fields[1:])
-        return _Known(motion, *parts)
+        return _Known(phases, *parts)

@@ -12,6 +12,10 @@ space have four coordinates and three velocities; Phi_q then means Phi_q T. ``ve
 gives 0 = A(q) v - b(t), as of rolling wheels, whose multipliers follow those of Phi and act by A^T.
 ``coupled_force`` adds forces that depend on lam, x or y to g, as friction in joints.
 
+Values may jump at instants (`problems.phases`): ``sample`` gives new values of held parameters at
+equal distances ``sample_time`` in time, as a sampled controller does; ``events`` are functions that
+fall through zero where something happens, as an impact, and ``jump`` says what changes there.
+
 A scene is a frozen dataclass: its parameters are fields, its blocks are methods written in
 ``jax.numpy``. Blocks that it does not define do not exist, and cost nothing.
 """
@@ -62,6 +66,16 @@ def parameter(
     return dataclasses.field(default=value, metadata=meta)
 
 
+def held(default: float, unit: str, doc: str) -> float:
+    """Declare a held value of a scene: a parameter that changes at instants alone.
+
+    ``default`` is its value before the first one; unit and meaning as of `parameter`.
+    """
+    value: Any = float(default)
+    meta = {"type": float, "unit": unit, "doc": doc, "held": True}
+    return dataclasses.field(default=value, metadata=meta)
+
+
 @dataclass(frozen=True)
 class MechatronicSystem:
     """Base class of all scenes.
@@ -69,8 +83,9 @@ class MechatronicSystem:
     Required: ``mass``, ``force`` and ``initial_state``. Everything else is stated only by the
     scenes that have it: ``constraint``; ``velocity_constraint``; ``kinematics``, perhaps with
     ``move``; ``coupled_force``; ``state_rate`` (controller states); ``output`` together with
-    ``actuation``; ``energy``; ``momentum``; ``points``; ``exact``; ``draw``. An override may leave
-    out annotations.
+    ``actuation``; ``sample`` together with ``sample_time``; ``events`` together with ``jump``;
+    ``energy``; ``momentum``; ``points``; ``exact``; ``draw``. An override may leave out
+    annotations.
 
     The class attributes say how to use the scene:
 
@@ -95,6 +110,9 @@ class MechatronicSystem:
         unique then, and the least ones are taken
     ``published``
         published digits, which runs are shown beside and the reference is checked by
+    ``sample_time``, ``sampling``
+        time between two samples in s, and the word of `problems.sampled.POLICIES` for what a run
+        does at samples; both may be parameters
     """
 
     name: ClassVar[str]
@@ -110,6 +128,9 @@ class MechatronicSystem:
     source: ClassVar[str] = ""
     redundant: ClassVar[int] = 0
     published: ClassVar[tuple[Published, ...]] = ()
+    # Without annotations: a subclass may replace these by parameters.
+    sample_time = 0.0
+    sampling = "hit"
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -175,6 +196,19 @@ class MechatronicSystem:
 
     def initial_state(self) -> State:
         """q, v and x at the start of the interval, from NumPy and concrete parameters."""
+        raise NotImplementedError
+
+    def sample(self, z: Variables) -> Mapping[str, Float[Array, ...] | float]:
+        """Values from a sample instant on: held ones by name, perhaps also "x" (or "q", "v")."""
+        raise NotImplementedError
+
+    def events(self, z: Variables) -> Float[Array, " n"]:
+        """Functions of q, v, x and t; an event happens where one falls through zero."""
+        raise NotImplementedError
+
+    def jump(self, z: Variables, event: int) -> Mapping[str, Float[Array, ...] | float]:
+        """Values after an event, whose number is that of its function: "q", "v", "x", or held
+        ones by name; what is not named stays."""
         raise NotImplementedError
 
     # ---- optional knowledge ------------------------------------------------------------
@@ -249,7 +283,8 @@ class MechatronicSystem:
                 fault = f"actuation has shape {shape}, expected ({len(start.v)}, ny)."
                 raise spec.SpecError(f"{self.spec}: {fault}")
             ny = shape[1]
-        return Sizes(len(q), len(start.v), sum(rows.values()), nx, ny, rows["constraint"])
+        nd = len(self.held_values())
+        return Sizes(len(q), len(start.v), sum(rows.values()), nx, ny, rows["constraint"], nd)
 
     def start(self) -> State:
         """Return the initial state as arrays of floats.
@@ -275,8 +310,22 @@ class MechatronicSystem:
         """The traced parameters by name."""
         return {name: float(getattr(self, name)) for name in spec.numbers_of(type(self))}
 
+    def held_values(self) -> dict[str, float]:
+        """The held values among the parameters by name: the discrete states xd."""
+        fields = spec.numbers_of(type(self)).items()
+        return {name: getattr(self, name) for name, f in fields if f.metadata.get("held")}
+
+    @property
+    def is_hybrid(self) -> bool:
+        """Whether values jump at instants; those of one phase between two instants do not."""
+        sampled = self.has("sample") and self.sampling != "ignore"
+        return (sampled or self.has("events")) and "in_phase" not in vars(self)
+
     def components(self, group: str) -> list[Component]:
         """Return the components of a group, named by numbers where the scene gives no names."""
+        if group == "xd":
+            fields = spec.numbers_of(type(self))
+            return [Component(n, str(fields[n].metadata["unit"])) for n in self.held_values()]
         own_velocities = self.has("kinematics") and group in ("v", "a")
         named = {
             "lam": self.multipliers, "x": self.states, "y": self.outputs, "q": self.coordinates,
@@ -303,6 +352,12 @@ class MechatronicSystem:
         vars(copy).update(interval=(t, self.interval[1]), initial_state=lambda: state)
         return copy
 
+    def phase(self, t: float, state: State, values: Mapping[str, float]) -> Self:
+        """The motion from t in s on with these held values, as if nothing jumped any more."""
+        copy = self.with_parameters(self.parameters() | dict(values)).later(t, state)
+        vars(copy)["in_phase"] = True
+        return copy
+
     def template(self) -> Self:
         """The scene with default float parameters: the key under which compiled code is kept.
 
@@ -313,7 +368,7 @@ class MechatronicSystem:
         """
         self.sizes  # noqa: B018 - copies keep the sizes, which cannot be found while tracing
         own = {f.name for f in dataclasses.fields(self)} | {"sizes", "interval", "initial_state"}
-        kept = vars(self).keys() - own
+        kept = vars(self).keys() - own - {"in_phase"}
         if kept:
             raise spec.SpecError(
                 f"{self.spec}: it keeps {', '.join(sorted(kept))} beside its parameters, which "

@@ -9,8 +9,9 @@ import numpy as np
 from problems import answers
 from problems.runtime import Array, Float
 
-#: Groups of variables; every error belongs to one group.
-GROUPS = ("q", "v", "a", "lam", "x", "y")
+#: Groups of variables, and of errors: "xd" are values that are held between samples or events.
+VARIABLES = ("q", "v", "a", "lam", "x", "y")
+GROUPS = (*VARIABLES, "xd")
 
 
 class Variables(NamedTuple):
@@ -122,7 +123,8 @@ class Published(NamedTuple):
 
 class Sizes(NamedTuple):
     """Numbers of coordinates, of velocities (as many as accelerations and equations of motion), of
-    multipliers, controller states and outputs; ``nh`` of multipliers that belong to Phi."""
+    multipliers, controller states and outputs; ``nh`` of multipliers that belong to Phi, ``nd`` of
+    held values."""
 
     nq: int
     nv: int
@@ -130,8 +132,9 @@ class Sizes(NamedTuple):
     nx: int
     ny: int
     nh: int
+    nd: int = 0
 
     def of(self, group: str) -> int:
         """Number of entries of a group, or of "xdot"."""
-        owner = {"q": "nq", "lam": "nl", "x": "nx", "xdot": "nx", "y": "ny"}
+        owner = {"q": "nq", "lam": "nl", "x": "nx", "xdot": "nx", "y": "ny", "xd": "nd"}
         return getattr(self, owner.get(group, "nv"))

@@ -116,6 +116,8 @@ def _solution(record: Record, rows: Rows) -> dict[str, Any]:
         "notes": record.notes,
         "t": rows.t[-1] if rows.t else None,
         **{name: last.get(name, []) for name in ("q", "v", "a", "lam", "x", "xdot", "y")},
+        "xd": last.get("xd", []),
+        "events": record.events,
         "points": record.points,
         "published": [
             msgspec.to_builtins(digits) | {"difference": digits.difference}
@@ -171,6 +173,9 @@ def _facts(record: Record) -> list[str]:
         if known:
             lines.append(f"{title}: {', '.join(known)}")
     lines += [f"note: {note}" for note in record.notes]
+    if record.events:
+        number, expected, time = (record.events[k] for k in ("events", "expected", "time"))
+        lines.append(f"events: {number:g} of {expected:g}, their times off by at most {time:.3g} s")
     if record.history_error is not None:
         lines.append(f"error of the named points, IFToMM's rule: {record.history_error:.3g}")
     if record.energy_drift is not None:

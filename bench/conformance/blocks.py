@@ -31,18 +31,25 @@ _ARGUMENTS = {
     **dict.fromkeys(INVARIANTS, "qv"),
     "state_rate": "z",
     "output": "z",
+    "events": "z",
+    "sample": "z",
+    "jump": "z",
 }
 
 
 def _block(name: str) -> Callable[[MechatronicSystem, Variables], Any]:
     """A block as a function of a scene and all variables, with a flat result.
 
-    The mass matrix is multiplied by a vector, so that its derivative stays small.
+    The mass matrix is multiplied by a vector, so that its derivative stays small. Of jumps, that at
+    the first event is taken.
     """
 
     def call(scene: MechatronicSystem, z: Variables) -> Any:
         wanted = _ARGUMENTS[name]
-        value = getattr(scene, name)(*([z] if wanted == "z" else [getattr(z, w) for w in wanted]))
+        given = [z] if wanted == "z" else [getattr(z, w) for w in wanted]
+        value = getattr(scene, name)(*given, *([0] if name == "jump" else []))
+        if name in ("sample", "jump"):  # new values by name
+            value = jnp.concatenate([jnp.ravel(part) for part in value.values()])
         if name == "mass":
             value = value @ jnp.cos(jnp.arange(value.shape[-1], dtype=float))
         return jnp.ravel(jnp.asarray(value))
@@ -153,6 +160,10 @@ def check_parameters(registry: Registry, scene: MechatronicSystem) -> str:
                 f"A traced value of {field.name} does not act as a plain one; compute from "
                 f"self.{field.name} inside the blocks and not when the scene is made."
             )
+        # A held value may be what one sample leaves to the next, and a quantised command hides a
+        # small change.
+        if field.metadata.get("held") or scene.has("sample"):
+            continue
         acts = any(not np.array_equal(p, before) for _, p, before in pairs)
         if not acts and _unmoved(scene, other):
             raise Failed(f"The parameter {field.name} changes nothing; use it or remove it.")
@@ -172,9 +183,10 @@ def _with_another(scene: MechatronicSystem, field: dataclasses.Field) -> Mechatr
 
 
 def _unmoved(scene: MechatronicSystem, other: MechatronicSystem) -> bool:
-    """Whether initial states, actuation and pictures are the same."""
+    """Whether initial states, actuation, pictures and the time between samples are the same."""
     one, two = scene.initial_state(), other.initial_state()
     pairs: list[tuple[Any, Any]] = list(zip(one, two, strict=True))
+    pairs.append((scene.sample_time, other.sample_time))
     if scene.has("actuation"):
         pairs.append((scene.actuation(), other.actuation()))
     if scene.has("draw"):

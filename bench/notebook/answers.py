@@ -26,7 +26,7 @@ class Solution:
         "ok" with notes on what is wrong, if any, or how it ended, with the reason.
     t
         Times in s of the rows that are kept: the first steps, and 100 to 200 more.
-    q, v, a, lam, x, y
+    q, v, a, lam, x, y, xd
         Values at these times, a row per time and a column per component.
     components
         Names of the columns by group, with units.
@@ -51,6 +51,7 @@ class Solution:
     lam: np.ndarray
     x: np.ndarray
     y: np.ndarray
+    xd: np.ndarray
     components: dict[str, list[str]]
     errors: dict[str, dict[str, float | None]]
     work: dict[str, int | None]

@@ -19,6 +19,7 @@ GROUP_NAMES = {
     "lam": "multiplier λ",
     "x": "controller state x",
     "y": "output y",
+    "xd": "held value xd",
 }
 
 

@@ -83,6 +83,8 @@ class Record(msgspec.Struct, kw_only=True):
     ``points`` are the coordinates of the named points at the end, in m; ``history_error`` is the
     error of `bench.running.errors.history_error` over time; ``published`` has the published digits
     for which the run has a row.
+    ``events`` compares the events of the run with those of the reference, by
+    `bench.running.errors.event_errors`.
     ``operations`` is the bill of the run: floating-point operations by part, empty where a part is
     not known.
     ``claims`` are the orders that the integrator claims on the scene at equal steps, by group; None
@@ -121,6 +123,7 @@ class Record(msgspec.Struct, kw_only=True):
     points: dict[Name, list[float]] = {}
     history_error: NotNegative | None = None
     published: list[Digits] = []
+    events: dict[Name, float] = {}
     work: dict[str, Count | None] = {}
     operations: dict[str, Annotated[float, Meta(ge=0, le=1e100)]] = {}
     compile_s: NotNegative | None = None

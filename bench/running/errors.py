@@ -128,7 +128,7 @@ def history_error(trajectory: Trajectory, reference: Reference) -> float | None:
     scene, t = reference.scene, trajectory.t
     if not scene.has("points"):
         return None
-    of = (named_points(scene, q) for q in (trajectory.q, reference(t)["q"]))
+    of = (named_points(scene, q) for q in (trajectory.q, _exact(trajectory, reference)["q"]))
     found, exact = (np.hstack([*points.values()]) for points in of)
     errors = np.abs(found - exact) / np.maximum(np.abs(exact), THRESHOLD)
     return finite(np.sqrt(np.mean(norms(t)["rms"](errors.T) ** 2)))
@@ -148,11 +148,14 @@ def relative_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:
     reference
         The values that are taken as exact, with their own estimated error.
     """
-    t, exact, table = trajectory.t, reference(trajectory.t), ErrorTable({}, {}, {}, {})
+    t, exact, table = trajectory.t, _exact(trajectory, reference), ErrorTable({}, {}, {}, {})
     for group in GROUPS:
         if not exact[group].shape[1]:
             continue
-        difference = getattr(trajectory, group) - exact[group]
+        found = getattr(trajectory, group)
+        if group == "xd" and not len(found):  # of a run that knows nothing of them
+            continue
+        difference = found - exact[group]
         sizes, unsure = scales(reference, group), reference.error[group]
         each = {name: component_errors(difference, t, sizes, name) for name in NORMS}
         table.components[group] = {name: [*map(finite, e)] for name, e in each.items()}
@@ -165,6 +168,29 @@ def relative_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:
         for name, error in zip((group, whole(group)), own, strict=True):
             table.reference_errors[name] = dict.fromkeys(NORMS, float(error))
     return table
+
+
+def _exact(trajectory: Trajectory, reference: Reference) -> dict[str, np.ndarray]:
+    """The reference at the rows of a run, each in its own phase: where the time of an event is a
+    little off, values before it are not compared with those behind it."""
+    return reference(trajectory.t, *[trajectory.phase] if len(trajectory.phase) else [])
+
+
+def event_errors(trajectory: Trajectory, reference: Reference) -> dict[str, float]:
+    """Compare the events of a run with those of the reference.
+
+    Returns
+    -------
+    dict
+        "events" and "expected" are their numbers up to the end; "time" is the largest difference in
+        s between the times of those that both have. Empty if neither has any.
+    """
+    own, known = trajectory.events, reference.events
+    if not len(own) and not len(known):
+        return {}
+    both = min(len(own), len(known))
+    off = np.abs(own[:both, 0] - known[:both, 0])
+    return {"events": len(own), "expected": len(known), "time": float(off.max(initial=0.0))}
 
 
 def constraint_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:

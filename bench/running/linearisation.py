@@ -130,11 +130,11 @@ def growth(scene: MechatronicSystem, reference: Reference) -> float | None:
     -------
     float or None
         The largest Euclidean norm of the change over the interval, of all changes whose norm at the
-        start is 1. None if the scene is too large, its motion too fast for linearised steps, or its
-        Jacobian not finite.
+        start is 1. None if the scene is too large, its motion too fast for linearised steps, its
+        Jacobian not finite, or values jump.
     """
     at = state_layout(scene.sizes)
-    if at.size > _MOST_STATES:
+    if at.size > _MOST_STATES or scene.is_hybrid:
         return None
     size = np.concatenate([scales(reference, group).components for group in ("q", "v", "x")])
     start = _admitted(scene, _states(reference, np.array([scene.interval[0]]))[0], size)

@@ -120,6 +120,7 @@ def end_at_blow_up(
         for name in ("t", *GROUPS, "xdot"):
             setattr(run, name, getattr(run, name)[:first])
         run.notes = {name: noted[:first] for name, noted in run.notes.items()}
+        run.phase = run.phase[:first]
 
 
 def checked(trajectory: Trajectory, t_end: float) -> Trajectory:
@@ -143,7 +144,8 @@ def ignored_pattern(run: Trajectory, resolution: Any, t0: float, t_end: float) -
 
     A run that does not count its steps is believed.
     """
-    if not isinstance(resolution, Steps) or len(resolution.pattern) == 1 or run.status != "ok":
+    plain = not isinstance(resolution, Steps) or len(resolution.pattern) == 1
+    if plain or run.status != "ok" or len(run.phase):
         return ""
     wanted = len(resolution.pattern) * resolution.count(t0, t_end)
     if run.work.steps in (None, wanted):
@@ -167,6 +169,8 @@ def errors_from_later_starts(
     a run takes long.
     """
     scene, t_end, found = reference.scene, reference.t_end, []
+    if scene.is_hybrid:  # its samples and held values belong to the start
+        return []
     for part in LATER:
         t = scene.interval[0] + part * (t_end - scene.interval[0])
         z = reference(np.array([t]))
@@ -221,7 +225,8 @@ def stored_rows(trajectory: Trajectory | Mapping[str, Any]) -> Rows:
     """
     values = trajectory if isinstance(trajectory, Mapping) else vars(trajectory)
     t = np.asarray(values["t"])
-    groups = {n: np.asarray(values[n]) for n in (*GROUPS, "xdot") if np.size(values[n])}
+    given = [name for name in (*GROUPS, "xdot") if np.size(values.get(name, ()))]
+    groups = {name: np.asarray(values[name]) for name in given}
     finite_rows = np.isfinite(t)
     for rows in groups.values():
         finite_rows = finite_rows & np.isfinite(rows).all(axis=1)

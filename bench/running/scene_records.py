@@ -32,6 +32,8 @@ _BLOCKS = {
     "velocity_constraint": "0 = A(q) v - b(t)",
     "state_rate": "xdot = f(q, v, a, lam, x, y, t)",
     "output": "y = h(q, v, a, lam, x, y, t)",
+    "sample": "xd+ = D(q, v, a, lam, x, y, t, xd)",
+    "events": "0 = e(q, v, x, t)",
 }
 
 
@@ -130,8 +132,10 @@ def first_energy(scene: MechatronicSystem) -> float:
 
 
 def recorded_sizes(scene: MechatronicSystem) -> dict[str, int]:
-    """Return the numbers of unknowns; that of velocities only where it is one of its own."""
+    """Return the numbers of unknowns; of velocities only where it is one of its own, and of held
+    values only where there are any."""
     left_out = {"nh"} if scene.has("kinematics") else {"nh", "nv"}
+    left_out |= set() if scene.sizes.nd else {"nd"}
     return {name: n for name, n in scene.sizes._asdict().items() if name not in left_out}
 
 

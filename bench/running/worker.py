@@ -23,7 +23,13 @@ from bench.plugins.registry import Registry
 from bench.results.quantities import PARTS, point_notes
 from bench.results.records import TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.running import measure
-from bench.running.errors import constraint_errors, finite, history_error, relative_errors
+from bench.running.errors import (
+    constraint_errors,
+    event_errors,
+    finite,
+    history_error,
+    relative_errors,
+)
 from bench.running.inventory import load_registry
 from bench.running.linearisation import uncontrolled
 from bench.running.plan import Cell
@@ -150,6 +156,9 @@ class Worker:
             if held:
                 record.errors |= held.errors
                 record.reference_error |= held.reference_errors
+            record.events = part(
+                "Its events are not known", lambda: event_errors(run, reference), {}
+            )
             record.history_error = part(no_points, lambda: history_error(run, reference), None)
             return found.histories
 

@@ -76,6 +76,11 @@ def refuse(method: Integrator, scene: MechatronicSystem) -> None:
     reason = refusal(method, scene)
     if reason:
         raise SpecError(f"{method.spec} does not take {scene.spec}: {reason}")
+    if scene.is_hybrid:
+        raise SpecError(
+            f"Values of {scene.spec} jump at samples or events; many runs in one program take "
+            f"scenes without them. Use `stepbench run` or `solve` for it."
+        )
     if method.step_method(scene) is None:
         constant = method.at_constant_steps()
         able = constant.spec if constant and constant.step_method(scene) else ""

@@ -11,12 +11,12 @@ from integrators.adapters.ode import ODEMethod
 from integrators.contract import Integrator, PreparedRun, option
 from integrators.native.step_method import NativeMethod
 from problems.system import MechatronicSystem
-from problems.variables import GROUPS
+from problems.variables import VARIABLES
 
 
 def _in_every_group(order: int) -> dict[str, int]:
     # a, lam and y solve the equations of motion at the reported q, v, x and share their order.
-    return dict.fromkeys(GROUPS, order)
+    return dict.fromkeys(VARIABLES, order)
 
 
 @dataclass(frozen=True)

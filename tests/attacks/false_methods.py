@@ -225,7 +225,7 @@ SUPPORTS = {
 #: By name, an answer of `prepare`, and words of the sentence on it.
 PREPARES = {
     "prepares_none": (None, "prepare() is None, expected a PreparedRun with measure() and exec"),
-    "prepares_class": (Work, "prepare() is <class 'integrators.contract.Work'>, expected a Prep"),
+    "prepares_class": (Work, "prepare() is <class 'integrators.runs.Work'>, expected a Prep"),
     "prepares_text": ("later", "prepare() is 'later', expected a PreparedRun"),
 }
 #: By name, a bill, and words of the sentence on it.
