@@ -24,13 +24,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import wraps
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from integrators.multistep import MultistepForm
 from problems import spec
-from problems.runtime import Float
+from problems.runtime import Bool, Float
 from problems.system import MechatronicSystem
 
 #: Endings of a run; only "ok" has a complete trajectory.
@@ -164,6 +164,35 @@ class Trajectory:
         """Return the trajectory of a run that did not start: it has no rows."""
         empty = np.zeros((0, 0))
         return cls(np.zeros(0), *[empty] * 7, status=status, message=message)
+
+
+class Wanted(NamedTuple):
+    """Derivatives that are wanted of a run.
+
+    Attributes
+    ----------
+    of
+        Numbers at its end: group and index of each.
+    by
+        Float parameters of the scene.
+    way
+        One of `Integrator.gradient_ways`.
+    """
+
+    of: tuple[tuple[str, int], ...]
+    by: tuple[str, ...]
+    way: str
+
+
+class Gradient(NamedTuple):
+    """Values of m wanted numbers, their derivatives by k parameters, and the run's success.
+
+    Values have the scene's units, derivatives these per unit of the parameter.
+    """
+
+    values: Float[np.ndarray, " m"]
+    derivatives: Float[np.ndarray, "m k"]
+    solved: Bool[np.ndarray, ""]
 
 
 class PreparedRun(ABC):
@@ -326,6 +355,20 @@ class Integrator(ABC):
         It is one sentence, a note on each such run.
         """
         return None
+
+    @property
+    def gradient_ways(self) -> tuple[str, ...]:
+        """Ways in which `gradient` differentiates a run, of "forward" and "reverse"."""
+        return ()
+
+    def gradient(
+        self, scene: MechatronicSystem, t_end: float, resolution: Any, wanted: Wanted
+    ) -> Callable[[], Gradient]:
+        """Make ready the derivatives of numbers at the end of a run, as of `prepare`.
+
+        The function that is returned computes them, as often as the bench times it.
+        """
+        raise spec.SpecError(f"{self.spec} cannot be differentiated.")
 
     @abstractmethod
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Any) -> PreparedRun:
