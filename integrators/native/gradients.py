@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from integrators.contract import Gradient, Wanted
+from integrators.native import small_matrices
 from integrators.native.constant_steps import Clock, grid, step_times
 from integrators.native.linear_solvers import Residual
 from integrators.native.step_program import Carried, Numbers, StepProgram
@@ -49,7 +50,7 @@ class ImplicitWork(StepWork):
             return u, (inner.kept[0], jnp.asarray(inner.report().converged, float))
 
         def by_tangent(linear: Residual, right: Array) -> Array:
-            return jnp.linalg.solve(jax.jacfwd(linear)(right), right)
+            return small_matrices.inverse(jax.jacfwd(linear)(right)) @ right
 
         u, (kept, fine) = jax.lax.custom_root(residual, guess, solved, by_tangent, has_aux=True)
         self.kept.append(kept)
@@ -146,7 +147,7 @@ def _derivatives(
             z, _ = complete(scene, z.q, z.v, z.x, clock.t0 + clock.length)
         return jnp.stack([getattr(z, group)[k] for group, k in wanted.of]), fine
 
-    return jax.jit(derived(run, wanted))
+    return jax.jit(small_matrices.without_products(derived(run, wanted)))
 
 
 def checkpointed(steps: int, one: Callable[[Array, Any], Any], state: Any) -> Any:
