@@ -136,9 +136,12 @@ def sensitivities(scene: MechatronicSystem, t_end: float, by: Sequence[str]) -> 
         return along(groups, p, w[:n], w[n:].reshape(k, n))
 
     rates, start = jax.jit(jax.vmap(rate, (None, 0, 0))), consistent_start(scene).z
-    changes = [size * np.concatenate(initial_changes(scene, b)) for b, size in zip(by, sizes)]
+    changes = [
+        size * np.concatenate(initial_changes(scene, b)) for b, size in zip(by, sizes, strict=True)
+    ]
     first = np.concatenate([start.q, start.v, start.x, *changes])
-    parts = [slice(i * n + g.start, i * n + g.stop) for i in range(k + 1) for g in (at.q, at.v, at.x)]
+    groups = at.q, at.v, at.x
+    parts = [slice(i * n + g.start, i * n + g.stop) for i in range(k + 1) for g in groups]
     found = []
     for method, longest, factor in zip((gauss(), radau()), _LONGEST, (1, 2), strict=True):
         try:

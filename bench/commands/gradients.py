@@ -8,7 +8,7 @@ import msgspec
 from bench.commands import completion, options
 from bench.commands.studies import of_each, once_each, print_json, with_names
 from bench.plugins.facts import MethodFacts
-from problems.spec import SpecError
+from problems.spec import SpecError, one_of
 
 _WAYS = "forward", "reverse"
 
@@ -20,12 +20,10 @@ _WAYS = "forward", "reverse"
     "--of", default="q:end", show_default=True, metavar="GROUP[:end]",
     help="Numbers at the end of the run: q, v, a, lam, x or y, or a component such as q[1].",
 )  # fmt: skip
+@click.option("--by", required=True, metavar="NAME,...", help="Float parameters of the scene.")
 @click.option(
-    "--by", required=True, metavar="NAME,...", help="Float parameters of the scene."
-)
-@click.option(
-    "--way", "ways", multiple=True, type=click.Choice(_WAYS),
-    help="Way to differentiate; repeatable; all that a method has if not given.",
+    "--ways", metavar="WAY,...",
+    help="Ways to differentiate, of forward and reverse; all that a method has if not given.",
 )  # fmt: skip
 @click.option(
     "--steps", callback=options.numbers, metavar="H1,H2,...",
@@ -45,7 +43,7 @@ def gradient(
     names: tuple[str, ...],
     of: str,
     by: str,
-    ways: tuple[str, ...],
+    ways: str | None,
     steps: tuple[float, ...] | None,
     tolerances: tuple[float, ...] | None,
     t_end: float | None,
@@ -65,9 +63,10 @@ def gradient(
     \b
     Examples:
       stepbench gradient iftomm_pendulum generalized_alpha --by g,length
-      stepbench gradient iftomm_pendulum newmark bdf2 --of q[0]:end --by g --way forward
-      stepbench gradient pendulum "dopri8[steps=constant]" dopri8 --of lam --by m --json
+      stepbench gradient iftomm_pendulum newmark bdf2 --of q[0]:end --by g --ways forward
+      stepbench gradient pendulum "dopri8[steps=constant]" --of lam --by m --json
     """
+    asked = [one_of(way.strip(), _WAYS, "way") for way in ways.split(",")] if ways else []
     registry = options.usable_registry(plugins)
     scene, methods = registry.problem(problem, **settings), once_each(registry, names)
     end, parameters = options.end_time(scene, t_end), [name.strip() for name in by.split(",")]
@@ -79,7 +78,7 @@ def gradient(
     exact = options.guarded(scene.spec, exact_job, scene.sources, budget, *task)
 
     def measured(method: MethodFacts) -> list[GradientRun]:
-        task = method.spec, exact, ways, steps or (), tolerances or ()
+        task = method.spec, exact, asked, steps or (), tolerances or ()
         sources = scene.sources | method.sources
         return options.guarded(method.spec, gradient_job, sources, budget, *task)
 

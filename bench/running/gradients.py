@@ -22,14 +22,16 @@ from problems.system import MechatronicSystem
 from problems.usage import computed_seconds, undisturbed
 from problems.variables import GROUPS
 
-#: Samples of a plain run and of its gradient, in turns, and the time in s after which one is enough.
+#: Samples of a plain run and of its gradient, in turns; one is enough if they take this time in s.
 _SAMPLES, _LONG = 5, 5.0
 _HALVINGS = 3
 _TOLERANCES = 1e-4, 1e-6, 1e-8
 _OF = re.compile(rf"({'|'.join(GROUPS)})(?:\[(\d{{1,9}})\])?(?::end)?")
 
 
-def exact_job(worker: Worker, problem: str, of: str, by: Sequence[str], t_end: float) -> ExactGradient:
+def exact_job(
+    worker: Worker, problem: str, of: str, by: Sequence[str], t_end: float
+) -> ExactGradient:
     """Compute exact derivatives of numbers at t_end in s.
 
     Parameters
@@ -74,8 +76,8 @@ def components(scene: MechatronicSystem, of: str) -> list[tuple[str, int]]:
     match = _OF.fullmatch(of.strip())
     if not match:
         raise SpecError(
-            f"{of!r} names no number at the end; give a group of {', '.join(GROUPS)}, or one of its "
-            f"components, as q:end or q[1]:end."
+            f"{of!r} names no number at the end; give a group of {', '.join(GROUPS)}, or one of "
+            f"its components, as q:end or q[1]:end."
         )
     group, index = match[1], match[2]
     size = scene.sizes.of(group)
@@ -156,15 +158,17 @@ def ways_of(method: Integrator, asked: Sequence[str]) -> Sequence[str]:
             f"{method.spec} chooses its own steps, through which no derivative is taken; name "
             f"{constant.spec}."
         )
-    why = (
-        "it chooses its own steps" if method.step_method is not None and method.family != "" else ""
+    raise SpecError(
+        f"{method.spec} cannot be differentiated: its steps depend on estimated errors, or a library "
+        f"outside of JAX takes them; name a method of ours at constant steps, such as "
+        f"generalized_alpha, or dopri8[steps=constant]."
     )
-    raise SpecError(f"{method.spec} cannot be differentiated: {why}")
 
 
 def _judge(run: GradientRun, exact: ExactGradient, found: Gradient) -> None:
     """Compare a gradient with the exact one."""
-    if not (found.solved and np.isfinite(found.values).all() and np.isfinite(found.derivatives).all()):
+    finite_numbers = np.isfinite(found.values).all() and np.isfinite(found.derivatives).all()
+    if not (found.solved and finite_numbers):
         run.message = "The run failed, or its derivatives are not finite; take a finer resolution."
         return
     largest = np.abs(exact.values).max()

@@ -104,9 +104,7 @@ def gradient(
     clock, steps = grid(scene.interval[0], t_end, resolution)
     # Reverse mode divides the steps where the program is made, forward mode takes any number.
     fixed = steps if wanted.way == "reverse" else None
-    derive = _derivatives(
-        program, scene.template(), wanted, fixed, method.states_only, renumber
-    )
+    derive = _derivatives(program, scene.template(), wanted, fixed, method.states_only, renumber)
     start = jax.tree.map(jnp.asarray, consistent_start(scene)._replace(constrained_jerk=None))
     changes = jax.tree.map(jnp.asarray, start_changes(scene, wanted.by))
     given = scene.parameters(), start, changes, numbers, clock, steps
