@@ -24,6 +24,8 @@ from problems.variables import GROUPS, State
 #: Largest difference of a parameter, relative to it, and how often it is halved.
 _DIFFERENCE, _HALVINGS = 0.04, 3
 _TOLERANCE = 3e-14
+#: Changes of the state by a whole parameter below this part of the state are none.
+_NO_CHANGE = 1e-4
 #: Longest steps of the two integrations, in nominal steps.
 _LONGEST = 4, 3
 
@@ -141,6 +143,9 @@ def sensitivities(scene: MechatronicSystem, t_end: float, by: Sequence[str]) -> 
     ]
     first = np.concatenate([start.q, start.v, start.x, *changes])
     groups = at.q, at.v, at.x
+    # A derivative that is zero is rounding, which is no size.
+    least = np.zeros(len(first))
+    least[n:] = _NO_CHANGE * (np.abs(first[:n]).max(initial=0.0) or 1.0)
     parts = [slice(i * n + g.start, i * n + g.stop) for i in range(k + 1) for g in groups]
     found = []
     for method, longest, factor in zip((gauss(), radau()), _LONGEST, (1, 2), strict=True):
@@ -153,6 +158,7 @@ def sensitivities(scene: MechatronicSystem, t_end: float, by: Sequence[str]) -> 
                 method=method,
                 tolerance=factor * _TOLERANCE,
                 longest=longest * scene.nominal_step,
+                least=least,
             )
         except TooSmallStep as error:
             raise ReferenceFailed(f"No exact derivatives of {scene.spec}: {error}.") from None

@@ -159,8 +159,8 @@ def ways_of(method: Integrator, asked: Sequence[str]) -> Sequence[str]:
             f"{constant.spec}."
         )
     raise SpecError(
-        f"{method.spec} cannot be differentiated: its steps depend on estimated errors, or a library "
-        f"outside of JAX takes them; name a method of ours at constant steps, such as "
+        f"{method.spec} cannot be differentiated: it chooses its steps by estimated errors, or a "
+        f"library outside of JAX takes them; name a method of ours at constant steps, such as "
         f"generalized_alpha, or dopri8[steps=constant]."
     )
 

@@ -74,7 +74,8 @@ class DiffraxSolver(ODEMethod):
 
     @property
     def gradient_ways(self) -> tuple[str, ...]:
-        return ("forward", "reverse") if self.controls == "step" else ()
+        # diffrax's loops refuse Jacobian-vector products.
+        return ("reverse",) if self.controls == "step" else ()
 
     def gradient(
         self, scene: MechatronicSystem, t_end: float, resolution: Any, wanted: Wanted
