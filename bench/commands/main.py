@@ -10,6 +10,7 @@ import click
 
 from bench.commands import (
     completion,
+    gradients,
     listing,
     plugins,
     ratings,
@@ -24,7 +25,7 @@ from bench.results.store import StoreError
 from problems.plain_text import shortened, text_of
 from problems.spec import SpecError, suggest
 
-_MODULES = listing, plugins, single_runs, suite, ratings, results, studies, sweeps
+_MODULES = listing, plugins, single_runs, suite, ratings, results, studies, gradients, sweeps
 #: Exit code of a command that Ctrl-C ended.
 _INTERRUPTED = 130
 

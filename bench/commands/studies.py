@@ -31,12 +31,12 @@ _MOST_STEPS = 10**9
 #: The suite with the methods and steps of the order table.
 _ORDERS = "orders"
 _SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
-_with_names = click.argument(
+with_names = click.argument(
     "names", nargs=-1, required=True, metavar="INTEGRATOR...", shell_complete=completion.integrators
 )
 
 
-def _once_each(registry: Inventory, names: Sequence[str]) -> list[MethodFacts]:
+def once_each(registry: Inventory, names: Sequence[str]) -> list[MethodFacts]:
     """Return the facts of integrators; raise SpecError if one is named twice."""
     methods = [registry.integrator(name) for name in names]
     for k, method in enumerate(methods):
@@ -45,7 +45,7 @@ def _once_each(registry: Inventory, names: Sequence[str]) -> list[MethodFacts]:
     return methods
 
 
-def _of_each(
+def of_each(
     methods: Sequence[MethodFacts], one: Callable[[MethodFacts], Any]
 ) -> tuple[list[Any], list[str]]:
     """Call a function for each integrator; return what it gave, and what failed."""
@@ -58,14 +58,14 @@ def _of_each(
     return results, faults
 
 
-def _print_json(value: Any) -> None:
+def print_json(value: Any) -> None:
     click.echo(json.dumps(msgspec.to_builtins(value), indent=2, allow_nan=False))
 
 
 # ---- long runs ---------------------------------------------------------------------------
 @click.command()
 @click.argument("problem", shell_complete=completion.scenes)
-@_with_names
+@with_names
 @click.option(
     "--steps",
     type=click.IntRange(2, _MOST_STEPS),
@@ -107,7 +107,7 @@ def drift(
       stepbench drift oscillator newmark bdf2 --csv > drift.csv
     """
     registry = options.usable_registry(plugins)
-    scene, methods = registry.problem(problem, **settings), _once_each(registry, names)
+    scene, methods = registry.problem(problem, **settings), once_each(registry, names)
     if step is not None:
         check_end(scene.interval[0], scene.interval[0] + steps * Steps(step).h)
 
@@ -125,9 +125,9 @@ def drift(
             store.save_long_run(found)
             return found
 
-        results, faults = _of_each(methods, kept)
+        results, faults = of_each(methods, kept)
         if results and form == "json":
-            _print_json(results)
+            print_json(results)
         elif results and form == "csv":
             click.echo(csv_export([csv_row(run) for run in results]), nl=False)
         elif results:
@@ -144,7 +144,7 @@ def drift(
 
 # ---- stability ---------------------------------------------------------------------------
 @click.command()
-@_with_names
+@with_names
 @click.option(
     "--at", callback=options.numbers, metavar="WH1,WH2,...", help="Values of omega h to report."
 )
@@ -210,9 +210,9 @@ def stability(
         task = method.spec, system, zeta, pattern or (1.0,), at or (), ratios
         return options.guarded(method.spec, analysis_job, method.sources, budget, *task)
 
-    results, faults = _of_each(_once_each(registry, names), analysed)
+    results, faults = of_each(once_each(registry, names), analysed)
     if results and as_json:
-        _print_json(results)
+        print_json(results)
     elif results:
         facts, *tables = stability_tables(results)
         for name, *cells in facts.rows:  # of many columns, which a terminal has no room for
@@ -278,7 +278,7 @@ def atlas(
             experiments, added, store, registry, jobs, progress, budget or 60.0
         )
     if as_json:
-        _print_json(results)
+        print_json(results)
     else:
         for result in results:
             show(

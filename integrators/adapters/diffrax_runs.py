@@ -37,6 +37,11 @@ class RateNumbers(NamedTuple):
     baumgarte: Baumgarte | None
 
 
+def with_parameters(numbers: RateNumbers, parameters: dict[str, Any]) -> RateNumbers:
+    """The same numbers with other parameters of the scene."""
+    return numbers._replace(parameters=parameters)
+
+
 def right_hand_side(template: MechatronicSystem) -> Callable:
     """The ODE form of a scene as a compiled function of (t, s, numbers)."""
     return jax.jit(

@@ -10,12 +10,14 @@ own (several members, one compiled kernel) inherits from it directly.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import Field, dataclass
 from typing import Any, ClassVar, NamedTuple, Self
 
-from integrators.contract import Integrator, PreparedRun, option
+from integrators.contract import Gradient, Integrator, PreparedRun, Wanted, option
 from integrators.native.adaptive_steps import AdaptiveRun
 from integrators.native.constant_steps import ConstantStepsRun
+from integrators.native.gradients import gradient
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_program import Numbers, SparseTangents, StepProgram, sparse_tangents
 from integrators.resolutions import Steps, Tolerances
@@ -109,6 +111,17 @@ class NativeMethod(Integrator):
 
     def step_method(self, scene: MechatronicSystem) -> NativeMethod | None:
         return self
+
+    @property
+    def gradient_ways(self) -> tuple[str, ...]:
+        return ("forward", "reverse") if self.controls == "step" else ()
+
+    def gradient(
+        self, scene: MechatronicSystem, t_end: float, resolution: Any, wanted: Wanted
+    ) -> Callable[[], Gradient]:
+        if not self.gradient_ways:
+            return super().gradient(scene, t_end, resolution, wanted)
+        return gradient(self, scene, t_end, resolution, wanted)
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Steps | Tolerances

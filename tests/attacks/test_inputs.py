@@ -42,6 +42,7 @@ RIGHT = {
     "versus": ["newmark", "ida", "{store}"],
     "stability": ["newmark"],
     "drift": ["pendulum", "newmark"],
+    "gradient": ["iftomm_pendulum", "newmark", "--by", "g"],
     "atlas": ["undamped_index3"],
     "map": ["pendulum", "generalized_alpha"],
     "orders-table": ["newmark"],

@@ -1,0 +1,204 @@
+"""Gradients through runs: their errors against exact ones, and their cost beside plain runs."""
+
+from __future__ import annotations
+
+import math
+import re
+import statistics
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.results.gradients import ExactGradient, GradientRun
+from bench.running.errors import finite
+from bench.running.worker import SAMPLE_SECONDS, Worker
+from integrators.contract import Gradient, Integrator, Wanted
+from integrators.resolutions import Steps
+from problems.reference import ReferenceFailed
+from problems.sensitivities import sensitivities, size_of
+from problems.spec import SpecError, suggest
+from problems.system import MechatronicSystem
+from problems.usage import computed_seconds, undisturbed
+from problems.variables import VARIABLES
+
+#: Samples of a plain run and of its gradient, in turns; one is enough if they take this time in s.
+_SAMPLES, _LONG = 5, 5.0
+_HALVINGS = 3
+_OF = re.compile(rf"({'|'.join(VARIABLES)})(?:\[(\d{{1,9}})\])?(?::end)?")
+
+
+def exact_job(
+    worker: Worker, problem: str, of: str, by: Sequence[str], t_end: float
+) -> ExactGradient:
+    """Compute exact derivatives of numbers at t_end in s.
+
+    Parameters
+    ----------
+    problem
+        Name of the scene with parameters.
+    of
+        Numbers at the end, "q:end" or "q[1]:end".
+    by
+        Names of float parameters.
+
+    Raises
+    ------
+    SpecError
+        If a number or a parameter is not known, or there is no exact derivative.
+    """
+    scene = worker.problem(problem)
+    if scene.is_hybrid:
+        raise SpecError(
+            f"Values of {scene.spec} jump at samples or events; derivatives through jumps are not "
+            f"computed. Take a scene without them."
+        )
+    numbers = components(scene, of)
+    check_parameters(scene, by)
+    try:
+        found = sensitivities(scene, t_end, by)
+    except ReferenceFailed as error:
+        raise SpecError(str(error)) from None
+
+    def rows(groups: dict[str, np.ndarray]) -> list[Any]:
+        return [groups[group][k].tolist() for group, k in numbers]
+
+    return ExactGradient(
+        problem=scene.spec,
+        t_end=t_end,
+        of=numbers,
+        by=list(by),
+        sizes=[size_of(scene, name) for name in by],
+        values=rows(found.values),
+        derivatives=rows(found.derivatives),
+        errors=rows(found.errors),
+    )
+
+
+def components(scene: MechatronicSystem, of: str) -> list[tuple[str, int]]:
+    """Read "q:end" as all components of a group, and "q[1]:end" as one of them."""
+    match = _OF.fullmatch(of.strip())
+    if not match:
+        raise SpecError(
+            f"{of!r} names no number at the end; give a group of {', '.join(VARIABLES)}, or one of "
+            f"its components, as q:end or q[1]:end."
+        )
+    group, index = match[1], match[2]
+    size = scene.sizes.of(group)
+    if not size or int(index or 0) >= size:
+        has = f"has {group}[0] to {group}[{size - 1}]" if size > 1 else f"has {group}[0] alone"
+        has = has if size else f"has no {group}"
+        raise SpecError(f"There is no {of.partition(':')[0]}: {scene.spec} {has}.")
+    return [(group, k) for k in (range(size) if index is None else [int(index)])]
+
+
+def check_parameters(scene: MechatronicSystem, by: Sequence[str]) -> None:
+    """Raise SpecError unless all names are those of different float parameters of a scene."""
+    floats = scene.parameters()
+    for k, name in enumerate(by):
+        whole = getattr(scene, name, None) if name.isidentifier() else None
+        if name not in floats and isinstance(whole, int):
+            raise SpecError(f"{name}={whole} is a whole number; a derivative needs a float.")
+        if name not in floats:
+            raise SpecError(f"{scene.spec} has no parameter {name!r}; {suggest(name, floats)}.")
+        if name in by[:k]:
+            raise SpecError(f"{name!r} is named twice.")
+
+
+def gradient_job(
+    worker: Worker,
+    integrator: str,
+    exact: ExactGradient,
+    ways: Sequence[str],
+    steps: Sequence[float],
+) -> list[GradientRun]:
+    """Differentiate the runs of an integrator in each way, at each resolution.
+
+    Parameters
+    ----------
+    ways
+        Ways to take; all that the method has if empty.
+    steps
+        Steps in s; those of the study if empty.
+
+    Raises
+    ------
+    SpecError
+        If the method does not take the scene, or cannot be differentiated in a way.
+    """
+    scene, method = worker.problem(exact.problem), worker.registry.integrator(integrator)
+    ways = ways_of(method, ways)
+    steps = steps or [scene.nominal_step / 2**k for k in range(_HALVINGS + 1)]
+    runs = []
+    for way in ways:
+        wanted = Wanted(tuple(exact.of), tuple(exact.by), way)
+        for h in steps:
+            resolution = Steps(h)
+            plain = method.prepare(scene, exact.t_end, resolution)
+            derive = method.gradient(scene, exact.t_end, resolution, wanted)
+            found = GradientRun(integrator=method.spec, way=way, resolution=f"h={h:g}")
+            _judge(found, exact, derive())
+            if not found.message:
+                found.run_s, found.cost = side_by_side(plain.execute, derive)
+            runs.append(found)
+    return runs
+
+
+def ways_of(method: Integrator, asked: Sequence[str]) -> Sequence[str]:
+    """Return the ways that are asked for, or all; raise SpecError if the method lacks one."""
+    offered = method.gradient_ways
+    lacking = [way for way in asked if way not in offered]
+    if offered and not lacking:
+        return asked or offered
+    if offered:
+        raise SpecError(f"{method.spec} has no {lacking[0]} mode; it has {' and '.join(offered)}.")
+    constant = method.at_constant_steps()
+    if constant is not None and constant.gradient_ways:
+        raise SpecError(
+            f"{method.spec} chooses its own steps, through which no derivative is taken; name "
+            f"{constant.spec}."
+        )
+    raise SpecError(
+        f"{method.spec} cannot be differentiated: it chooses its steps by estimated errors, or a "
+        f"library outside of JAX takes them; name a method of ours at constant steps, such as "
+        f"generalized_alpha, or dopri8[steps=constant]."
+    )
+
+
+def _judge(run: GradientRun, exact: ExactGradient, found: Gradient) -> None:
+    """Compare a gradient with the exact one."""
+    finite_numbers = np.isfinite(found.values).all() and np.isfinite(found.derivatives).all()
+    if not (found.solved and finite_numbers):
+        run.message = "The run failed, or its derivatives are not finite; take a finer resolution."
+        return
+    largest = np.abs(exact.values).max()
+    run.value_error = finite(np.abs(found.values - exact.values).max() / (largest or 1.0))
+    scale = np.abs(exact.derivatives).max(axis=0)
+    natural = (largest or 1.0) / np.array(exact.sizes)
+    scale = np.where(scale > 1e-9 * natural, scale, natural)
+    run.derivatives = found.derivatives.tolist()
+    off = np.abs(found.derivatives - exact.derivatives).max(axis=0)
+    run.errors = [finite(error) for error in off / scale]
+
+
+def side_by_side(plain: Callable[[], Any], other: Callable[[], Any]) -> tuple[float, float]:
+    """Return processor seconds of a call of ``plain``, and those of ``other`` in units of them.
+
+    Both are sampled in turns, and the median counts.
+    """
+    with undisturbed():
+        first = [_seconds(call, 1) for call in (plain, other) * 2][2:]  # the second calls are warm
+        repeats = [math.ceil(SAMPLE_SECONDS / max(s, 1e-6)) for s in first]
+        samples = [first]
+        if sum(first) < _LONG:
+            pairs = list(zip((plain, other), repeats, strict=True))
+            samples = [[_seconds(*pair) for pair in pairs] for _ in range(_SAMPLES)]
+    seconds = statistics.median(one for one, _ in samples)
+    return seconds, statistics.median(two / one for one, two in samples)
+
+
+def _seconds(call: Callable[[], Any], repeats: int) -> float:
+    before = computed_seconds()
+    for _ in range(repeats):
+        call()
+    return max(computed_seconds() - before, 1e-9) / repeats
