@@ -1,0 +1,213 @@
+"""One compiled step that the host calls again and again, as a loop in real time does.
+
+The state stays on the device as one array. Newton's method may be limited to a number of iterations
+in each of its calls; the step then goes on with what it has. Normal runs know nothing of that:
+their programs are made of `StepProgram`, those of limited steps of `LimitedProgram`.
+
+Modified Newton needs another rule for its tangents here, because one iteration tells nothing of how
+it contracts. A tangent that has become old leaves errors, which the next step has to take back: it
+is computed anew when the updates of the last step were more than ``_GROWTH`` times those of the
+step that computed it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from integrators.contract import Trajectory
+from integrators.native.constant_steps import grid, step_times
+from integrators.native.endings import Ending
+from integrators.native.kernel import Form, bounded, rewritten_step
+from integrators.native.linear_solvers import Once, Residual
+from integrators.native.step_method import NativeMethod
+from integrators.native.step_program import Carried, Numbers, StepProgram
+from integrators.native.step_records import Reading, StepReport, Time, largest
+from integrators.native.step_work import StepWork, keeper
+from integrators.resolutions import Steps
+from problems.formulations import Start
+from problems.initial_values import consistent_start
+from problems.named_equations import with_named_blocks
+from problems.runtime import Array, Float, jax, jnp
+from problems.system import MechatronicSystem
+
+#: Growth of a step's updates at which the next step computes a new tangent.
+_GROWTH = 2.0
+_NAMES = Reading._fields[:-1]
+
+
+class LimitedWork(StepWork):
+    """Work of a step with few iterations of Newton's method.
+
+    A kept tangent comes with two sizes of updates: of the step that computed it, and of the last
+    step.
+    """
+
+    def solve(
+        self, residual: Residual, guess: Float[Array, " n"], *more: Any, split: Any = None, **named: Any
+    ) -> Float[Array, " n"]:
+        """Solve residual(u) = 0 as far as the iterations suffice; see `StepWork.solve`."""
+        if self._before is None:
+            return super().solve(residual, guess, *more, **named)
+        k, self._calls = self._calls, self._calls + 1
+        tangent, first, last = self._before[k]
+        solver = keeper(self._solvers(k), split)
+        stale = ~(solver.known(tangent) & (last <= _GROWTH * first))
+        renewed = partial(solver.renewed, residual)
+        tangent = jax.lax.cond(stale, renewed, lambda _, kept: kept, guess, tangent)
+        by_tangent: Any = SimpleNamespace(
+            once=lambda residual, u: Once(solver.update(tangent, residual(u)))
+        )
+        full = StepWork(lambda k: by_tangent, None, self._tolerance, self._most)
+        u = full.solve(residual, guess, *more, **named)
+        self._add(full.report())
+        update = largest(u - guess)
+        self.kept.append((tangent, jnp.where(stale, update, first), update))
+        return u
+
+    def factorised(self, residual: Residual, u: Float[Array, " n"]) -> Callable[[Array], Array]:
+        """Factorise the tangent at u; see `StepWork.factorised`."""
+        before = self._before
+        assert before is not None
+        self._before = [tangent for tangent, *_ in before]
+        solution = super().factorised(residual, u)
+        self._before, self.kept[-1] = before, (self.kept[-1], *before[len(self.kept) - 1][1:])
+        return solution
+
+
+class LimitedProgram(StepProgram):
+    """A program whose steps end after the most iterations, converged or not."""
+
+    def begin(self, scene: MechatronicSystem, numbers: Numbers, start: Start, h: Time) -> Carried:
+        """Begin at t0, before a first step of size h in s."""
+        begun, none = super().begin(scene, numbers, start, h), jnp.zeros(())
+        return begun._replace(kept=tuple((tangent, none, none) for tangent in begun.kept))
+
+    def step(
+        self, scene: MechatronicSystem, numbers: Numbers, before: Carried, t: Time, h: Time
+    ) -> tuple[Carried, StepReport]:
+        """Take a step of size h to time t; return what it passes on, and the work that was done."""
+        kept: Sequence[Any] | None = before.kept if self.keeps_tangents else None
+        solvers = partial(self._solver, numbers=numbers)
+        work = LimitedWork(solvers, kept, numbers.tolerance, numbers.most)
+        state = self.method(numbers).step(scene, before.state, t, h, work)
+        return Carried(state, tuple(work.kept) if self.keeps_tangents else ()), work.report()
+
+
+class LoneStep:
+    """A compiled step of constant size, with the state at the start.
+
+    Parameters
+    ----------
+    method
+        A native method at constant steps.
+    scene
+        The scene; the run begins at its start.
+    h
+        Size of the step in s.
+    steps
+        Number of steps in a run.
+    iterations
+        Most iterations in each call of Newton's method, after which the step goes on; None for
+        those of the method, without which a step has failed.
+
+    Attributes
+    ----------
+    iterates
+        Whether a step of the method calls Newton's method.
+    first
+        The state at the start: number of steps, whether the last one is solved and accepted, and
+        the method's state.
+    """
+
+    def __init__(
+        self,
+        method: NativeMethod,
+        scene: MechatronicSystem,
+        h: float,
+        steps: int,
+        iterations: int | None = None,
+    ) -> None:
+        self._scene, self.steps, self._limited = scene, steps, iterations is not None
+        from jax.flatten_util import ravel_pytree  # JAX is loaded late
+
+        program, numbers = method.program(scene)
+        if iterations is not None:
+            program = LimitedProgram(**vars(program))
+            numbers = numbers._replace(most=iterations)
+        t0 = scene.interval[0]
+        self._clock, _ = grid(t0, t0 + steps * h, Steps(h))
+        self._clock = self._clock._replace(macro_steps=steps)
+        parts = scene.parameters(), numbers, self._clock
+        form = Form.of(*parts)
+        self._program, self._packed = program, form.pack(*parts)
+        self._start = start = consistent_start(scene)
+        named = with_named_blocks(scene.template())
+        step = rewritten_step(program, named)
+
+        @jax.jit
+        def begin(packed: Array, start: Start) -> Carried:
+            p, numbers, clock = form.unpack(packed)
+            return program.begin(named.with_parameters(p), numbers, start, step_times(clock, 0)[1])
+
+        begun = begin(self._packed, start)
+        self.first, parted = ravel_pytree((jnp.zeros(3), begun))
+
+        @jax.jit
+        def advance(now: Array, packed: Array) -> Array:
+            p, numbers, clock = form.unpack(packed)
+            (n, *_), before = parted(now)
+            after, report = step(p, numbers, before, *step_times(clock, n.astype(int)))
+            success = jnp.stack([n + 1, 1.0 * report.solved, 1.0 * report.converged])
+            return ravel_pytree((success, after))[0]
+
+        @jax.jit
+        def read(first: Array, states: Array, packed: Array) -> tuple[Array, Reading, Array]:
+            scene = named.with_parameters(form.unpack(packed)[0])
+            sane = bounded(program.read(scene, parted(first)[1]))
+
+            def one(state: Array) -> tuple[Array, Reading, Array]:
+                success, carried = parted(state)
+                reading = program.read(scene, carried)
+                return success, reading, sane(reading)
+
+            return jax.vmap(one)(states)
+
+        self._advance, self._read = advance, read
+        _, report = jax.eval_shape(step, *parts[:2], begun, t0, h)
+        self.iterates = any(name.startswith("newton") for name in report.turns)
+
+    def __call__(self, state: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Take one step; the result may not be ready yet."""
+        return self._advance(state, self._packed)
+
+    def run(self, states: Sequence[Float[Array, " n"]]) -> tuple[Trajectory, int]:
+        """Return the run that states after each step make, and the number of unconverged steps.
+
+        It ends before the first step that has no result: not solved though its iterations are not
+        limited, refused by the method, not finite, or grown beyond all bounds.
+        """
+        success, reading, sane = self._read(self.first, jnp.stack(states), self._packed)
+        solved, accepted = np.asarray(success[:, 1:], bool).T
+        refused = solved & ~accepted if self._limited else ~accepted
+        bad = refused | ~np.asarray(sane)
+        done = int(bad.argmax()) if bad.any() else len(bad)
+        z, ending = self._start.z, Ending.OK
+        begun = Reading.of(z, self._start.xdot)
+        values: dict[str, Any] = {
+            name: np.concatenate([np.asarray(getattr(begun, name))[None], getattr(reading, name)])
+            for name in _NAMES
+        }
+        values = {name: rows[: done + 1] for name, rows in values.items()}
+        t: Any = np.append(z.t, step_times(self._clock, np.arange(len(bad)))[0])
+        if done < len(bad):
+            ending = Ending.REFUSED if solved[done] else Ending.NEWTON_FAILED
+            ending = ending if sane[done] else Ending.DIVERGED
+            ending = self._program.cause(ending, self._scene, values | {"t": t[: done + 1]})
+        status, message = ending.outcome(float(t[min(done + 1, len(bad))]), float(t[-1]))
+        run = Trajectory(t[: done + 1], **values, status=status, message=message)
+        return run, int((~solved[:done]).sum())
