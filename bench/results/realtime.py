@@ -1,4 +1,4 @@
-"""Runs at a fixed rate, as in real time: their steps' times and errors, as tables and a sentence."""
+"""Runs at a fixed rate, as in real time: times of their steps and errors, in tables and words."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ NOTE = (
     "This machine is no real-time system: its scheduler, its load and its clock frequency are in "
     "the 99.9 % and the worst, so that no number here is a bound; repeat the command on the target."
 )
-_ERRORS = (
-    "Errors: the largest over all steps, relative to the component's size. |Phi| and |dPhi/dt|: the "
-    "largest residual of any constraint, in its unit. Left: part of the steps whose Newton "
-    "iterations ended unconverged."
+_ERRORS = "The largest over all steps, relative to the size of the component."
+_RESIDUALS = (
+    "|Phi| and |dPhi/dt|: the largest residual of any constraint over all steps, in its unit. "
+    "Unconverged: part of the steps that went on when Newton's method had not converged."
 )
 
 
@@ -54,10 +54,11 @@ class StepTimes(msgspec.Struct, kw_only=True):
 class RealTimeRun(msgspec.Struct, kw_only=True):
     """A run at ``rate`` (Hz) over ``asked`` steps, of which ``steps`` have a result.
 
-    ``iterations`` is the limit in each call of Newton's method: "none" for a method that calls none,
-    "unlimited" for its own. ``unconverged`` counts the steps that went on without convergence.
-    ``errors`` are the largest ones by group, relative; ``constraint`` has the largest residuals at
-    "position" and "velocity" level. A run that failed has neither.
+    ``iterations`` is the limit in each call of Newton's method: "none" for a method without any,
+    "unlimited" for its own limit, beyond which a step has failed. ``unconverged`` counts the steps
+    that went on without convergence. ``errors`` are the largest ones by group, relative;
+    ``constraint`` has the largest residuals at "position" and "velocity" level. A run that failed
+    has neither.
     """
 
     problem: Name
@@ -94,31 +95,28 @@ class RealTimeRun(msgspec.Struct, kw_only=True):
         return f"{self.integrator} ({self.iterations} {one})"
 
 
-def realtime_tables(runs: Sequence[RealTimeRun]) -> tuple[Table, Table]:
-    """Return the times of the steps, and the errors, a row for each run."""
-    times, errors = [], []
+def realtime_tables(runs: Sequence[RealTimeRun]) -> list[Table]:
+    """Return tables of times, errors and residuals, with a row for each run."""
+    groups = [g for g in _GROUPS if any(g in run.errors for run in runs)]
+    levels = {"position": "|Phi|", "velocity": "|dPhi/dt|"}
+    levels = {level: name for level, name in levels.items() if any(r.constraint for r in runs)}
+    times, errors, left = [], [], []
     for run in runs:
         t, named = run.times, [run.integrator, run.iterations]
         late = f"{t.missed} ({100 * t.missed_part:.3g} %)"
         times.append([*named, *map(number, (t.median_us, t.p999_us, t.worst_us)), late])
-        left = NO_VALUE if run.iterations == "none" else f"{run.unconverged / (run.steps or 1):.0%}"
-        found = [*(run.errors.get(group) for group in _GROUPS)]
-        found += [run.constraint.get(level) for level in ("position", "velocity")]
-        cells = [*map(number, found), left if run.status == "ok" else run.status]
-        errors.append([*named, *cells])
-    first = runs[0]
-    head = ["method", "iterations"]
-    return (
-        Table(
-            f"{first.problem} at {first.rate:g} Hz: time per step in µs, of {1e6 / first.rate:g}",
-            [*head, "median", "99.9 %", "worst", "missed"],
-            times,
-            note=NOTE,
-        ),
-        Table(
-            "Errors", [*head, *_GROUPS, "|Phi|", "|dPhi/dt|", "left"], errors, note=_ERRORS
-        ),
-    )  # fmt: skip
+        ended = run.status if run.status == "ok" else f"{run.status}, step {run.steps + 1}"
+        errors.append([*named, *(number(run.errors.get(group)) for group in groups), ended])
+        part = NO_VALUE if run.iterations == "none" else f"{run.unconverged / (run.steps or 1):.0%}"
+        left.append([*named, *(number(run.constraint.get(level)) for level in levels), part])
+    head, first = ["method", "iterations"], runs[0]
+    title = f"{first.problem} at {first.rate:g} Hz, {first.asked} steps: time per step in µs"
+    residuals = [*head, *levels.values(), "unconverged"]
+    return [
+        Table(title, [*head, "median", "99.9 %", "worst", "missed"], times, note=NOTE),
+        Table("Errors", [*head, *groups, "ended"], errors, note=_ERRORS),
+        Table("What the steps leave", residuals, left, note=_RESIDUALS),
+    ]
 
 
 def realtime_sentence(runs: Sequence[RealTimeRun]) -> str:
@@ -135,7 +133,9 @@ def realtime_sentence(runs: Sequence[RealTimeRun]) -> str:
     least = min(error for error, _ in judged)
     near = [(error, run) for error, run in judged if error <= _EQUAL * least]
     error, best = min(near, key=lambda pair: pair[1].times.median_us)
+    others = f", as {len(near) - 1} more" if len(near) > 1 else ""
     return (
-        f"{len(able)} of {len(runs)} hold {rate} on {best.problem}; of these {best.name} has the "
-        f"least error ({number(error)}), at {number(best.times.median_us)} µs a step."
+        f"{len(able)} of {len(runs)} hold {rate} on {best.problem}, with at most {LATE:.1%} late "
+        f"steps; of these {best.name} has the least error in q, v, a and lam ({number(error)}"
+        f"{others}), at {number(best.times.median_us)} µs a step."
     )
