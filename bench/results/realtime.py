@@ -23,9 +23,9 @@ NOTE = (
 )
 _ERRORS = "The largest over all steps, relative to the size of the component."
 _RESIDUALS = (
-    "|Phi| and |dPhi/dt|: the largest residual of any constraint over all steps, in its unit. "
-    "Unconverged: part of the steps that went on when Newton's method had not converged."
+    "|Phi| and |dPhi/dt|: the largest residual of any constraint over all steps, in its unit."
 )
+_UNCONVERGED = "Unconverged: part of the steps that went on when Newton's method had not converged."
 
 
 class StepTimes(msgspec.Struct, kw_only=True):
@@ -56,7 +56,8 @@ class RealTimeRun(msgspec.Struct, kw_only=True):
 
     ``iterations`` is the limit in each call of Newton's method: "none" for a method without any,
     "unlimited" for its own limit, beyond which a step has failed. ``unconverged`` counts the steps
-    that went on without convergence. ``errors`` are the largest ones by group, relative;
+    that went on without convergence, and ``idle_us`` is the median time of a call that only copies
+    the state. ``errors`` are the largest ones by group, relative;
     ``constraint`` has the largest residuals at "position" and "velocity" level. A run that failed
     has neither.
     """
@@ -71,6 +72,7 @@ class RealTimeRun(msgspec.Struct, kw_only=True):
     message: str
     unconverged: Count
     times: StepTimes
+    idle_us: NotNegative
     errors: dict[str, float | None]
     constraint: dict[str, float | None]
 
@@ -112,10 +114,13 @@ def realtime_tables(runs: Sequence[RealTimeRun]) -> list[Table]:
     head, first = ["method", "iterations"], runs[0]
     title = f"{first.problem} at {first.rate:g} Hz, {first.asked} steps: time per step in µs"
     residuals = [*head, *levels.values(), "unconverged"]
+    words = [_RESIDUALS, _UNCONVERGED] if levels else [_UNCONVERGED]
+    least = number(min(run.idle_us for run in runs))
+    idle = f"Of this the call from Python is {least} µs: so long takes one that copies the state."
     return [
-        Table(title, [*head, "median", "99.9 %", "worst", "missed"], times, note=NOTE),
+        Table(title, [*head, "median", "99.9 %", "worst", "missed"], times, note=f"{idle} {NOTE}"),
         Table("Errors", [*head, *groups, "ended"], errors, note=_ERRORS),
-        Table("What the steps leave", residuals, left, note=_RESIDUALS),
+        Table("What the steps leave", residuals, left, note=" ".join(words)),
     ]
 
 
@@ -133,7 +138,7 @@ def realtime_sentence(runs: Sequence[RealTimeRun]) -> str:
     least = min(error for error, _ in judged)
     near = [(error, run) for error, run in judged if error <= _EQUAL * least]
     error, best = min(near, key=lambda pair: pair[1].times.median_us)
-    others = f", as {len(near) - 1} more" if len(near) > 1 else ""
+    others = f"; {len(near) - 1} more have the same" if len(near) > 1 else ""
     return (
         f"{len(able)} of {len(runs)} hold {rate} on {best.problem}, with at most {LATE:.1%} late "
         f"steps; of these {best.name} has the least error in q, v, a and lam ({number(error)}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from integrators import answers
 from integrators.contract import Integrator, Trajectory
 from integrators.native.lone_steps import LoneStep
 from integrators.native.step_method import NativeMethod
-from problems.runtime import Array, Float
+from problems.runtime import Array, Float, jax
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
@@ -23,6 +24,8 @@ from problems.system import MechatronicSystem
 MOST_STEPS = 1_000_000
 #: Steps before the clock is read.
 _WARM_UP = 200
+#: Calls that do nothing, by which the cost of a call is measured.
+_IDLE = 500
 
 
 def realtime_job(
@@ -52,10 +55,11 @@ def realtime_job(
     if own.iterates:
         few = {str(limit or 1): LoneStep(method, scene, 1 / rate, steps, limit or 1)}
         runs = few if limit else few | runs
+    idle, _ = timed(jax.jit(lambda state: state + 0.0), own.first, _IDLE)
     reference = worker.reference(scene, scene.interval[0] + steps / rate)
     found = []
     for iterations, step in runs.items():
-        seconds, states = timed(step)
+        seconds, states = timed(step, step.first, steps)
         run, unconverged = step.run(states)
         errors: dict[str, float | None] = {}
         if not reference.missing and run.status == "ok":
@@ -78,6 +82,7 @@ def realtime_job(
                 message=run.message or reference.missing,
                 unconverged=min(unconverged, done),
                 times=StepTimes.of(seconds[: max(done, 1)], 1 / rate),
+                idle_us=float(np.median(idle)) * 1e6,
                 errors=errors,
                 constraint=residuals(scene, run) if run.status == "ok" else {},
             )
@@ -106,20 +111,22 @@ def stepping(method: Integrator, scene: MechatronicSystem) -> NativeMethod:
     return native
 
 
-def timed(step: LoneStep) -> tuple[Float[np.ndarray, " k"], list[Array]]:
-    """Take all steps of a run; return the time of each in s, and the state after it.
+def timed(
+    step: Callable[[Array], Array], first: Array, steps: int
+) -> tuple[Float[np.ndarray, " k"], list[Array]]:
+    """Take k steps from a first state; return the time of each in s, and the state after it.
 
     A step is timed from its call to its result, without garbage collection.
     """
-    state = step.first
-    for _ in range(min(_WARM_UP, step.steps)):
+    state = first
+    for _ in range(min(_WARM_UP, steps)):
         state = step(state).block_until_ready()
-    state, ends, begun, states = step.first, [0] * step.steps, [0] * step.steps, []
+    state, begun, ends, states = first, [0] * steps, [0] * steps, []
     clock, collects = time.perf_counter_ns, gc.isenabled()
     gc.collect()
     gc.disable()
     try:
-        for n in range(step.steps):
+        for n in range(steps):
             begun[n] = clock()
             state = step(state).block_until_ready()
             ends[n] = clock()
