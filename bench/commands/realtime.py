@@ -81,7 +81,7 @@ def realtime_(
     """
     registry = options.usable_registry(plugins)
     scene = registry.problem(problem, **settings)
-    methods = [registry.integrator(name) for name in dict.fromkeys(names)]
+    methods = {method.spec: method for method in map(registry.integrator, names)}
     steps = _steps(scene, rate, duration)
     from bench.commands.terminal import show
     from bench.results.realtime import RealTimeRun, realtime_sentence, realtime_tables
@@ -89,7 +89,7 @@ def realtime_(
 
     runs: list[RealTimeRun] = []
     faults: list[str] = []
-    for method in methods:
+    for method in methods.values():
         task = scene.spec, method.spec, rate, steps, iterations
         sources = scene.sources | method.sources
         try:

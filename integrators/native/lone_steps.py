@@ -11,15 +11,15 @@ leaves behind: on slider_crank at 1 kHz generalized-alpha blows up if two steps 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from integrators.contract import Trajectory
-from integrators.native.constant_steps import grid, step_times
+from integrators.native.constant_steps import Clock, grid, step_times
 from integrators.native.endings import Ending
 from integrators.native.kernel import Form, bounded, rewritten_step
 from integrators.native.linear_solvers import Once, Residual
@@ -80,6 +80,71 @@ class LimitedProgram(StepProgram):
         return Carried(state, tuple(work.kept) if self.keeps_tangents else ()), work.report()
 
 
+class Compiled(NamedTuple):
+    """Compiled functions of a step, and whether it calls Newton's method.
+
+    A state is one array of n numbers: the number of steps, whether the last one was solved and
+    accepted, and all that the method passes on. All functions also take the packed arguments.
+    """
+
+    #: The state at the start.
+    begin: Callable[[Array], Float[Array, " n"]]
+    #: The state after one more step.
+    advance: Callable[[Float[Array, " n"], Array], Float[Array, " n"]]
+    #: Whether k states are solved and accepted, ``(k, 2)``, their variables, and whether these are
+    #: finite and bounded.
+    read: Callable[[Float[Array, "k n"], Array], tuple[Array, Reading, Array]]
+    iterates: bool
+
+
+@cache
+def compiled(program: StepProgram, template: MechatronicSystem, form: Form) -> Compiled:
+    """Return the compiled functions of a method's step on a kind of scene.
+
+    Parameters
+    ----------
+    form
+        Form of the packed arguments: parameters, numbers, start and clock.
+    """
+    from jax.flatten_util import ravel_pytree  # JAX is loaded late
+
+    named = with_named_blocks(template)
+    step = rewritten_step(program, named)
+
+    def begun(p: dict, numbers: Numbers, start: Start, clock: Clock) -> tuple[Array, Carried]:
+        h = step_times(clock, 0)[1]
+        return jnp.ones(3).at[0].set(0), program.begin(named.with_parameters(p), numbers, start, h)
+
+    first = jax.eval_shape(begun, *form.structs)
+    parted = ravel_pytree(jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), first))[1]
+
+    def begin(packed: Array) -> Array:
+        return ravel_pytree(begun(*form.unpack(packed)))[0]
+
+    def advance(now: Array, packed: Array) -> Array:
+        p, numbers, _, clock = form.unpack(packed)
+        (n, *_), before = parted(now)
+        after, report = step(p, numbers, before, *step_times(clock, n.astype(int)))
+        success = jnp.stack([n + 1, 1.0 * report.solved, 1.0 * report.converged])
+        return ravel_pytree((success, after))[0]
+
+    def read(states: Array, packed: Array) -> tuple[Array, Reading, Array]:
+        scene = named.with_parameters(form.unpack(packed)[0])
+        sane = bounded(program.read(scene, parted(begin(packed))[1]))
+
+        def one(state: Array) -> tuple[Array, Reading, Array]:
+            success, carried = parted(state)
+            reading = program.read(scene, carried)
+            return success[1:] > 0, reading, sane(reading)
+
+        return jax.vmap(one)(states)
+
+    p, numbers, *_ = form.structs
+    _, report = jax.eval_shape(step, p, numbers, first[1], jnp.zeros(()), jnp.zeros(()))
+    iterates = any(name.startswith("newton") for name in report.turns)
+    return Compiled(jax.jit(begin), jax.jit(advance), jax.jit(read), iterates)
+
+
 class LoneStep:
     """A compiled step of constant size, with the state at the start.
 
@@ -102,8 +167,7 @@ class LoneStep:
     iterates
         Whether a step of the method calls Newton's method.
     first
-        The state at the start: number of steps, whether the last one is solved and accepted, and
-        the method's state.
+        The state at the start, an array (see `Compiled`).
     """
 
     def __init__(
@@ -114,58 +178,23 @@ class LoneStep:
         steps: int,
         iterations: int | None = None,
     ) -> None:
-        self._scene, self.steps, self._limited = scene, steps, iterations is not None
-        from jax.flatten_util import ravel_pytree  # JAX is loaded late
-
-        program, numbers = method.program(scene)
+        self._scene, self._limited = scene, iterations is not None
+        self._program, numbers = method.program(scene)
         if iterations is not None:
-            program = LimitedProgram(**vars(program))
+            self._program = LimitedProgram(**vars(self._program))
             numbers = numbers._replace(most=iterations)
-        t0 = scene.interval[0]
-        self._clock, _ = grid(t0, t0 + steps * h, Steps(h))
-        self._clock = self._clock._replace(macro_steps=steps)
-        parts = scene.parameters(), numbers, self._clock
+        t0, self._start = scene.interval[0], consistent_start(scene)
+        self._clock = grid(t0, t0 + steps * h, Steps(h))[0]._replace(macro_steps=steps)
+        parts = scene.parameters(), numbers, self._start, self._clock
         form = Form.of(*parts)
-        self._program, self._packed = program, form.pack(*parts)
-        self._start = start = consistent_start(scene)
-        named = with_named_blocks(scene.template())
-        step = rewritten_step(program, named)
-
-        @jax.jit
-        def begin(packed: Array, start: Start) -> Carried:
-            p, numbers, clock = form.unpack(packed)
-            return program.begin(named.with_parameters(p), numbers, start, step_times(clock, 0)[1])
-
-        begun = begin(self._packed, start)
-        self.first, parted = ravel_pytree((jnp.zeros(3), begun))
-
-        @jax.jit
-        def advance(now: Array, packed: Array) -> Array:
-            p, numbers, clock = form.unpack(packed)
-            (n, *_), before = parted(now)
-            after, report = step(p, numbers, before, *step_times(clock, n.astype(int)))
-            success = jnp.stack([n + 1, 1.0 * report.solved, 1.0 * report.converged])
-            return ravel_pytree((success, after))[0]
-
-        @jax.jit
-        def read(first: Array, states: Array, packed: Array) -> tuple[Array, Reading, Array]:
-            scene = named.with_parameters(form.unpack(packed)[0])
-            sane = bounded(program.read(scene, parted(first)[1]))
-
-            def one(state: Array) -> tuple[Array, Reading, Array]:
-                success, carried = parted(state)
-                reading = program.read(scene, carried)
-                return success, reading, sane(reading)
-
-            return jax.vmap(one)(states)
-
-        self._advance, self._read = advance, read
-        _, report = jax.eval_shape(step, *parts[:2], begun, t0, h)
-        self.iterates = any(name.startswith("newton") for name in report.turns)
+        self._packed = form.pack(*parts)
+        self._compiled = compiled(self._program, scene.template(), form)
+        self.first = self._compiled.begin(self._packed)
+        self.iterates = self._compiled.iterates
 
     def __call__(self, state: Float[Array, " n"]) -> Float[Array, " n"]:
         """Take one step; the result may not be ready yet."""
-        return self._advance(state, self._packed)
+        return self._compiled.advance(state, self._packed)
 
     def run(self, states: Sequence[Float[Array, " n"]]) -> tuple[Trajectory, int]:
         """Return the run that states after each step make, and the number of unconverged steps.
@@ -173,8 +202,8 @@ class LoneStep:
         It ends before the first step that has no result: not solved though its iterations are not
         limited, refused by the method, not finite, or grown beyond all bounds.
         """
-        success, reading, sane = self._read(self.first, jnp.stack(states), self._packed)
-        solved, accepted = np.asarray(success[:, 1:], bool).T
+        success, reading, sane = self._compiled.read(jnp.stack(states), self._packed)
+        solved, accepted = np.asarray(success).T
         refused = solved & ~accepted if self._limited else ~accepted
         bad = refused | ~np.asarray(sane)
         done = int(bad.argmax()) if bad.any() else len(bad)
