@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 
+import msgspec
 import numpy as np
 import pytest
+from helpers import long
 
 from bench.plugins.registry import Registry
 from bench.results.realtime import RealTimeRun, StepTimes, realtime_sentence, realtime_tables
@@ -48,20 +50,21 @@ def apart(one, other):
     ("problem", "integrator"),
     [
         ("pendulum", FULL),
-        ("pendulum", MODIFIED),
-        ("quarter_car", MODIFIED),
-        ("pendulum", "linearly_implicit_euler"),
-        ("pendulum", "phem56[constraints=projected]"),
+        *long(
+            ("quarter_car", MODIFIED),
+            ("pendulum", "linearly_implicit_euler"),
+            ("pendulum", "phem56[steps=constant,projection=positions]"),
+        ),
     ],
 )
 def test_without_a_limit_the_states_are_those_of_solve(worker, problem, integrator):
-    run, unconverged, _ = run_of(worker, problem, integrator, 1000.0, 200)
+    run, unconverged, _ = run_of(worker, problem, integrator, 100.0, 50)
     scene = worker.problem(problem)
     method = worker.registry.integrator(integrator)
-    solved = method.prepare(scene, scene.interval[0] + 0.2, Steps(1e-3)).measure()
+    solved = method.prepare(scene, scene.interval[0] + 0.5, Steps(1e-2)).measure()
     assert (run.status, solved.status, unconverged) == ("ok", "ok", 0)
     assert run.t == pytest.approx(solved.t, rel=1e-14)
-    assert apart(run, solved) < 1e-12
+    assert apart(run, solved) < 1e-10  # that of q over h^2 is in a
 
 
 @pytest.mark.parametrize("integrator", [FULL, MODIFIED])
@@ -73,25 +76,18 @@ def test_one_iteration_solves_linear_equations(worker, integrator):
 
 
 def test_one_iteration_leaves_an_error_that_falls_with_the_rate(worker):
-    left = []
+    reference, left, errors = Reference(worker.problem("slider_crank"), 0.5), [], []
     for rate in (50, 100, 200):
         one, unconverged, _ = run_of(worker, "slider_crank", FULL, rate, rate // 2, 1)
         many, _, _ = run_of(worker, "slider_crank", FULL, rate, rate // 2)
         assert (one.status, unconverged) == ("ok", rate // 2)
         left.append(apart(one, many))
-    assert left[0] > 1e-5  # far beyond what a converged step leaves
+        exact = reference(one.t)["q"]
+        errors.append([np.abs(run.q - exact).max() for run in (one, many)])
     assert left[0] > 4 * left[1] > 16 * left[2]
-    # The error against the reference is larger, too, where steps are coarse.
-    scene = worker.problem("slider_crank")
-    reference = Reference(scene, 0.5)
-    errors = [
-        np.abs(run_of(worker, "slider_crank", FULL, 20, 10, k)[0].q - reference(T)["q"]).max()
-        for k in (1, None)
-    ]
-    assert errors[0] > 1.05 * errors[1]
-
-
-T = np.linspace(0.0, 0.5, 11)
+    (first, converged), (second, _), (third, _) = errors
+    assert first > 2 * converged  # 50 Hz
+    assert first > 4 * second > 16 * third
 
 
 def test_more_iterations_leave_less(worker):
@@ -155,7 +151,7 @@ def test_residuals_are_those_of_the_rows(worker):
     ]
     assert found.constraint["position"] == pytest.approx(max(by_hand), rel=1e-9)
     assert found.constraint["velocity"] == pytest.approx(max(along), rel=1e-6)
-    assert found.constraint["position"] > 1e-6
+    assert max(by_hand) > 1e-6
 
 
 @pytest.mark.parametrize(
@@ -176,13 +172,13 @@ def test_methods_without_a_step_of_their_own_are_refused(worker, problem, integr
 def planted(integrator="newmark", iterations="1", missed=0, error=1e-3, **more):
     seconds = np.full(1000, 1e-4)
     seconds[:missed] = 2e-3
-    standard = dict(
-        problem="pendulum", rate=1e3, asked=1000, steps=1000, status="ok", message="",
-        unconverged=10, idle_us=4.0, errors=dict.fromkeys("qva", error) | {"lam": error / 2},
+    run = RealTimeRun(
+        problem="pendulum", integrator=integrator, iterations=iterations, rate=1e3, asked=1000,
+        steps=1000, status="ok", message="", unconverged=10, times=StepTimes.of(seconds, 1e-3),
+        idle_us=4.0, errors={"q": error, "v": error, "a": error, "lam": error / 2},
         constraint={"position": 1e-9, "velocity": 2e-6},
     )  # fmt: skip
-    times = StepTimes.of(seconds, 1e-3)
-    return RealTimeRun(integrator=integrator, iterations=iterations, times=times, **standard | more)
+    return msgspec.structs.replace(run, **more)
 
 
 def test_late_steps_are_counted():
@@ -212,6 +208,7 @@ def test_the_sentence_names_the_least_error_among_those_that_hold_the_rate():
 
 
 # ---- the command -------------------------------------------------------------------------
+@pytest.mark.long
 def test_the_command_prints_json_and_tells_what_failed(stepbench):
     line = ["realtime", "oscillator", "newmark", "ida", "--rate", "0.1kHz", "--duration", "0.5"]
     result = stepbench(*line, "--json")
