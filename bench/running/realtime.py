@@ -100,6 +100,11 @@ def stepping(method: Integrator, scene: MechatronicSystem) -> NativeMethod:
     """
     if reason := answers.refusal(method, scene):
         raise SpecError(f"{method.spec} does not take {scene.spec}: {reason}")
+    if scene.is_hybrid:
+        raise SpecError(
+            f"Values of {scene.spec} jump at samples or events, which no step that is called alone "
+            f"can follow; take a scene without, such as quarter_car."
+        )
     constant = method.at_constant_steps()
     native = constant.step_method(scene) if isinstance(constant, NativeMethod) else None
     if native is None:
