@@ -14,6 +14,7 @@ from bench.commands import (
     listing,
     plugins,
     ratings,
+    realtime,
     results,
     single_runs,
     studies,
@@ -25,7 +26,18 @@ from bench.results.store import StoreError
 from problems.plain_text import shortened, text_of
 from problems.spec import SpecError, suggest
 
-_MODULES = listing, plugins, single_runs, suite, ratings, results, studies, gradients, sweeps
+_MODULES = (
+    listing,
+    plugins,
+    single_runs,
+    suite,
+    ratings,
+    results,
+    studies,
+    gradients,
+    realtime,
+    sweeps,
+)
 #: Exit code of a command that Ctrl-C ended.
 _INTERRUPTED = 130
 

@@ -47,6 +47,7 @@ RIGHT = {
     "map": ["pendulum", "generalized_alpha"],
     "orders-table": ["newmark"],
     "rate": ["pendulum", "newmark"],
+    "realtime": ["pendulum", "newmark"],
     # Parameters that only other arguments take:
     **{f"solve {name}": ["pendulum", "ida"] for name in ("rtol", "atol")},
     **{f"map {name}": ["pendulum", "generalized_alpha_adaptive"] for name in ("rtol", "atol")},
@@ -58,6 +59,7 @@ MEMBERS = {"ensemble": ["--ensemble", "2"], "vary": ["--vary", "th0:1..2"]}
 NEEDED = {
     "map": {"over": ["--over", "h,rho_inf"]},
     "merge": {"out": ["--out", "all"]},
+    "realtime": {"rate": ["--rate", "1kHz"]},
     "figure": {"scene": ["--scene", "pendulum"]},
     **{f"map {name}": {"over": ["--over", "rho_inf,th0"]} for name in ("step", "rtol", "atol")},
     **{

@@ -1,0 +1,126 @@
+"""The command that runs methods at a fixed rate: `stepbench realtime`."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from contextlib import suppress
+
+import click
+import msgspec
+
+from bench.commands import completion, options
+from bench.plugins.facts import SceneFacts
+from problems.spec import SpecError
+
+#: A number of Hz or kHz, with or without the unit.
+_RATE = re.compile(r"([+\d.e-]+) ?(?:(k?)hz)?", re.IGNORECASE)
+
+
+def rate_of(context: click.Context, parameter: click.Parameter, text: str) -> float:
+    """Read "1kHz", "500Hz" or "1000" as a number of Hz."""
+    found = _RATE.fullmatch(text)
+    with suppress(ValueError):
+        rate = float(found[1]) * (1000.0 if found[2] else 1.0) if found else 0.0
+        if 0 < rate < math.inf:
+            return rate
+    raise click.BadParameter(
+        f"{text!r} is no rate; give a positive one such as 1kHz, 500Hz or 1000."
+    )
+
+
+@click.command("realtime")
+@click.argument("problem", metavar="SCENE", shell_complete=completion.scenes)
+@click.argument(
+    "names", nargs=-1, required=True, metavar="METHOD...", shell_complete=completion.integrators
+)
+@click.option(
+    "--rate",
+    required=True,
+    callback=rate_of,
+    metavar="RATE",
+    help="Steps per second: 1kHz, 500Hz or 1000.",
+)
+@click.option(
+    "--iterations",
+    type=click.IntRange(1, 1000),
+    help="Most iterations in each call of Newton's method; 1 and unlimited side by side if not "
+    "given.",
+)
+@click.option(
+    "--duration", type=float, help="Length of the run in s; the scene's interval if not given."
+)
+@options.with_set
+@options.with_budget
+@options.with_plugins
+@options.with_as_json
+def realtime_(
+    problem: str,
+    names: tuple[str, ...],
+    rate: float,
+    iterations: int | None,
+    duration: float | None,
+    settings: dict[str, str],
+    budget: float,
+    plugins: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Run methods with a fixed budget per step, as in real time.
+
+    Each step of 1/RATE takes at most so many iterations of Newton's method and goes on, converged
+    or not; explicit and linearly implicit methods have none. The host calls one compiled step for
+    each tick. The tables have the time per step, the steps that took longer than 1/RATE, and errors
+    and residuals of the same run.
+
+    \b
+    Examples:
+      stepbench realtime slider_crank linearly_implicit_euler generalized_alpha --rate 1kHz
+      stepbench realtime quarter_car "bdf2[newton=modified]" --rate 500Hz --iterations 2
+      stepbench realtime pendulum half_explicit_euler stormer_verlet --rate 1000 --duration 1 --json
+    """
+    registry = options.usable_registry(plugins)
+    scene = registry.problem(problem, **settings)
+    methods = {method.spec: method for method in map(registry.integrator, names)}
+    steps = _steps(scene, rate, duration)
+    from bench.commands.terminal import show
+    from bench.results.realtime import RealTimeRun, realtime_sentence, realtime_tables
+    from bench.running.realtime import realtime_job
+
+    runs: list[RealTimeRun] = []
+    faults: list[str] = []
+    for method in methods.values():
+        task = scene.spec, method.spec, rate, steps, iterations
+        sources = scene.sources | method.sources
+        try:
+            runs += options.guarded(method.spec, realtime_job, sources, budget, *task)
+        except SpecError as error:
+            faults.append(str(error))
+    if runs and as_json:
+        found = {"runs": msgspec.to_builtins(runs), "summary": realtime_sentence(runs)}
+        click.echo(json.dumps(found, indent=2, allow_nan=False))
+    elif runs:
+        show(*realtime_tables(runs), realtime_sentence(runs))
+    faults += [f"{run.name}: {run.status}: {run.message}" for run in runs if run.status != "ok"]
+    if faults:
+        raise click.ClickException(" ".join(faults))
+
+
+def _steps(scene: SceneFacts, rate: float, duration: float | None) -> int:
+    """Return the number of whole steps in the duration, which is part of the scene's interval."""
+    from bench.running.realtime import MOST_STEPS
+
+    length = scene.interval[1] - scene.interval[0]
+    duration = length if duration is None else duration
+    if not 0 < duration <= length * (1 + 1e-9):
+        raise SpecError(
+            f"The duration {duration:g} s is not allowed; give a positive one of at most "
+            f"{length:g} s, the interval of {scene.spec}, where the reference is known."
+        )
+    steps = math.floor(min(duration * rate * (1 + 1e-9), 2.0 * MOST_STEPS))
+    if not 2 <= steps <= MOST_STEPS:
+        raise SpecError(
+            f"{rate:g} Hz over {duration:g} s is not allowed; give a rate and a duration that make "
+            f"from 2 to {MOST_STEPS} steps."
+        )
+    return steps
