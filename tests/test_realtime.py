@@ -75,6 +75,7 @@ def test_one_iteration_solves_linear_equations(worker, integrator):
     assert apart(one, many) < 1e-11
 
 
+@pytest.mark.long
 def test_one_iteration_leaves_an_error_that_falls_with_the_rate(worker):
     reference, left, errors = Reference(worker.problem("slider_crank"), 0.5), [], []
     for rate in (50, 100, 200):
@@ -90,6 +91,7 @@ def test_one_iteration_leaves_an_error_that_falls_with_the_rate(worker):
     assert first > 4 * second > 16 * third
 
 
+@pytest.mark.long
 def test_more_iterations_leave_less(worker):
     many, _, _ = run_of(worker, "slider_crank", FULL, 100.0, 50)
     left = [
@@ -124,6 +126,7 @@ def test_a_run_ends_before_its_first_step_without_a_result(worker):
 
 
 # ---- the study ---------------------------------------------------------------------------
+@pytest.mark.long
 def test_both_limits_are_measured_side_by_side(worker):
     one, own = realtime_job(worker, "slider_crank", FULL, 100.0, 50, None)
     assert [run.iterations for run in (one, own)] == ["1", "unlimited"]
