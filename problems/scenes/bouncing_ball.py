@@ -21,7 +21,7 @@ class BouncingBall(MechatronicSystem):
 
     interval = (0.0, 2.0)
     nominal_step = 0.05
-    tags = ("events", "impact", "conformance")
+    tags = ("events", "impact")
     difficulties = ("the velocity jumps at times that the motion decides",)
     coordinates = ("height [m]",)
     source = "closed form; digits of t = 2 s by it"
