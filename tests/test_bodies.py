@@ -172,6 +172,7 @@ def momenta(scene, q, v):
     return np.hstack([linear, angular])
 
 
+@pytest.mark.long
 def test_bodies_that_hold_each_other_keep_their_momenta_and_lose_what_the_damper_takes():
     scene, t = Pair(), np.linspace(0.0, 1.0, 2001)
     z = reference(scene, 1.0)(t)

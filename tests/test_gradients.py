@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from helpers import long
 
 from bench.plugins.registry import Registry
 from bench.running.gradients import components, exact_job, gradient_job
@@ -56,7 +57,7 @@ def test_the_start_is_differentiated(scene):
 
 @pytest.mark.parametrize(
     ("method", "order"),
-    [("generalized_alpha", 2), ("newmark", 2), ("bdf2", 2), ("dopri8[steps=constant]", 8)],
+    [("generalized_alpha", 2), ("newmark", 2), ("bdf2", 2), *long(("dopri8[steps=constant]", 8))],
 )
 def test_errors_fall_with_the_order(worker, scene, method, order):
     steps, way = ((0.2, 0.1), "reverse") if order > 2 else ((0.01, 0.005), "forward")
@@ -75,7 +76,9 @@ def test_a_flipped_sign_fails(worker, scene):
     assert flipped[1] > 1.0
 
 
-@pytest.mark.parametrize("method", ["generalized_alpha", "generalized_alpha[newton=modified]"])
+@pytest.mark.parametrize(
+    "method", ["generalized_alpha", *long("generalized_alpha[newton=modified]")]
+)
 def test_forward_equals_reverse(worker, scene, method):
     of = (("q", 0), ("v", 1), ("a", 0), ("lam", 0))
     ways = [through_steps(worker, scene, method, 1 / 37, way, of) for way in ("forward", "reverse")]

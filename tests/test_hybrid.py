@@ -310,6 +310,7 @@ def test_bills_and_work_are_those_of_all_phases():
     assert sum(prepared.bill(found).values()) == pytest.approx(sum(whole.values()), rel=1e-9)
 
 
+@pytest.mark.usefixtures("without_processes")
 def test_solve_prints_held_values_and_events():
     answer = CliRunner().invoke(main, ["solve", "bouncing_ball", "stormer_verlet", "--json"])
     found = json.loads(answer.stdout)
@@ -335,6 +336,7 @@ def test_solve_prints_held_values_and_events():
         ),
     ],
 )
+@pytest.mark.usefixtures("without_processes")
 def test_bad_input_is_one_sentence(arguments, words):
     answer = CliRunner().invoke(main, ["solve", *arguments])
     assert answer.exit_code

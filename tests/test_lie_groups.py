@@ -140,6 +140,7 @@ def test_errors_on_the_direct_product_are_those_of_another_program(rho, wanted):
         assert found == pytest.approx(error, rel=1e-3)
 
 
+@pytest.mark.long
 def test_products_of_groups_differ_and_the_semidirect_one_is_free_of_constraints():
     """The published surprise: screw motions keep the joint closed, so that SE(3) gives SO(3)."""
     h, method = 1e-3, GeneralizedAlphaLie(rho_inf=0.9)

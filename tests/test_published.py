@@ -75,7 +75,7 @@ def test_entries_that_are_none_are_refused(entry, message):
         published_digits(scene, t, reference(IFToMMPendulum(), 10.0)(t))
 
 
-@pytest.mark.parametrize("scene", [PlanarTruck(), PlanarTruckJoint()], ids=str)
+@pytest.mark.parametrize("scene", [PlanarTruck(), *long(PlanarTruckJoint())], ids=str)
 def test_all_springs_of_the_truck_are_in_equilibrium_at_its_start(scene):
     q, v, _ = scene.initial_state()
     residual = scene.force(q, v, 0.0)
@@ -112,6 +112,7 @@ def test_the_governor_has_the_published_inertia_and_rates_of_its_dampers():
     assert np.abs(np.sort(found.real)[2:]).max() < 1e-3  # nothing damps turn and swing
 
 
+@pytest.mark.long
 def test_bricards_mechanism_starts_with_the_published_rank_and_accelerations():
     scene, zero = Bricard(), np.zeros(5)
     rows = np.asarray(jax.jacfwd(lambda q: scene.constraint(q, 0.0))(zero))

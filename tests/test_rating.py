@@ -176,6 +176,7 @@ def test_the_table_of_a_suite_has_the_time_of_the_coarsest_good_run():
     assert table.best == {(0, 1), (0, 2)}
 
 
+@pytest.mark.long
 def test_the_iftomm_rule_has_two_precisions_and_writes_the_points(stepbench, tmp_path):
     rule = "--rule", "iftomm", "--out", tmp_path, "--t-end", "1", "--json"
     told = json.loads(stepbench("rate", "iftomm_pendulum", "rattle", *rule).stdout)["ratings"]

@@ -67,7 +67,7 @@ def test_without_a_limit_the_states_are_those_of_solve(worker, problem, integrat
     assert apart(run, solved) < 1e-10  # that of q over h^2 is in a
 
 
-@pytest.mark.parametrize("integrator", [FULL, MODIFIED])
+@pytest.mark.parametrize("integrator", [FULL, *long(MODIFIED)])
 def test_one_iteration_solves_linear_equations(worker, integrator):
     one, _, _ = run_of(worker, "oscillator", integrator, 100.0, 200, 1)
     many, _, step = run_of(worker, "oscillator", integrator, 100.0, 200)
@@ -138,6 +138,7 @@ def test_both_limits_are_measured_side_by_side(worker):
     assert (explicit.iterations, explicit.unconverged) == ("none", 0)
 
 
+@pytest.mark.long
 def test_residuals_are_those_of_the_rows(worker):
     """A pendulum's rod: its length, and the speed along it, by hand."""
     (found,) = realtime_job(worker, "pendulum", "linearly_implicit_euler", 200.0, 100, None)

@@ -245,7 +245,9 @@ def rubbing(scene, th, w):
     return a, normal, friction, speed
 
 
-@pytest.mark.parametrize("scene", [SliderCrankFriction(), SliderCrankFriction(mu=0.3)], ids=str)
+@pytest.mark.parametrize(
+    "scene", [SliderCrankFriction(mu=0.3), *long(SliderCrankFriction())], ids=str
+)
 def test_the_slider_that_rubs_moves_as_by_newtons_laws_for_one_angle(scene):
     t = np.linspace(0.0, 1.0, 6)
     z = reference(scene, 1.0)(t)

@@ -238,6 +238,7 @@ def test_kane_and_lagrange_agree_on_a_constrained_model():
 
 
 # ---- parameters, time, energy ------------------------------------------------------------
+@pytest.mark.long
 def test_an_ensemble_varies_parameters_and_the_start_that_follows_from_them():
     angle = sm.Symbol("angle")
     given = {"constants": {M: 1.0, C: 2.0, angle: 0.4}}

@@ -30,6 +30,7 @@ def test_forces_of_both_ends_cost_an_order_where_the_mass_varies(mixed, order):
     assert method.claims(Pendulum())["q"] == 2
 
 
+@pytest.mark.long
 def test_the_heavy_top_follows_the_tolerance():
     scene, t_end = HeavyTop(), 0.2
     end = reference(scene, t_end)(np.array([t_end]))["q"][0]
