@@ -22,7 +22,7 @@ from bench.results.table import Table, number
 from bench.running.inventory import Inventory
 from bench.running.plan import Suite, make_suite
 from bench.running.profiles import ProfileFile, StudyFile, read_profile, suite_titles
-from bench.running.rating import Candidate, rate
+from bench.running.rating import Candidate, Search
 from problems.spec import SpecError
 from problems.whole_files import put
 
@@ -89,11 +89,11 @@ def rate_(
       stepbench rate quick --error q:1e-4 --error energy:1e-5
     """
     registry = options.usable_registry(plugins)
-    suite = _suite(registry, name, methods, t_end, settings, budget)
+    suite = suite_of(registry, name, methods, t_end, settings, budget)
     cells = dict.fromkeys((c.problem, c.integrator, c.t_end) for c in suite.cells.values())
     scenes = {scene: registry.problem(scene) for scene, _, _ in cells}
     said: list[str] = []
-    demands = {scene: _demands(facts, errors, rule, said) for scene, facts in scenes.items()}
+    demands = {scene: demands_on(facts, errors, rule, said) for scene, facts in scenes.items()}
     candidates = [
         Candidate(scenes[scene], registry.integrator(method), end, demands[scene])
         for scene, method, end in cells
@@ -116,7 +116,9 @@ def rate_(
     ):
         remark("Finished runs are stored; the same command goes on.")
         options.tell_set_aside(store)
-        rate(candidates, suite, store, registry, runner)
+        search = Search(candidates, suite, store, registry, runner)
+        search.run()
+        search.take_times(r for c in candidates for asked in c.demands if (r := c.best(asked)))
         machine = store.environments()
         tables = overviews(store.plan(), store.records())
         texts = _write_points(candidates, store)
@@ -135,7 +137,7 @@ def rate_(
         raise click.ClickException("No integrator meets the rule on any scene.")
 
 
-def _suite(
+def suite_of(
     registry: Inventory,
     name: str,
     methods: Sequence[str],
@@ -155,7 +157,9 @@ def _suite(
     return make_suite("rating", ProfileFile(study=[study], budget_s=budget), registry)
 
 
-def _demands(scene: SceneFacts, errors: Sequence[str], rule: str, said: list[str]) -> list[Demand]:
+def demands_on(
+    scene: SceneFacts, errors: Sequence[str], rule: str, said: list[str]
+) -> list[Demand]:
     """Return what is demanded on a scene; sentences on what it lacks go to ``said``."""
     texts = list(errors or RULES[rule])
     if not (errors or scene.points) and rule == "iftomm":

@@ -102,14 +102,20 @@ class _Bar(Progress):
 class RunProgress(progress.Progress):
     """A progress bar with the cell in work and the last result; plain lines without a terminal.
 
+    Parameters
+    ----------
+    lines
+        Whether, without a terminal, phases and the first result are told in lines.
+
     Attributes
     ----------
     after_step
         Called after each step.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, lines: bool = True) -> None:
         super().__init__()
+        self._lines = lines
         self.after_step: Callable[[], None] = lambda: None
         self._console = _PlainConsole(sys.stderr)
         self._bar = _Bar(
@@ -155,7 +161,7 @@ class RunProgress(progress.Progress):
 
     def found(self, text: str) -> None:
         """Show the last result below the bar; without a terminal, the first one as a line."""
-        if not (self._bar.found or self._console.is_terminal):
+        if self._lines and not (self._bar.found or self._console.is_terminal):
             self._console.print(escape(f"First result: {text}"), soft_wrap=True)
         self._bar.found = text
 
@@ -166,5 +172,5 @@ class RunProgress(progress.Progress):
     def _say(self) -> None:
         self._spoken = time.monotonic()
         for task in self._bar.tasks:
-            if task.total and not self._console.is_terminal:
+            if self._lines and task.total and not self._console.is_terminal:
                 self._console.print(f"{task.fields['phase']}: {task.completed:g} of {task.total:g}")

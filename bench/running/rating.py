@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import msgspec
 
 from bench.plugins.facts import MethodFacts, SceneFacts
-from bench.results.demands import Demand
+from bench.results.demands import Demand, bracket
 from bench.results.records import UNSUPPORTED, Record, Study
 from bench.results.store import Store
 from bench.running.inventory import Inventory
@@ -73,39 +76,141 @@ class Candidate:
         """Return the run with the smallest error."""
         return min(self.runs.values(), key=asked.of)
 
+    def least(self, asked: Demand) -> float:
+        """Return the least operations that a good run can take: those of the finest bad size."""
+        bad = bracket(self.errors(asked), asked.limit).bad
+        run = None if bad is None else self.runs[bad]
+        return (run.cost("operations") or 0.0) if run and run.status == "ok" else 0.0
 
-def rate(
-    candidates: Sequence[Candidate],
-    suite: Suite,
-    store: Store,
-    registry: Inventory,
-    runner: Runner,
-) -> None:
-    """Search for each candidate's coarsest resolution for each of its demands, and take its time.
+
+class Race:
+    """A search for the cheapest of many candidates in a limited time.
+
+    A candidate is dropped if a run of it that is too coarse takes more operations, by a margin,
+    than a good run of another one, or if its own convergence promises far more.
+
+    Parameters
+    ----------
+    candidates
+        Candidates of one scene, with the same first demand, in the order of their beginning.
+    margin
+        Quotient of operations up to which a dearer candidate stays.
+    end
+        Time of `time.monotonic` in s at which no further run begins.
+    """
+
+    #: Runs that are asked for together, and of these first runs of candidates.
+    TOGETHER, FIRST = 8, 5
+    #: A promise of so many times the operations that are allowed drops a candidate.
+    FAR = 4.0
+    #: A good run may take so many times the operations of a bad one in the end.
+    SETTLED = 1.1
+    #: Operations go with this power of the error until two runs show one.
+    STEPS, TOLERANCES = -1 / 2, -1 / 5
+
+    def __init__(self, candidates: Sequence[Candidate], margin: float, end: float) -> None:
+        self.candidates, self.margin, self.end = candidates, margin, end
+        self.asked = candidates[0].demands[0]
+
+    @property
+    def leader(self) -> Candidate | None:
+        """The candidate whose good run takes the fewest operations."""
+        good = [c for c in self.candidates if c.best(self.asked)]
+        return min(good, key=self.operations, default=None)
+
+    def operations(self, candidate: Candidate) -> float:
+        """Return the operations of a candidate's good run, infinite if there is none."""
+        run = candidate.best(self.asked)
+        return (run.cost("operations") if run else None) or math.inf
+
+    def promised(self, candidate: Candidate) -> float:
+        """Return the operations that the convergence of a candidate promises for a good run; it is
+        infinite for methods whose operations are not known."""
+        known = [
+            (cost, self.asked.of(run))
+            for _, run in sorted(candidate.runs.items(), reverse=True)
+            if (cost := run.cost("operations")) and 0 < self.asked.of(run) < math.inf
+        ]
+        if candidate.best(self.asked) or not known:
+            return self.operations(candidate)
+        power = self.STEPS if candidate.method.controls == "step" else self.TOLERANCES
+        (cost, error), *others = reversed(known)
+        if others and others[0][0] < cost and error < others[0][1]:
+            power = math.log(cost / others[0][0]) / math.log(error / others[0][1])
+        return cost * (self.asked.limit / error) ** power
+
+    def is_dropped(self, candidate: Candidate) -> bool:
+        """Whether another candidate is cheaper whatever the next runs of this one give."""
+        if (leader := self.leader) in (None, candidate):
+            return False
+        bound = self.margin * self.operations(leader)
+        far = self.FAR * bound < self.promised(candidate) < math.inf
+        return far or candidate.least(self.asked) > bound
+
+    def is_settled(self, candidate: Candidate) -> bool:
+        """Whether finer searches would hardly change a candidate's operations."""
+        least = candidate.least(self.asked)
+        return 0 < self.operations(candidate) <= self.SETTLED * least
+
+    def next(self) -> list[Cell]:
+        """Return the cells to be run next: first runs in their order, and others, the most
+        promising before all."""
+        if time.monotonic() >= self.end:
+            return []
+        stay = [c for c in self.candidates if not (self.is_dropped(c) or self.is_settled(c))]
+        begun = sorted((c for c in stay if c.runs), key=self.promised)
+        first = [cell for c in stay if not c.runs and (cell := c.next())]
+        more = islice((cell for c in begun if (cell := c.next())), self.TOGETHER)
+        return [*first[: self.FIRST], *more][: self.TOGETHER]
+
+
+@dataclass(frozen=True)
+class Search:
+    """Searches of candidates for the coarsest resolution that meets each of their demands.
 
     Runs are stored as they end; those that the store has are not made again.
 
     Parameters
     ----------
+    candidates
+        Candidates, whose cells the store's plan lists.
     suite
         Limits and number of timings; its cells are those of the candidates.
     """
 
-    def restricted(cells: Iterable[Cell]) -> Suite:
-        plan = msgspec.structs.replace(suite.plan, studies=_studies(candidates))
-        return replace(suite, plan=plan, cells={cell.key: cell for cell in cells})
+    candidates: Sequence[Candidate]
+    suite: Suite
+    store: Store
+    registry: Inventory
+    runner: Runner
 
-    while cells := [cell for c in candidates if (cell := c.next())]:
-        measure_suite(restricted(cells), store, registry, runner)
-        records = store.records()
-        for c in candidates:
+    def run(self, race: Race | None = None, after_round: Callable[[], None] = lambda: None) -> None:
+        """Search, all candidates or those that stay in a race; ``after_round`` is called when they
+        have got new runs."""
+
+        def every() -> list[Cell]:
+            return [cell for c in self.candidates if (cell := c.next())]
+
+        while cells := (race.next if race else every)():
+            measure_suite(self._restricted(cells), self.store, self.registry, self.runner)
+            self._take()
+            after_round()
+
+    def take_times(self, runs: Iterable[Record]) -> None:
+        """Take the times of runs, and of no others."""
+        timed = {run.key for run in runs}
+        cells = (cell for c in self.candidates for cell in c.cells.values() if cell.key in timed)
+        time_suite(self._restricted(cells), self.store, self.registry, self.runner)
+        self._take()
+
+    def _take(self) -> None:
+        records = self.store.records()
+        for c in self.candidates:
             c.take(records)
-    best = {r.key for c in candidates for asked in c.demands if (r := c.best(asked))}
-    every = (cell for c in candidates for cell in c.cells.values())
-    time_suite(restricted(cell for cell in every if cell.key in best), store, registry, runner)
-    records = store.records()
-    for c in candidates:
-        c.take(records)
+
+    def _restricted(self, cells: Iterable[Cell]) -> Suite:
+        plan = msgspec.structs.replace(self.suite.plan, studies=_studies(self.candidates))
+        return replace(self.suite, plan=plan, cells={cell.key: cell for cell in cells})
 
 
 def _studies(candidates: Sequence[Candidate]) -> list[Study]:

@@ -1,0 +1,175 @@
+"""`stepbench recommend`: a race of all methods, and its verdict."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from types import SimpleNamespace
+
+import pytest
+from planted import planted
+
+from bench.results.demands import demand
+from bench.results.records import UNSUPPORTED
+from bench.running.rating import Candidate, Race
+from integrators.resolutions import Steps
+
+LIMIT = 1e-3
+
+
+class Power:
+    """A method whose error and operations are powers of the step."""
+
+    def __init__(self, name: str, order: float, error: float, per_step: float) -> None:
+        self.order, self.error, self.per_step = order, error, per_step
+        method = SimpleNamespace(spec=name, name=name, controls="step", family=name, orders={})
+        scene = SimpleNamespace(spec="s", name="s", interval=(0.0, 1.0), nominal_step=0.1)
+        self.candidate = Candidate(scene, method, 1.0, [demand(f"q:{LIMIT}")])
+
+    def run(self, size: float, status: str = "ok") -> None:
+        """Plant the run of a size."""
+        record = planted(
+            "s", self.candidate.method.name, {"q": (self.error, self.order)}, h=size,
+            status=status, message=status, operations={"residuals": self.per_step / size},
+        )  # fmt: skip
+        self.candidate.runs[size] = record
+
+    def least(self) -> float:
+        """The operations of the largest step that is good."""
+        return self.per_step * (self.error / LIMIT) ** (1 / self.order)
+
+
+def raced(methods: list[Power], margin: float = 1.1) -> Race:
+    """Run a race to its end."""
+    race = Race([m.candidate for m in methods], margin, math.inf)
+    while cells := race.next():
+        for cell in cells:
+            (method,) = (m for m in methods if m.candidate.method.spec == cell.integrator)
+            assert isinstance(cell.resolution, Steps)
+            method.run(cell.resolution.h)
+    return race
+
+
+def test_a_race_finds_the_cheapest_and_drops_the_others_soon():
+    methods = [
+        Power("first", 1, 1.0, 10.0), Power("second", 2, 1.0, 30.0), Power("fourth", 4, 1.0, 90.0),
+        Power("fifth", 5, 1.0, 100.0), Power("dear", 2, 1.0, 3000.0),
+    ]  # fmt: skip
+    race = raced(methods)
+    assert race.leader is min(methods, key=Power.least).candidate
+    assert race.operations(race.leader) == pytest.approx(
+        min(m.least() for m in methods), rel=Race.SETTLED - 1
+    )
+    for method in methods:
+        assert race.is_dropped(method.candidate) == (
+            method.least() > 1.1 * race.operations(race.leader)
+        )
+    # Alone it would be searched to the end.
+    dear, alone = methods[-1].candidate, Power("dear", 2, 1.0, 3000.0)
+    raced([alone])
+    assert len(dear.runs) < len(alone.candidate.runs)
+
+
+def test_the_winner_does_not_hang_on_the_order_of_the_start():
+    def named(order):
+        methods = [Power("a", 2, 5.0, 7.0), Power("b", 3, 2.0, 11.0), Power("c", 1, 0.1, 1.0)]
+        return raced([methods[k] for k in order]).leader.method.name
+
+    assert {named(order) for order in ((0, 1, 2), (2, 1, 0), (1, 0, 2))} == {named((0, 1, 2))}
+
+
+def test_no_run_begins_when_the_time_is_over_and_none_of_who_refuses():
+    method = Power("a", 2, 5.0, 7.0)
+    assert Race([method.candidate], 1.1, time.monotonic() - 1.0).next() == []
+    method.run(0.1, UNSUPPORTED)
+    assert Race([method.candidate], 1.1, math.inf).next() == []
+
+
+def test_a_method_whose_operations_are_unknown_is_not_dropped_for_them():
+    known, unknown = Power("a", 2, 1e-3, 7.0), Power("b", 2, 10.0, 0.0)
+    known.run(0.1)
+    unknown.run(0.1)
+    race = Race([known.candidate, unknown.candidate], 1.1, math.inf)
+    assert race.leader is known.candidate
+    assert not race.is_dropped(unknown.candidate)
+
+
+SCENE = """
+from dataclasses import dataclass
+import numpy as np
+from problems import MechatronicSystem, State, jnp
+
+{}
+"""
+CLASS = """
+@dataclass(frozen=True)
+class {}(MechatronicSystem):
+    '''A mass on a spring.'''
+
+    interval = (0.0, 1.0)
+    nominal_step = 0.1
+
+    def mass(self, q):
+        return jnp.eye(1)
+
+    def force(self, q, v, t):
+        return -4.0 * q
+
+    def initial_state(self):
+        return State(q=np.ones(1), v=np.zeros(1))
+"""
+
+
+@pytest.mark.long
+def test_a_file_with_one_scene_gets_its_verdict_and_again_at_once(stepbench, tmp_path):
+    file = tmp_path / "own.py"
+    file.write_text(SCENE.format(CLASS.format("OwnMass")))
+    out = tmp_path / "out"
+    asked = "recommend", file, "--error", "q:1e-4", "--cost", "operations", "--out", out, "--json"
+    told = json.loads(stepbench(*asked, "--budget", "40").stdout)
+    assert told["problem"] == "own_mass"
+    assert told == json.loads((out / "recommendation.json").read_text())
+    first, *others = told["methods"]
+    assert first["error"] <= 1e-4
+    assert all(first["operations"] <= other["operations"] for other in others)
+    assert told["sentences"][0].startswith(f"Take {first['integrator']} with {first['resolution']}")
+    assert (out / "report.html").exists() is False  # --json writes no page
+    again = stepbench(*asked, "--budget", "40")
+    assert "Take" in again.stdout
+    assert json.loads(again.stdout)["methods"][0]["operations"] <= first["operations"]
+
+
+@pytest.mark.long
+def test_it_says_when_nothing_reaches_the_error(stepbench, tmp_path):
+    result = stepbench(
+        "recommend", "oscillator", "--error", "q:1e-30", "--budget", "30", "--out", tmp_path
+    )
+    assert result.exit_code == 1
+    assert "Nothing reaches error in position q" in result.stdout
+    assert "No integrator reaches" in result.stderr
+
+
+@pytest.mark.usefixtures("without_processes")
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["pendulun"], "did you mean 'pendulum'"),
+        (["pendulum", "--error", "a"], "is no demand"),
+        (["pendulum", "--budget", "0"], "budget"),
+        (["friction", "--error", "energy:1"], "friction states no energy"),
+        (["nothing.py"], "nothing.py"),
+        (["{two}"], "the scenes one_mass, two_masses; name one scene"),
+        (["{none}"], "defines no MechatronicSystem"),
+    ],
+)
+def test_bad_input_is_one_sentence(stepbench, tmp_path, arguments, words):
+    (tmp_path / "two.py").write_text(
+        SCENE.format(CLASS.format("OneMass") + CLASS.format("TwoMasses"))
+    )
+    (tmp_path / "none.py").write_text('"""Nothing."""\n')
+    files = {name: tmp_path / f"{name}.py" for name in ("two", "none")}
+    result = stepbench("recommend", *(text.format(**files) for text in arguments))
+    assert result.exit_code
+    assert words in result.output
+    assert "Traceback" not in result.output
