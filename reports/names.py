@@ -91,7 +91,7 @@ _FAMILIES = {
     "generalized-alpha": "generalized-α",
     "ida": "IDA",
     "cvode": "CVODE",
-    "scipy_dae": "scipy DAE",
+    "solve_dae": "solve_dae",
     "engine": "engines",
 }
 #: Options whose value says enough.

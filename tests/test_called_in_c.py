@@ -12,8 +12,8 @@ from probe import Probe
 from bench.plugins.registry import Registry
 from integrators import Tolerances
 from integrators.adapters.packed_functions import PackedFunction, in_c, same_to_rounding
-from integrators.adapters.scipy_dae import RadauDAE
 from integrators.adapters.scipy_ode import BDF, Radau
+from integrators.adapters.solve_dae import RadauDAE
 from integrators.lowering import native, operators
 from problems import jnp
 from problems.runtime import slower
@@ -46,7 +46,7 @@ def run(method, scene, length=1.0):
 )
 def test_both_ways_make_the_same_steps(cls, name):
     if cls is RadauDAE:
-        pytest.importorskip("scipy_dae")
+        pytest.importorskip("solve_dae")
     scene = Registry([]).problem(name)
     ours, other = (run(cls(callbacks=kind), scene, 0.3) for kind in ("compiled", "python"))
     assert all(of.__name__ == "call_c" for of in ours.functions)

@@ -12,8 +12,8 @@ from probe import Probe, worst
 from integrators import Tolerances, Trajectory
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
-from integrators.adapters.scipy_dae import BDFDAE, RadauDAE
 from integrators.adapters.scipy_ode import BDF, Radau
+from integrators.adapters.solve_dae import BDFDAE, RadauDAE
 from problems import MechatronicSystem
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass

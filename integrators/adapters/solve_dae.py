@@ -1,4 +1,4 @@
-"""Radau IIA and BDF of scipy_dae on the fully implicit DAE; needs the extra ``dae``."""
+"""Radau IIA and BDF of solve_dae on the fully implicit DAE; needs the extra ``dae``."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from problems.system import MechatronicSystem
 
 
 @dataclass(frozen=True)
-class ScipyDAESolver(LibrarySolver):
-    """Base of the methods of scipy_dae: a method states ``library_class`` and its source.
+class SolveDAESolver(LibrarySolver):
+    """Base of the methods of solve_dae: a method states ``library_class`` and its source.
 
-    The Jacobians dF/dw and dF/dwdot are exact (automatic differentiation). scipy_dae does not take
+    The Jacobians dF/dw and dF/dwdot are exact (automatic differentiation). solve_dae does not take
     the index of a variable into account: by default the multipliers are left out of its error
-    test, as for IDA. With them in it (pendulum, rtol 1e-4 to 1e-8) BDF gives up on index 2 and the
-    stabilised form, the latter ends Radau, too, at some tolerances, and index 1 costs 2 to 30
-    times the calls: a multiplier carries the remainder of Newton's method.
+    test, as for IDA. With them in it (pendulum, rtol 1e-4 to 1e-8) BDF gives up on the stabilised
+    form and at most tolerances on index 2 and 1; Radau ends on the stabilised form, too, at some,
+    and takes 2 to 50 times the calls: a multiplier carries the remainder of Newton's method.
 
     Reported q, v, x, lam and y are the solver's own, at the ends of its own steps. a and xdot
     solve the equations of motion at the reported q, v, x.
@@ -37,9 +37,9 @@ class ScipyDAESolver(LibrarySolver):
     finite makes the solver take a smaller step; where none helps the run ends as diverged.
     """
 
-    family: ClassVar[str] = "scipy_dae"
+    family: ClassVar[str] = "solve_dae"
     loop = "its loop is Python, which"
-    #: Name of the solver's class in scipy_dae.integrate.
+    #: Name of the solver's class in solve_dae.integrate.
     library_class: ClassVar[str]
 
     formulation: str = option(
@@ -55,14 +55,14 @@ class ScipyDAESolver(LibrarySolver):
     callbacks: str = callbacks_option()
 
     def supports(self, scene: MechatronicSystem) -> str | None:
-        if find_spec("scipy_dae") is None:
-            return f'{self.name} needs the package scipy_dae: pip install "stepbench[dae]".'
+        if find_spec("solve_dae") is None:
+            return f'{self.name} needs the package solve-dae: pip install "stepbench[dae]".'
         return super().supports(scene)
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances
     ) -> PreparedRun:
-        from scipy_dae import integrate
+        from solve_dae import integrate
 
         form, tested = self.formulation, self.multipliers_in_error_test
         atol = dae.absolute_tolerances(scene.sizes, form, resolution.atol, tested)
@@ -80,8 +80,8 @@ class ScipyDAESolver(LibrarySolver):
 
 
 @dataclass(frozen=True)
-class RadauDAE(ScipyDAESolver):
-    """scipy_dae's Radau IIA method of order 5 with three stages for F(t, w, wdot) = 0."""
+class RadauDAE(SolveDAESolver):
+    """solve_dae's Radau IIA method of order 5 with three stages for F(t, w, wdot) = 0."""
 
     library_class = "RadauDAE"
     source = (
@@ -91,8 +91,8 @@ class RadauDAE(ScipyDAESolver):
 
 
 @dataclass(frozen=True)
-class BDFDAE(ScipyDAESolver):
-    """scipy_dae's BDF of order 1 to 5 with quasi-constant steps for F(t, w, wdot) = 0."""
+class BDFDAE(SolveDAESolver):
+    """solve_dae's BDF of order 1 to 5 with quasi-constant steps for F(t, w, wdot) = 0."""
 
     library_class = "BDFDAE"
     source = "Shampine & Reichelt (1997), doi:10.1137/S1064827594276424"
