@@ -19,6 +19,7 @@ from problems.system import MechatronicSystem, held, parameter
 from problems.variables import Published, State, Variables
 
 if TYPE_CHECKING:
+    from problems.models.mjcf import from_mjcf
     from problems.models.sympy_models import from_sympy
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "State",
     "Universal",
     "Variables",
+    "from_mjcf",
     "from_sympy",
     "held",
     "jax",
@@ -51,4 +53,8 @@ def __getattr__(name: str):
         from problems.models.sympy_models import from_sympy
 
         return from_sympy
+    if name == "from_mjcf":  # loaded late, as it compiles when it is imported
+        from problems.models.mjcf import from_mjcf
+
+        return from_mjcf
     raise AttributeError(f"module 'problems' has no attribute {name!r}")

@@ -20,6 +20,7 @@ from bench.commands.ratings import demands_on, suite_of
 from bench.guard.interrupts import remark
 from bench.guard.limits import Limits
 from bench.plugins.facts import SceneFacts
+from bench.plugins.registry import SUFFIXES
 from bench.results.demands import NOT_MET, Demand, demand
 from bench.results.quantities import RANKED_COSTS
 from bench.results.records import Record
@@ -43,7 +44,7 @@ _SEARCH, _NEXT = 0.8, 0.95
 
 
 @click.command("recommend")
-@click.argument("name", metavar="SCENE|FILE.py")
+@click.argument("name", metavar="SCENE|FILE")
 @click.option(
     "--error",
     "error",
@@ -83,17 +84,18 @@ def recommend_(
     """Find the integrator, and its step or tolerance, that reaches an accuracy at the least cost.
 
     No integrator is named: all that take the scene are tried, and dropped as soon as they cannot
-    win. FILE.py is a file with one scene of your own. The same command goes on with the runs that
-    are stored; a larger --budget tries more.
+    win. FILE is a file with one scene of your own, or a model of MuJoCo or URDF. The same command
+    goes on with the runs that are stored; a larger --budget tries more.
 
     \b
     Examples:
       stepbench recommend slider_crank --error a:1e-3
       stepbench recommend my_scene.py --error q:1e-4 --cost operations
+      stepbench recommend robot.xml --set contacts=left_out
       stepbench recommend quarter_car --error a:settled:1e-3 --budget 20
     """
     start = time.monotonic()
-    own = [name] if name.endswith(".py") else []
+    own = [name] if name.endswith((".py", *SUFFIXES)) else []
     registry = options.usable_registry([*plugins, *own])
     scene = registry.problem(_scene_in(registry, name) if own else name, **settings)
     said: list[str] = []

@@ -13,6 +13,7 @@ import importlib.util
 import inspect
 import os
 import sys
+import types
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
@@ -32,6 +33,8 @@ from problems.system import MechatronicSystem
 PROJECT = "stepbench"
 #: Modules of plugin files have names that begin with this.
 FILE_PREFIX = "stepbench_plugin_"
+#: Endings of files that MuJoCo reads.
+SUFFIXES = (".xml", ".urdf", ".mjcf")
 #: The kinds of plugins, with their base classes.
 KINDS = {"problems": MechatronicSystem, "integrators": Integrator}
 
@@ -252,8 +255,8 @@ def _files(path: Path) -> list[Path]:
     for file in files:
         if not file.is_file():  # a pipe would be waited for
             raise PluginError(f"There is no plugin file or folder {file}.")
-        if file.suffix != ".py":
-            raise PluginError(f"{file} is not a Python file.")
+        if file.suffix not in (".py", *SUFFIXES):
+            raise PluginError(f"{file} is not a Python file, nor a model ({', '.join(SUFFIXES)}).")
     return files
 
 
@@ -262,6 +265,8 @@ def _import_file(file: Path) -> Any:
     name = f"{FILE_PREFIX}{file.stem}_{digest}"
     if name in sys.modules:
         return sys.modules[name]
+    if file.suffix in SUFFIXES:
+        return _scene_of(file, name)
     loader = importlib.util.spec_from_file_location(name, file)
     if loader is None or loader.loader is None:
         raise PluginError(f"{file} is not a Python file.")
@@ -274,6 +279,17 @@ def _import_file(file: Path) -> Any:
     except BaseException:
         del sys.modules[name]
         raise
+    return module
+
+
+def _scene_of(file: Path, name: str) -> Any:
+    """A module with the scene of a model that is not written in Python."""
+    from problems.models.mjcf import from_mjcf
+
+    cls = from_mjcf(file)
+    module = sys.modules[name] = types.ModuleType(name)
+    cls.__module__ = name
+    setattr(module, cls.__name__, cls)
     return module
 
 

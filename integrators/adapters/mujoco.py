@@ -15,7 +15,8 @@ from integrators.contract import PreparedRun, Trajectory, Work, option
 from integrators.native.endings import Ending
 from integrators.resolutions import Steps
 from problems.engines.agreement import check_agreement
-from problems.engines.mujoco_models import LOOPS, MUJOCO_MODELS, hard_acceleration, load_mujoco
+from problems.engines.mujoco_models import LOOPS, MUJOCO_MODELS, hard_acceleration, mujoco_model
+from problems.models.mjcf import load_mujoco
 from problems.system import MechatronicSystem
 
 #: Coordinates beyond are a solution that blows up; MuJoCo goes on with them.
@@ -26,10 +27,10 @@ _BEYOND = 1e12
 class Mujoco(Engine):
     """MuJoCo's integrators on its own model of the scene: joint coordinates, soft loops.
 
-    Trees of bodies have joint coordinates and no constraints: pendulum, chain, heavy_top. The loop
-    of slider_crank is an equality, which MuJoCo holds by a stiff, damped force of its own: its
-    time constant of ``loop_steps`` steps makes it harder as the step falls. Neither gives our
-    multipliers.
+    Trees of bodies have joint coordinates and no constraints: pendulum, chain, heavy_top, and
+    models from files. Each loop, as that of slider_crank, is an equality, which MuJoCo holds by a
+    stiff, damped force of its own: its time constant of ``loop_steps`` steps makes it harder as the
+    step falls. Neither gives our multipliers.
 
     Reported q and v are MuJoCo's own at the ends of its steps. a and lam solve the scene's
     equations of motion there, as for an ODE method. Without damping in the scene implicitfast
@@ -49,8 +50,8 @@ class Mujoco(Engine):
     integrator: str = option(
         "euler",
         "euler: semi-implicit; implicitfast, implicit: forces of velocities implicit, the latter "
-        "with gyroscopic ones; rk4: explicit Runge-Kutta",
-        choices=("euler", "implicitfast", "implicit", "rk4"),
+        "with gyroscopic ones; discrete: positions implicit, too; rk4: explicit Runge-Kutta",
+        choices=("euler", "implicitfast", "implicit", "discrete", "rk4"),
         always=True,
     )
     loop_steps: float = option(
@@ -75,7 +76,7 @@ class _MujocoRun(EngineRun):
         super().__init__(method, scene, t_end, resolution)
         self._method, self._mujoco = method, load_mujoco()
         q, v = np.asarray(self.start.q), np.asarray(self.start.v)
-        self._stated = MUJOCO_MODELS[type(scene)](scene, q, v)
+        self._stated = mujoco_model(scene, q, v)
         self._model = model = self._stated.model
         model.opt.timestep = (self.t[-1] - self.t[0]) / self.steps
         kind = f"mjINT_{method.integrator.upper()}"
@@ -102,6 +103,7 @@ class _MujocoRun(EngineRun):
     def _reset(self) -> None:
         self._mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[:], self._data.qvel[:] = self._stated.qpos, self._stated.qvel
+        self._data.ctrl[:] = self._stated.control
 
     def execute(self) -> Any:
         with self._without_warnings():

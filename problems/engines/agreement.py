@@ -14,6 +14,8 @@ from problems.variables import Variables
 #: Values of scene and model differ by less, relative to the largest one at the start, in systems of
 #: up to so many coordinates; the rounding of larger ones grows at least with their number.
 SAME, SMALL = 1e-9, 100
+#: Largest values below it are compared as if they were it, in SI units: rest leaves rounding.
+REST = 1e-3
 
 
 class ModelDiffers(Exception):
@@ -34,7 +36,7 @@ def why_not(
     stated
         The scenes that have a model in the engine.
     """
-    if type(scene) not in stated:
+    if not isinstance(scene, tuple(stated)):
         known = ", ".join(sorted(one.name for one in stated))
         return f"{engine} takes scenes that have a model there: {known}."
     if isinstance(scene, Pendulum) and scene.copies > 1:
@@ -64,10 +66,10 @@ def check_agreement(
     limit = SAME * max(1.0, scene.sizes.nq / SMALL)
     for name, values in theirs.items():
         ours = np.asarray(getattr(start, name))
-        gap, size = np.abs(values - ours).max(), np.abs(ours).max()
+        gap, size = np.abs(values - ours).max(), max(np.abs(ours).max(), REST)
         if not gap <= limit * size:
             raise ModelDiffers(
                 f"The model of {scene.spec} in {engine} is another system: at the start its "
-                f"{name} differs by {gap / size if size else gap:.1e} of the largest entry; "
+                f"{name} differs by {gap / size:.1e} of the largest entry; "
                 f"at most {limit:.0e} is rounding."
             )

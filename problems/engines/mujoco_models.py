@@ -6,11 +6,12 @@ Todorov, Erez & Tassa (2012), IROS, doi:10.1109/IROS.2012.6386109.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from problems.models.mjcf import MujocoScene, load_mujoco
 from problems.runtime import Float, jnp
 from problems.scenes.chain import Chain
 from problems.scenes.heavy_top import HeavyTop
@@ -21,13 +22,6 @@ from problems.system import MechatronicSystem
 
 #: An inertia that MuJoCo accepts for a point; the model then has zero there.
 _POINT = 1e-14
-
-
-def load_mujoco() -> Any:
-    """The module mujoco, which does not state its types."""
-    import mujoco
-
-    return mujoco
 
 
 @dataclass(frozen=True)
@@ -44,6 +38,8 @@ class MujocoModel:
         Our q ``(k, nq)`` of rows of qpos, which may be complex.
     rate
         d/dt qpos of rows of qpos and qvel: qvel itself, but for quaternions.
+    control
+        Controls of the actuators.
     """
 
     model: Any
@@ -51,6 +47,7 @@ class MujocoModel:
     qvel: np.ndarray
     position: Callable[[np.ndarray], np.ndarray]
     rate: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda qpos, qvel: qvel
+    control: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def motion(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Our q and v ``(k, nq)`` of rows of qpos and qvel; v is exact, by a complex step."""
@@ -63,6 +60,16 @@ class MujocoModel:
         qpos, qvel = self.qpos[None], self.qvel[None]
         rate = self.rate(qpos, qvel)
         return _slope(lambda t: self.motion(qpos + t * rate, qvel + t * qacc)[1][0], self.qvel)
+
+
+class _FromFile(MujocoModel):
+    """The model of a scene that was made from it: coordinates and velocities are ours."""
+
+    def motion(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return qpos.copy(), qvel.copy()
+
+    def acceleration(self, qacc: np.ndarray) -> np.ndarray:
+        return qacc
 
 
 def _slope(function: Callable[[float], np.ndarray], speed: np.ndarray) -> np.ndarray:
@@ -174,8 +181,13 @@ def _heavy_top(s: HeavyTop, q: np.ndarray, v: np.ndarray) -> MujocoModel:
     return MujocoModel(model, q[3:], turning, position, rate)
 
 
-#: Scenes whose model has a soft loop.
-LOOPS = (SliderCrank,)
+def _from_file(s: MujocoScene, q: np.ndarray, v: np.ndarray) -> MujocoModel:
+    model, control = s.in_mujoco()
+    return _FromFile(model, q, v, lambda qpos: qpos, control=control)
+
+
+#: Scenes whose model has a soft loop, or may have one.
+LOOPS = (SliderCrank, MujocoScene)
 #: How a scene becomes a model, from its q and v at the start ``(nq,)``; a SpecError says that
 #: MuJoCo does not take the parameters, as it has no body without mass.
 MUJOCO_MODELS: dict[type[MechatronicSystem], Callable[..., MujocoModel]] = {
@@ -183,7 +195,14 @@ MUJOCO_MODELS: dict[type[MechatronicSystem], Callable[..., MujocoModel]] = {
     Chain: _links,
     SliderCrank: _slider_crank,
     HeavyTop: _heavy_top,
+    MujocoScene: _from_file,
 }
+
+
+def mujoco_model(scene: MechatronicSystem, q: np.ndarray, v: np.ndarray) -> MujocoModel:
+    """Return the model of a scene that starts at q and v."""
+    (make,) = (m for kind, m in MUJOCO_MODELS.items() if isinstance(scene, kind))
+    return make(scene, q, v)
 
 
 def hard_acceleration(model: Any, data: Any) -> Float[np.ndarray, " nv"]:

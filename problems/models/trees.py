@@ -1,0 +1,213 @@
+"""Trees of rigid bodies in joint coordinates: M(q), bias forces and poses, without recursion.
+
+A joint hangs below another one; poses are composed in the logarithm of the depth by jumping to
+the ancestor of the ancestor. All else are sums over ancestors or descendants, that is, products
+with constant matrices: the recursive Newton-Euler algorithm (Featherstone 2008,
+doi:10.1007/978-1-4899-7560-7) as a few array operations, which compile in a moment. Vectors are
+in space axes, and moments about the origin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from problems.rotations import rotation_matrix
+from problems.runtime import Array, Float, jnp
+
+#: Matrices by which a vector becomes that of its cross product: einsum of this and the vector.
+_CROSS = np.zeros((3, 3, 3))
+_CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = -1.0
+_CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = 1.0
+
+
+class Poses(NamedTuple):
+    """Axes ``(n, 3, 3)`` and origins ``(n, 3)`` of links, and motions by velocities ``(nv, 3)``:
+    angular velocities, and velocities of the point that is at the origin."""
+
+    axes: Float[Array, "n 3 3"]
+    origins: Float[Array, "n 3"]
+    turning: Float[Array, "nv 3"]
+    moving: Float[Array, "nv 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """Links, each with at most one joint, parents first.
+
+    Attributes
+    ----------
+    parent
+        number of the link above ``(n,)``; -1: the ground
+    place, axes
+        of the link in that above at q = ``zero``: ``(n, 3)`` in m, and ``(n, 3, 3)``
+    kind
+        "hinge", "slide", "ball" or "fixed" ``(n,)``
+    axis, anchor
+        of the joint in the axes of the link ``(n, 3)``
+    at_q, at_v
+        first number of the joint's coordinates and velocities ``(n,)``
+    zero
+        coordinates of hinges and slides in which links stand in their places ``(n,)``
+    mass, centre, inertia
+        in kg, m, and kg m^2 about the centre in the axes of the link: ``(n,)``, ``(n, 3)``,
+        ``(n, 3, 3)``
+    weightless
+        part of the weight that is held up ``(n,)``
+    gravity
+        in m/s^2 ``(3,)``
+    nq, nv
+        numbers of coordinates and velocities
+    """
+
+    parent: np.ndarray
+    place: np.ndarray
+    axes: np.ndarray
+    kind: tuple[str, ...]
+    axis: np.ndarray
+    anchor: np.ndarray
+    at_q: np.ndarray
+    at_v: np.ndarray
+    zero: np.ndarray
+    mass: np.ndarray
+    centre: np.ndarray
+    inertia: np.ndarray
+    weightless: np.ndarray
+    gravity: np.ndarray
+    nq: int
+    nv: int
+
+    # ---- constant matrices
+    @cached_property
+    def _above(self) -> np.ndarray:
+        """``(n, n)``: 1 where the second link is the first one or above it."""
+        n = len(self.parent)
+        above = np.eye(n)
+        for k, parent in enumerate(self.parent):
+            if parent >= 0:
+                above[k] += above[parent]
+        return above
+
+    @cached_property
+    def _of(self) -> np.ndarray:
+        """The link of each velocity ``(nv,)``."""
+        found = np.zeros(self.nv, dtype=int)
+        for k, kind in enumerate(self.kind):
+            found[self.at_v[k] : self.at_v[k] + {"fixed": 0, "ball": 3}.get(kind, 1)] = k
+        return found
+
+    @cached_property
+    def _columns(self) -> tuple[np.ndarray, np.ndarray]:
+        """The axis of each velocity in its link ``(nv, 3)``, and 1 where it turns ``(nv, 1)``."""
+        axes, turns = self.axis[self._of].copy(), np.ones((self.nv, 1))
+        for k, kind in enumerate(self.kind):
+            if kind == "ball":
+                axes[self.at_v[k] : self.at_v[k] + 3] = np.eye(3)
+            elif kind == "slide":
+                turns[self.at_v[k]] = 0.0
+        return axes, turns
+
+    def _picks(self, kind: str) -> np.ndarray:
+        """Matrix ``(n, nq)`` that gives links of a kind their coordinate, and others zero."""
+        picks = np.zeros((len(self.kind), self.nq))
+        for k, own in enumerate(self.kind):
+            if own == kind:
+                picks[k, self.at_q[k]] = 1.0
+        return picks
+
+    # ---- motion
+    def poses(self, q: Float[Array, " nq"]) -> Poses:
+        """Return the poses of the links at coordinates q."""
+        hinged, slid = self._picks("hinge"), self._picks("slide")
+        angle = hinged @ q - hinged.any(1) * self.zero
+        across = np.einsum("ijk,nk->nij", _CROSS, self.axis)
+        turned: Any = (
+            np.eye(3)
+            + jnp.sin(angle)[:, None, None] * across
+            + (1 - jnp.cos(angle))[:, None, None] * (across @ across)
+        )
+        for k, kind in enumerate(self.kind):
+            if kind == "ball":
+                ball = rotation_matrix(q[self.at_q[k] : self.at_q[k] + 4])
+                turned += np.eye(len(self.kind))[k][:, None, None] * (ball - np.eye(3))
+        way = (slid @ q - slid.any(1) * self.zero)[:, None] * self.axis
+        way = way + self.anchor - jnp.einsum("nij,nj->ni", turned, self.anchor)
+        origins: Any = self.place + jnp.einsum("nij,nj->ni", self.axes, way)
+        axes: Any = jnp.einsum("nij,njk->nik", self.axes, turned)
+        above = self.parent
+        while (above >= 0).any():
+            below = np.flatnonzero(above >= 0)
+            up = axes[above[below]]
+            moved = origins[above[below]] + jnp.einsum("nij,nj->ni", up, origins[below])
+            origins = origins.at[below].set(moved)
+            axes = axes.at[below].set(jnp.einsum("nij,njk->nik", up, axes[below]))
+            above = np.where(above >= 0, above[above], -1)
+        own, turns = self._columns
+        along = jnp.einsum("nij,nj->ni", axes[self._of], own)
+        anchors = origins[self._of] + jnp.einsum(
+            "nij,nj->ni", axes[self._of], self.anchor[self._of]
+        )
+        moving = turns * jnp.cross(anchors, along) + (1 - turns) * along
+        return Poses(axes, origins, jnp.asarray(turns * along), jnp.asarray(moving))
+
+    def _bodies(self, at: Poses) -> tuple[Array, Array]:
+        """Centres of mass ``(n, 3)``, and inertias about them in space axes ``(n, 3, 3)``."""
+        centres = at.origins + jnp.einsum("nij,nj->ni", at.axes, self.centre)
+        return centres, jnp.einsum("nij,njk,nlk->nil", at.axes, self.inertia, at.axes)
+
+    def mass_matrix(self, q: Float[Array, " nq"]) -> Float[Array, "nv nv"]:
+        """Return M(q)."""
+        at = self.poses(q)
+        centres, inertias = self._bodies(at)
+        moments = self.mass[:, None] * centres
+        squares = jnp.einsum("ni,ni->n", centres, centres)[:, None, None] * np.eye(3)
+        about = inertias + self.mass[:, None, None] * (
+            squares - centres[:, :, None] * centres[:, None, :]
+        )
+        # Of all that hangs at the link of a velocity.
+        hanging = self._above.T[self._of]
+        mass, moment = hanging @ self.mass, hanging @ moments
+        inertia = jnp.einsum("dn,nij->dij", hanging, about)
+        force = mass[:, None] * at.moving + jnp.cross(at.turning, moment)
+        torque = jnp.einsum("dij,dj->di", inertia, at.turning) + jnp.cross(moment, at.moving)
+        products = force @ at.moving.T + torque @ at.turning.T
+        links = self._of
+        upper = self._above[links][:, links] * (
+            (links[:, None] != links) | (np.arange(self.nv)[:, None] >= np.arange(self.nv))
+        )
+        lower = upper * products
+        return lower + (1 - np.eye(self.nv)) * lower.T
+
+    def bias(self, q: Float[Array, " nq"], v: Float[Array, " nv"]) -> Float[Array, " nv"]:
+        """Return the gyroscopic forces and weights, in N (or N m), on the side of M a."""
+        at = self.poses(q)
+        centres, inertias = self._bodies(at)
+        n, own = len(self.parent), self._above - np.eye(len(self.parent))
+        belongs = np.eye(n)[:, self._of]
+        w, u = belongs @ (v[:, None] * at.turning), belongs @ (v[:, None] * at.moving)
+        w_above, u_above = own @ w, own @ u
+        # A joint's axes move with the link above it.
+        angular = self._above @ jnp.cross(w_above, w)
+        linear = self._above @ (jnp.cross(w_above, u) + jnp.cross(u_above, w))
+        w, u = w_above + w, u_above + u
+        speed = u + jnp.cross(w, centres)
+        rise = linear + jnp.cross(angular, centres) + jnp.cross(w, speed)
+        weight = (1 - self.weightless)[:, None] * self.gravity
+        force = self.mass[:, None] * (rise - weight)
+        spin = jnp.einsum("nij,nj->ni", inertias, w)
+        torque = (
+            jnp.einsum("nij,nj->ni", inertias, angular)
+            + jnp.cross(w, spin)
+            + jnp.cross(centres, force)
+        )
+        hanging = self._above.T[self._of]
+        total = at.moving * (hanging @ force) + at.turning * (hanging @ torque)
+        return total.sum(axis=1)
+
+    def weight_energy(self, q: Float[Array, " nq"]) -> Float[Array, ""]:
+        """Return the potential energy of the weights, in J."""
+        centres, _ = self._bodies(self.poses(q))
+        return -jnp.sum((self.mass * (1 - self.weightless)) * (centres @ self.gravity))
