@@ -16,7 +16,7 @@ from integrators.native.endings import Ending
 from integrators.resolutions import Steps
 from problems.engines.agreement import check_agreement
 from problems.engines.mujoco_models import LOOPS, MUJOCO_MODELS, hard_acceleration, mujoco_model
-from problems.models.mjcf import load_mujoco
+from problems.models.mjcf import MujocoScene, load_mujoco
 from problems.system import MechatronicSystem
 
 #: Coordinates beyond are a solution that blows up; MuJoCo goes on with them.
@@ -60,6 +60,9 @@ class Mujoco(Engine):
 
     def scenes(self) -> Collection[type[MechatronicSystem]]:
         return MUJOCO_MODELS
+
+    def supports(self, scene: MechatronicSystem) -> str | None:
+        return None if isinstance(scene, MujocoScene) else super().supports(scene)
 
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
         smooth = self.integrator == "rk4" and not isinstance(scene, LOOPS)

@@ -36,7 +36,7 @@ def why_not(
     stated
         The scenes that have a model in the engine.
     """
-    if not isinstance(scene, tuple(stated)):
+    if type(scene) not in stated:
         known = ", ".join(sorted(one.name for one in stated))
         return f"{engine} takes scenes that have a model there: {known}."
     if isinstance(scene, Pendulum) and scene.copies > 1:

@@ -195,13 +195,12 @@ MUJOCO_MODELS: dict[type[MechatronicSystem], Callable[..., MujocoModel]] = {
     Chain: _links,
     SliderCrank: _slider_crank,
     HeavyTop: _heavy_top,
-    MujocoScene: _from_file,
 }
 
 
 def mujoco_model(scene: MechatronicSystem, q: np.ndarray, v: np.ndarray) -> MujocoModel:
     """Return the model of a scene that starts at q and v."""
-    (make,) = (m for kind, m in MUJOCO_MODELS.items() if isinstance(scene, kind))
+    make = _from_file if isinstance(scene, MujocoScene) else MUJOCO_MODELS[type(scene)]
     return make(scene, q, v)
 
 
