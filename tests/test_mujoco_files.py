@@ -250,6 +250,12 @@ def test_commands_take_the_file(stepbench, tmp_path):
     found = json.loads(stepbench(*asked, "--step", "0.002", "--json").stdout)
     assert found["status"] == "ok"
     assert found["constraint"]["position"] < 1e-12
+    written = stepbench(
+        "new", "problem", "my_bar", "--from", tmp_path / "four-bar.xml", "--out", tmp_path / "b.py"
+    )
+    assert written.exit_code == 0, written.output
+    scene = Registry([tmp_path / "b.py"]).problem("my_bar")
+    assert scene.sizes.nl == 2
     (tmp_path / "bad.xml").write_text("<mujoco>")
     refused = stepbench("solve", "bad", "rattle", "--plugins", tmp_path / "bad.xml")
     assert refused.exit_code

@@ -17,7 +17,7 @@ from bench.commands import completion, options
 from bench.commands.listing import WORDS
 from bench.commands.pages import view
 from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, CheckResult
-from bench.plugins.registry import KINDS
+from bench.plugins.registry import KINDS, SUFFIXES
 from bench.running.inventory import Inventory
 from problems.spec import SpecError, snake_case
 
@@ -29,6 +29,18 @@ _SIGNS = {PASSED: ("\u2713", "green"), FAILED: ("\u2717", "red"), NOT_APPLICABLE
 #: Number of pictures in an animation: enough for 12 s of smooth motion.
 _FRAMES = 240
 _SKELETONS = {"integrator": "NewIntegrator", "problem": "NewProblem"}
+_FROM_MODEL = '''\
+"""The scene {name}, made of a model."""
+
+from problems import from_mjcf
+
+{cls} = from_mjcf(
+    {file!r},
+    name={name!r},
+    interval=(0.0, 2.0),
+    nominal_step=0.01,
+)
+'''
 
 
 @click.command()
@@ -95,14 +107,23 @@ def _line(result: CheckResult) -> Text:
 @click.argument("kind", type=click.Choice(list(_SKELETONS)))
 @click.argument("name")
 @options.with_file("File; NAME.py if not given.")
-def new(kind: str, name: str, out: Path | None) -> None:
+@click.option(
+    "--from",
+    "model",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Model of MuJoCo or URDF that the scene is made of.",
+)
+def new(kind: str, name: str, out: Path | None, model: Path | None) -> None:
     """Write a small scene or integrator, which runs at once.
 
     \b
     Examples:
       stepbench new integrator my_method
       stepbench new problem my_scene --out scenes/my_scene.py
+      stepbench new problem my_robot --from robot.xml
     """
+    if model is not None and (kind != "problem" or model.suffix not in SUFFIXES):
+        raise SpecError(f"--from takes a model ({', '.join(SUFFIXES)}) for a new problem.")
     _require_free(name)
     path = out or Path(f"{name}.py")
     if path.suffix != ".py":
@@ -114,6 +135,8 @@ def new(kind: str, name: str, out: Path | None) -> None:
         )
     skeleton = resources.files("bench.plugins.skeletons") / f"{kind}.py"
     text = skeleton.read_text(encoding="utf-8").replace(_SKELETONS[kind], _class_name(name))
+    if model is not None:
+        text = _FROM_MODEL.format(cls=_class_name(name), name=name, file=str(model.resolve()))
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)

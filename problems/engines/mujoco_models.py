@@ -200,8 +200,9 @@ MUJOCO_MODELS: dict[type[MechatronicSystem], Callable[..., MujocoModel]] = {
 
 def mujoco_model(scene: MechatronicSystem, q: np.ndarray, v: np.ndarray) -> MujocoModel:
     """Return the model of a scene that starts at q and v."""
-    make = _from_file if isinstance(scene, MujocoScene) else MUJOCO_MODELS[type(scene)]
-    return make(scene, q, v)
+    if isinstance(scene, MujocoScene):
+        return _from_file(scene, q, v)
+    return MUJOCO_MODELS[type(scene)](scene, q, v)
 
 
 def hard_acceleration(model: Any, data: Any) -> Float[np.ndarray, " nv"]:
