@@ -19,8 +19,9 @@ import numpy as np
 from integrators.resolutions import Steps
 from integrators.runs import PreparedRun, Trajectory, Work
 from problems.compiled import compiled
-from problems.initial_values import InconsistentStart, NoConsistentStart
+from problems.initial_values import InconsistentStart, NoConsistentStart, consistent_start
 from problems.phases import Cut, EndlessEvents, Samples, crossing, falls, march, on_constraints
+from problems.runtime import jax
 from problems.sampled import followed, steps_over
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
@@ -192,6 +193,9 @@ class PhasedRun(PreparedRun):
             if rows.status != "ok":
                 return None
             before = _from_row(phase, rows, -1)
+        if at <= before.interval[0]:  # events that accumulate: no time is left to this one
+            self._events.append((at, event))
+            return Cut(jax.tree.map(np.asarray, consistent_start(before).z), event)
         rows = self._measured(before, at)
         self._keep(phase, rows)
         if rows.status != "ok":

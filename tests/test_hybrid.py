@@ -225,6 +225,26 @@ def test_events_that_accumulate_end_the_run_with_a_sentence():
         Reference(scene, 1.0).error  # noqa: B018
 
 
+def test_an_event_without_time_left_for_its_step_is_one_of_those_that_do_not_end():
+    from integrators.methods.simulator_steppers import SemiImplicitEuler
+
+    # A step as long as the flight lands without velocity, and the block comes to rest.
+    found = run(SemiImplicitEuler(), RockingBlock(), Steps(0.1))
+    assert found.status == "step_too_small"
+    assert "Events do not end at t=2.4809" in found.message
+    assert np.isfinite(found.q).all()
+
+
+@pytest.mark.long
+def test_a_first_step_that_is_the_phase_but_for_rounding_is_no_failure():
+    from integrators.adapters.diffrax_methods import Kvaerno5
+
+    # diffrax takes 0.01 s from 0.06 s, and has 1e-17 s left to 0.07 s.
+    found = run(Kvaerno5(), SampledQuarterCar(), Tolerances(1e-5), 0.09)
+    assert found.status == "ok", found.message
+    assert found.t[-1] == 0.09
+
+
 @dataclass(frozen=True)
 class _Resting(BouncingBall):
     """A ball without restitution, whose author forgot that it then rests."""
