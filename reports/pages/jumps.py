@@ -7,7 +7,7 @@ from itertools import count
 
 from bench.results.quantities import NORM, WRONG, quantity
 from bench.results.records import SceneRecord, counted
-from reports.formatting import file_name, number, number_range, words
+from reports.formatting import file_name, number_range, words
 from reports.names import scene_name
 from reports.pages.chapter import Chapter, Section
 from reports.scenes import StoredRuns
@@ -48,7 +48,7 @@ def _sampled(stored: StoredRuns) -> Iterator[Section]:
         verdict = (
             f"Wrong without warning: {len(silent)} of {counted(len(ignored), 'run')} that "
             f"{'ignores' if len(ignored) == 1 else 'ignore'} the samples; error in "
-            f"{quantity(JUDGED)} {number_range(r.error(JUDGED, NORM) for r in silent)}, above "
+            f"{quantity(JUDGED)} of {number_range(r.error(JUDGED, NORM) for r in silent)}, above "
             f"{WRONG:g}. They give the motion of the continuous controller."
         )
         yield Section(
@@ -81,8 +81,9 @@ def _found(series: Sequence[Series], names: Mapping[str, str]) -> Iterator[str]:
     """How far the times of events are off, which methods miscount them, and which runs failed."""
     right = [s for s in series if s.ok and not any(map(miscounted, s.ok))]
     if right:
-        off = [f"{names[s.label]} {number(s.finest.events['time'])} s" for s in right]
-        yield f"All events are found by every run, in the finest one with times off by: {words(off)}."
+        off = number_range(s.finest.events["time"] for s in right)
+        who = words(names[s.label] for s in right)
+        yield f"Every run of {who} finds all events; in the finest one, times are off by {off} s."
     odd = [
         f"{names[s.label]} ({', '.join(r.resolution.partition(',')[0] for r in wrong)})"
         for s in series

@@ -44,8 +44,8 @@ def events_table(series: Sequence[Series]) -> Table | None:
                 "times off in s": number(events["time"]),
                 "steps": _count(run, "steps"),
                 "steps to locate": _count(run, "rejected"),
-                "other runs": s.statuses,
-                "runs with another number": f"{len(odd)} of {len(s.ok)}",
+                "runs": s.statuses,
+                "runs with another number of events": f"{len(odd)} of {len(s.ok)}",
             }
         )
     note = (
