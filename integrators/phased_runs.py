@@ -239,14 +239,18 @@ class PhasedRun(PreparedRun):
             count = len(parts["t"][-1])
             phase.append(np.full(count, piece.phase))
             held.append(np.tile(piece.held, (count, 1)))
+        every = {name: np.concatenate(found) for name, found in parts.items()}
+        samples = Samples.of(self._scene)
+        # A step over a sample ends in the next phase of the motion.
+        over = samples.phases(every["t"]) if samples and self._over else None
         return Trajectory(
-            **{name: np.concatenate(found) for name, found in parts.items()},
+            **every,
             status=status,
             message=message,
             work=self._work(),
             notes={name: np.concatenate(found) for name, found in notes.items()},
             xd=np.concatenate(held),
-            phase=np.concatenate(phase),
+            phase=np.concatenate(phase) if over is None else over,
             events=np.array(self._events).reshape(-1, 2),
         )
 

@@ -20,7 +20,7 @@ import numpy as np
 from problems.compiled import compiled
 from problems.initial_values import InconsistentStart, consistent_start
 from problems.layouts import state_layout
-from problems.runtime import Float, jax
+from problems.runtime import Float, Int, jax
 from problems.spec import SpecError, suggest
 from problems.system import MechatronicSystem
 from problems.variables import State, Variables
@@ -116,6 +116,10 @@ class Samples(NamedTuple):
         """Return the first instant after t in s; infinite if the sample time is."""
         k = math.floor((t - self.t0) / self.period + _SAME) + 1
         return self.t0 + k * self.period
+
+    def phases(self, t: Float[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
+        """Return the numbers of the phases at times in s; an instant belongs to that before."""
+        return np.maximum(np.ceil((t - self.t0) / self.period - _SAME).astype(int) - 1, 0)
 
 
 def after(phase: MechatronicSystem, z: Variables, event: int | None) -> MechatronicSystem:

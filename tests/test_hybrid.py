@@ -9,6 +9,7 @@ import scipy.linalg
 from click.testing import CliRunner
 
 from bench.commands.main import main
+from bench.running.errors import relative_errors
 from integrators.adapters.ida import IDA
 from integrators.methods.bdf2 import BDF2
 from integrators.methods.generalized_alpha import GeneralizedAlpha
@@ -104,6 +105,12 @@ def test_a_method_that_ignores_samples_gives_the_continuous_controller():
     assert found.xd[-1, 0] == pytest.approx(-2 * digits[0] - digits[1], abs=1e-9)
 
 
+@pytest.mark.parametrize("sampling", ["hit", "interpolate", "ignore"])
+def test_the_reference_hits_the_samples_whatever_runs_do(sampling):
+    end = Reference(SampledPd(sampling=sampling), 5.0)(np.array([5.0]))
+    assert end["q"][0, 0] == pytest.approx(-0.0412160715525846, abs=1e-13)
+
+
 def test_steps_over_samples_are_of_first_order():
     exact = by_matrix_exponentials(SampledPd(), 5.0)
     scene = SampledPd(sampling="interpolate")
@@ -112,6 +119,11 @@ def test_steps_over_samples_are_of_first_order():
     assert errors[-1] < 1e-2
     assert errors[-1] > 5 * abs(run(GeneralizedAlpha(), SampledPd(), Steps(steps[-1])).q[-1, 0]
                                 - exact[0])  # fmt: skip
+    # A row behind a sample is compared with the motion there, not with that at the sample.
+    found = run(GeneralizedAlpha(), scene, Steps(steps[1]))
+    assert found.phase[found.t.searchsorted(0.1)] == 1
+    error = relative_errors(found, Reference(scene, 5.0)).errors["q"]
+    assert max(error["max"], error["end"]) < steps[1] / 10
     with pytest.raises(SpecError, match="constant steps"):
         PHEM56().prepare(scene, 5.0, Tolerances(1e-6))
 
@@ -340,7 +352,9 @@ def test_solve_prints_held_values_and_events():
     assert len(found["xd"]) == 2
     assert 0 < found["errors"]["xd"]["max"] < 1e-2
     asked[1] = "sampled_pd[sampling=ignore]"
-    assert json.loads(CliRunner().invoke(main, asked).stdout)["errors"]["q"]["max"] > 0.5
+    error = json.loads(CliRunner().invoke(main, asked).stdout)["errors"]["q"]
+    # the difference of the digits of both controllers, relative to q(0) = 1
+    assert error["end"] == pytest.approx(0.0412160715525846 - 0.0123657925475071, rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -352,6 +366,10 @@ def test_solve_prints_held_values_and_events():
         (
             ["sampled_pd", "bdf2", "--ensemble", "10", "--vary", "kp:1..2"],
             "jump at samples or events",
+        ),
+        (
+            ["sampled_pd[sampling=ignore]", "bdf2", "--ensemble", "10", "--vary", "kp:1..2"],
+            "jump at samples or events",  # it would leave the controller out
         ),
     ],
 )
