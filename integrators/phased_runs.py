@@ -168,7 +168,12 @@ class PhasedRun(PreparedRun):
         self._keep(phase, rows)
         if rows.status != "ok":
             return None
-        return Cut(_row(rows, -1))
+        if not self._over:
+            return Cut(_row(rows, -1))
+        part = (stop - rows.t[-2]) / (rows.t[-1] - rows.t[-2])  # of the step in which it lies
+        ends = _row(rows, -2), _row(rows, -1)
+        seen = jax.tree.map(lambda a, b: (1 - part) * a + part * b, *ends)
+        return Cut(ends[1], seen=seen)
 
     def _to_event(self, phase: MechatronicSystem, stop: float) -> Cut | None:
         t, tried = phase.interval[0], _TRIED * self._scene.nominal_step

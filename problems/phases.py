@@ -38,11 +38,12 @@ class EndlessEvents(ArithmeticError):
 
 
 class Cut(NamedTuple):
-    """The end of a phase: all variables there, and the number of the event; None if there is
-    none."""
+    """The end of a phase: all variables there, the number of the event, None if there is none, and
+    the variables that a sample sees, if they are others."""
 
     z: Variables
     event: int | None = None
+    seen: Variables | None = None
 
 
 def march(
@@ -85,7 +86,7 @@ def march(
                     f"function must rise or stay positive; end earlier, or give the motion beyond "
                     f"a state of its own, by a held value"
                 )
-        phase = after(phase, cut.z, cut.event)
+        phase = after(phase, cut.z, cut.event, cut.seen)
 
 
 class Samples(NamedTuple):
@@ -122,15 +123,19 @@ class Samples(NamedTuple):
         return np.maximum(np.ceil((t - self.t0) / self.period - _SAME).astype(int) - 1, 0)
 
 
-def after(phase: MechatronicSystem, z: Variables, event: int | None) -> MechatronicSystem:
+def after(
+    phase: MechatronicSystem, z: Variables, event: int | None, seen: Variables | None = None
+) -> MechatronicSystem:
     """Return the phase that follows the variables z at an event, or at a sample if it is None.
+
+    A sample sees z, or the variables ``seen``.
 
     State and velocities are moved to the constraints, where a method has left them or a jump does
     not fit them, by the least changes in the norm of M: of velocities, by the joints' impulses.
     """
     functions, p = compiled(phase), phase.parameters()
     block = "sample()" if event is None else "jump()"
-    found = functions.sample(p, z) if event is None else functions.jumps[event](p, z)
+    found = functions.sample(p, seen or z) if event is None else functions.jumps[event](p, z)
     new = _checked(phase, found, z, block)
     state = State(*(new.pop(group, np.asarray(getattr(z, group))) for group in State._fields))
     following = phase.phase(float(z.t), state, {name: float(v) for name, v in new.items()})

@@ -70,15 +70,16 @@ def test_policies_of_a_scene_stand_side_by_side_and_ignored_samples_are_wrong(st
         ["m", "0.01 at h=0.05", "1 (wrong) at h=0.05"],
         ["other", "0.003 at h=0.05", "not tried"],
     ]
-    assert first.verdict.startswith(
-        "Wrong without warning: 2 of 2 runs that ignore the samples; error in position of 1 to 1.2"
+    assert first.verdict == (
+        "The samples are ignored by 2 runs: error in position of 1 to 1.2, however fine the steps; "
+        "they give the motion of the continuous controller. Wrong without warning (above 0.1): 2."
     )
     assert not first.good
     assert other.good
     assert not other.verdict
     for run in stored.series["pd[sampling=ignore]"][0].records:  # they say it themselves
         run.message = "Samples are ignored."
-    assert jumps_chapter(stored).sections[0].good
+    assert jumps_chapter(stored).sections[0].verdict.endswith("(above 0.1): 0.")
 
 
 def test_events_are_counted_beside_those_of_the_reference(stored):

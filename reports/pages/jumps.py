@@ -45,19 +45,19 @@ def _sampled(stored: StoredRuns) -> Iterator[Section]:
         title = scene_name(next(iter(ordered.values()))[0])
         ignored = ok_runs(ordered["ignore"][1]) if "ignore" in ordered else []
         silent = [r for r in ignored if r.wrong(JUDGED) and not r.message]
+        size = number_range(r.error(JUDGED, NORM) for r in ignored)
         verdict = (
-            f"Wrong without warning: {len(silent)} of {counted(len(ignored), 'run')} that "
-            f"{'ignores' if len(ignored) == 1 else 'ignore'} the samples; error in "
-            f"{quantity(JUDGED)} of {number_range(r.error(JUDGED, NORM) for r in silent)}, above "
-            f"{WRONG:g}. They give the motion of the continuous controller."
+            f"The samples are ignored by {counted(len(ignored), 'run')}: error in "
+            f"{quantity(JUDGED)} of {size}, however fine the steps; they give the motion of the "
+            f"continuous controller. Wrong without warning (above {WRONG:g}): {len(silent)}."
         )
         yield Section(
             f"jumps-sampled-{k}",
             title,
             [policies_table({name: own for name, (_, own) in ordered.items()})],
             claim="A controller sees the motion at samples and holds its values between them.",
-            verdict=verdict if silent else "",
-            good=not silent,
+            verdict=verdict if ignored else "",
+            good=not ignored,
         )
 
 
