@@ -12,7 +12,7 @@ from reports.text.jump_tables import policy
 #: Names of experiments.
 PATTERN, TRANSIENT, UNDAMPED = "variable_steps", "start_transient", "undamped_index3"
 STIFF = "spurious_acceleration"
-IGNORED = "ignored_samples"
+IGNORED, OVER = "ignored_samples", "steps_over_samples"
 #: The verdict of a fit on errors that never fall.
 STUCK = "does not converge"
 
@@ -23,8 +23,8 @@ def explained(s: Series, group: str, scene: SceneRecord | None, transient: bool 
     The symptom is an order that is lost, or errors that never fall. ``transient`` says whether the
     order is there after the start transient.
     """
-    if policy(scene) == "ignore":
-        return IGNORED
+    if at_samples := {"ignore": IGNORED, "interpolate": OVER}.get(policy(scene)):
+        return at_samples
     if len(s.records[0].pattern) > 1:
         return PATTERN
     if _felt(group) and _unresolved(s.finest, scene):

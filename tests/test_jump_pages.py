@@ -6,7 +6,7 @@ import pytest
 from planted import STEPS, planted
 
 from bench.results.records import SceneRecord
-from reports.explanations import IGNORED, wrong_runs
+from reports.explanations import IGNORED, OVER, wrong_runs
 from reports.pages.jumps import jumps_chapter
 from reports.pages.report import Report
 from reports.questions.phrases import plain
@@ -105,6 +105,10 @@ def test_ignored_samples_are_the_cause_of_an_error_even_in_positions(stored):
     for group in "qa":
         assert wrong_runs(s, group, s.finest, own) == IGNORED
         assert wrong_runs(s, group, s.finest, stored.scenes["pd"]) == ""
+    s.finest.errors["q"]["max"] = 0.01  # a late command spoils the acceleration alone
+    assert wrong_runs(s, "a", s.finest, scene("pd", "interpolate")) == OVER
+    s.finest.errors["q"]["max"] = 1.0
+    assert wrong_runs(s, "a", s.finest, scene("pd", "interpolate")) == ""
     words = words_of({"pd": [s]}, {})
     count, who, why = map(plain, wrong_sentences("q", {"pd": [wrong_on(s, "q", own)]}, words))
     assert count.startswith("Wrong without warning: 2 of 2 runs that reached the end")
