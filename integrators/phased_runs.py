@@ -213,6 +213,12 @@ class PhasedRun(PreparedRun):
     ) -> tuple[int, int, float] | None:
         """The row before which the first event lies, its number, and its time in s."""
         values, rates = _watched(phase, rows)
+        if rows.status == "ok" and not np.isfinite(values).all():
+            t = rows.t[np.argmin(np.isfinite(values).all(axis=1))]
+            rows.status, rows.message = (
+                "diverged",
+                (f"A function of `events` is not finite at t={t:.6g} s."),
+            )
         first: tuple[int, int, float] | None = None
         for fall in falls(rows.t, values, rates):
             if first and fall.row > first[0]:

@@ -287,6 +287,20 @@ class _Resting(BouncingBall):
     e: float = parameter(0.0, "1", "part of the velocity that is left")
 
 
+@dataclass(frozen=True)
+class _Blind(BouncingBall):
+    """A ball whose height is no number for its event from its middle on."""
+
+    def events(self, z):
+        return jnp.sqrt(z.q - 0.5)
+
+
+def test_an_event_that_is_no_number_ends_the_run():
+    found = run(StormerVerlet(), _Blind(), Steps(0.05))
+    assert found.status == "diverged"
+    assert found.message == "A function of `events` is not finite at t=0.35 s."
+
+
 def test_an_event_that_does_not_end_is_no_endless_loop():
     found = run(StormerVerlet(), _Resting(), Steps(0.05))
     assert found.status == "step_too_small"
