@@ -57,6 +57,7 @@ def test_what_is_right_passes_every_check(registry, kind, text):
         ("wrong[how=stateful]", "execute", "measure() before and after execute()"),
         ("wrong[how=idle]", "execute", "but execute() does not return this value"),
         ("wrong[how=from_zero]", "start time", "moved by 64 s q ends 0."),
+        ("sociable", "batch", "from its twin by 0, from its single run by "),
         ("wrong[how=late]", "samples", "No row on sampled_pd is at the sample t=0.1 s"),
         ("wrong[how=jittery]", "events", "At an impact the height of a ball is "),
         ("wrong[how=heavy]", "events", "Times of impact of a ball are off by 0.00"),
@@ -122,10 +123,16 @@ def test_a_check_without_an_object_says_why(registry):
     findings = [
         examine(registry, "integrators", "newmark", "tolerance"),
         examine(registry, "integrators", "ida", "order"),
+        examine(registry, "integrators", "ida", "batch"),
         examine(registry, "problems", "spring_mass", "energy"),
     ]
     assert {finding.verdict for finding in findings} == {NOT_APPLICABLE}
-    words = ("fixed steps", "cannot take constant steps", "states no energy")
+    words = (
+        "fixed steps",
+        "cannot take constant steps",
+        "are not JAX functions",
+        "states no energy",
+    )
     for finding, reason in zip(findings, words, strict=True):
         assert reason in finding.text
 
