@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from helpers import long
 
@@ -13,6 +14,7 @@ from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED
 from bench.guard import limits
 from bench.plugins.registry import Registry
 from bench.running.inventory import Inventory
+from integrators.native.kernel import Kernel
 
 PLUGINS = Path(__file__).parent / "wrong_plugins.py"
 
@@ -57,7 +59,6 @@ def test_what_is_right_passes_every_check(registry, kind, text):
         ("wrong[how=stateful]", "execute", "measure() before and after execute()"),
         ("wrong[how=idle]", "execute", "but execute() does not return this value"),
         ("wrong[how=from_zero]", "start time", "moved by 64 s q ends 0."),
-        ("sociable", "batch", "from its twin by 0, from its single run by "),
         ("wrong[how=late]", "samples", "No row on sampled_pd is at the sample t=0.1 s"),
         ("wrong[how=jittery]", "events", "At an impact the height of a ball is "),
         ("wrong[how=heavy]", "events", "Times of impact of a ball are off by 0.00"),
@@ -117,6 +118,30 @@ def test_a_run_tells_that_a_step_pattern_is_ignored(refused, tmp_path, command):
     step = ("--step", "0.01", "--t-end", "0.45") if command[0] == "solve" else ("--out", tmp_path)
     given = (*command, method, *step, "--pattern", "0.3,0.7", "--plugins", PLUGINS)
     assert "it ignores resolution.pattern" in refused(*given)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (lambda lane, call: 1e-6, "from its twin by 0, from its single run by "),
+        *long((lambda lane, call: 1e-6 * lane, "differs from its twin by ")),
+        *long((lambda lane, call: 1e-12 * call, "has other bits when it is run again")),
+    ],
+)
+def test_a_batch_that_is_not_its_single_runs_fails(registry, monkeypatch, spoil, sentence):
+    plain, calls = Kernel.batched, []
+
+    def spoilt(self, packed, rows, row_count):
+        table, end = plain(self, packed, rows, row_count)
+        calls.append(1)
+        table = np.array(table)
+        table[:, :, 0] *= 1 + spoil(np.arange(len(table))[:, None], len(calls))
+        return table, end
+
+    monkeypatch.setattr(Kernel, "batched", spoilt)
+    finding = examine(registry, "integrators", "stormer_verlet", "batch")
+    assert finding.verdict == FAILED
+    assert sentence in finding.text
 
 
 def test_a_check_without_an_object_says_why(registry):

@@ -11,7 +11,6 @@ import numpy as np
 
 from integrators import Integrator, PreparedRun, Steps, Work, option
 from integrators.methods.generalized_alpha import Newmark
-from integrators.methods.stormer_verlet import StormerVerlet
 from problems import MechatronicSystem, State, jax, jnp, parameter
 from problems.rotations import rotated, turned
 from problems.scenes.bouncing_ball import BouncingBall
@@ -127,26 +126,6 @@ class Nameless(Wrong):
     @property
     def spec(self):
         return "nameless"
-
-
-@jax.custom_batching.custom_vmap
-def shorter_among_others(h):
-    return h
-
-
-@shorter_among_others.def_vmap
-def _(count, batched, h):
-    return (1 - 1e-5) * h, batched[0]
-
-
-@dataclass(frozen=True)
-class Sociable(StormerVerlet):
-    """Central differences with other steps where many runs stand side by side."""
-
-    name: ClassVar[str] = "sociable"
-
-    def step(self, scene, state, t, h, work):
-        return super().step(scene, state, t, shorter_among_others(h), work)
 
 
 @dataclass(frozen=True)
