@@ -134,8 +134,8 @@ def test_a_batch_that_is_not_its_single_runs_fails(registry, monkeypatch, spoil,
     def spoilt(self, packed, rows, row_count):
         table, end = plain(self, packed, rows, row_count)
         calls.append(1)
-        table = np.array(table)  # rows of t, q, ...
-        table[:, :, 1] *= 1 + spoil(np.arange(len(table))[:, None], len(calls))
+        table = np.array(table)  # rows: number, t, q ...
+        table[:, :, 2] *= 1 + spoil(np.arange(len(table))[:, None], len(calls))
         return table, end
 
     monkeypatch.setattr(Kernel, "batched", spoilt)
