@@ -10,11 +10,12 @@ import scipy.optimize
 from click.testing import CliRunner
 
 from bench.commands.main import main
-from bench.running.errors import relative_errors
+from bench.running.errors import event_errors, relative_errors
 from integrators.adapters.ida import IDA
 from integrators.methods.bdf2 import BDF2
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.half_explicit import PHEM56
+from integrators.methods.radau_iia import RadauIIA
 from integrators.methods.stormer_verlet import StormerVerlet
 from integrators.resolutions import Steps, Tolerances
 from problems import MechatronicSystem, SampledSystem, State, held, jnp, parameter
@@ -336,6 +337,41 @@ def test_an_event_between_two_steps_is_seen_by_its_cubic():
     assert found.status == "ok"
     assert found.events[0, 0] == pytest.approx(0.9, abs=1e-12)
     assert found.xd[-1, 0] == len(found.events)
+
+
+@dataclass(frozen=True)
+class _Swings(MechatronicSystem):
+    """A mass on a spring, q = cos t, that meets a wall shortly before it turns at t = pi."""
+
+    interval = (0.0, 2 * np.pi / 1.5)
+    nominal_step = 0.5
+
+    def mass(self, q):
+        return jnp.eye(1)
+
+    def force(self, q, v, t):
+        return -q
+
+    def events(self, z):
+        return z.q + 0.99
+
+    def jump(self, z, event):
+        return {"v": -z.v}
+
+    def initial_state(self):
+        return State(q=np.ones(1), v=np.zeros(1))
+
+
+@pytest.mark.parametrize(("parts", "seen"), [(1.5, 0), (2.5, 1)])
+def test_an_event_within_a_long_step_is_missed_where_its_cubic_stays_positive(parts, seen):
+    h = np.pi / parts  # a step about t = pi, of a method that is good enough for it
+    middle = 0.99 - np.cos(h / 2) - h / 4 * np.sin(h / 2)  # of the cubic; of the motion -0.01
+    assert (middle > 0) == (seen == 0)
+    scene = _Swings()
+    found = run(RadauIIA(steps="constant"), scene, Steps(h), np.ceil(parts) * h)
+    assert (found.status, len(found.events)) == ("ok", seen)
+    missed = event_errors(found, Reference(scene, np.ceil(parts) * h))
+    assert (missed["events"], missed["expected"]) == (seen, 1)  # the record tells it
 
 
 @dataclass(frozen=True)
