@@ -92,7 +92,7 @@ class PhasedRun(PreparedRun):
             )
         if self._over and scene.has("events"):
             raise SpecError(f"{scene.spec}: a scene with events takes sampling=hit alone.")
-        Samples.of(scene)
+        self._samples = Samples.of(scene)
         self._pieces: list[_Piece] = []
         #: All runs in the order in which they were made, those that located events among them.
         self._runs: list[PreparedRun] = []
@@ -170,6 +170,8 @@ class PhasedRun(PreparedRun):
             return None
         if not self._over:
             return Cut(_row(rows, -1))
+        while self._samples and (later := self._samples.following(stop)) <= rows.t[-1]:
+            stop = later  # of several samples in a step the last one counts
         part = (stop - rows.t[-2]) / (rows.t[-1] - rows.t[-2])  # of the step in which it lies
         ends = _row(rows, -2), _row(rows, -1)
         seen = jax.tree.map(lambda a, b: (1 - part) * a + part * b, *ends)
@@ -251,9 +253,8 @@ class PhasedRun(PreparedRun):
             phase.append(np.full(count, piece.phase))
             held.append(np.tile(piece.held, (count, 1)))
         every = {name: np.concatenate(found) for name, found in parts.items()}
-        samples = Samples.of(self._scene)
         # A step over a sample ends in the next phase of the motion.
-        over = samples.phases(every["t"]) if samples and self._over else None
+        over = self._samples.phases(every["t"]) if self._samples and self._over else None
         return Trajectory(
             **every,
             status=status,

@@ -75,9 +75,11 @@ def march(
         t = phase.interval[0]
         stop = min(t_end, instants.following(t)) if instants else t_end
         cut = _falling_at_start(phase) or flow(phase, stop)
-        if cut is None or (cut.event is None and stop >= t_end):
+        if cut is None:
             return
         now = float(cut.z.t)
+        if cut.event is None and (stop >= t_end or now >= t_end):  # a step may go over the stop
+            return
         if cut.event is not None:
             events, at_once = events + 1, 0 if now - t > 64 * np.spacing(abs(t)) else at_once + 1
             if events > MOST_EVENTS or at_once > _MOST_AT_ONCE:

@@ -114,6 +114,13 @@ def test_a_sample_between_two_steps_sees_values_between_these():
     assert found.xd[2:4] == pytest.approx(np.array([[-2.0] * 2, [-2 * q - v] * 2]), abs=1e-14)
 
 
+def test_of_several_samples_in_a_step_the_last_one_counts():
+    found = run(GeneralizedAlpha(), SampledPd(sampling="interpolate"), Steps(0.25))
+    assert (found.status, found.t[-1], found.work.steps) == ("ok", 5.0, 20)
+    q, v = (0.2 * rows[0, 0] + 0.8 * rows[1, 0] for rows in (found.q, found.v))  # at 0.2 s
+    assert found.xd[2] == pytest.approx([-2 * q - v] * 2, abs=1e-14)
+
+
 @pytest.mark.parametrize("sampling", ["hit", "interpolate", "ignore"])
 def test_the_reference_hits_the_samples_whatever_runs_do(sampling):
     end = Reference(SampledPd(sampling=sampling), 5.0)(np.array([5.0]))
