@@ -157,14 +157,17 @@ def checked_trajectory(value: object, sizes: Sizes, t0: float, t_end: float) -> 
 
 
 def _at_jumps(part: Mapping[str, Any], count: int, nd: int) -> dict[str, np.ndarray]:
-    """Held values and phases of rows, and the events; nothing if none are given."""
+    """Held values and phases of rows, and the events; nothing if none are given.
+
+    Phases may be left out: rows then lie in those of their times.
+    """
     if not np.size(part["phase"]) and not np.size(part["xd"]):
         return {}
-    phase = array(part["phase"], "phase", (count,)) if np.size(part["phase"]) else np.zeros(count)
+    known = (count,) if np.size(part["phase"]) else (0,)
     events = part["events"]
     return {
         "xd": _rows(part["xd"], "xd", count, nd),
-        "phase": phase.astype(int),
+        "phase": array(part["phase"], "phase", known).astype(int),
         "events": array(events, "events", (*np.shape(events)[:1], 2)),
     }
 

@@ -19,8 +19,9 @@ import numpy as np
 from integrators.resolutions import Steps
 from integrators.runs import PreparedRun, Trajectory, Work
 from problems.compiled import compiled
-from problems.initial_values import InconsistentStart, NoConsistentStart
+from problems.initial_values import InconsistentStart, NoConsistentStart, consistent_start
 from problems.phases import Cut, EndlessEvents, Samples, crossing, falls, march, on_constraints
+from problems.runtime import jax
 from problems.sampled import followed, steps_over
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
@@ -91,7 +92,7 @@ class PhasedRun(PreparedRun):
             )
         if self._over and scene.has("events"):
             raise SpecError(f"{scene.spec}: a scene with events takes sampling=hit alone.")
-        Samples.of(scene)
+        self._samples = Samples.of(scene)
         self._pieces: list[_Piece] = []
         #: All runs in the order in which they were made, those that located events among them.
         self._runs: list[PreparedRun] = []
@@ -167,7 +168,14 @@ class PhasedRun(PreparedRun):
         self._keep(phase, rows)
         if rows.status != "ok":
             return None
-        return Cut(_row(rows, -1))
+        if not self._over:
+            return Cut(_row(rows, -1))
+        while self._samples and (later := self._samples.following(stop)) <= rows.t[-1]:
+            stop = later  # of several samples in a step the last one counts
+        part = (stop - rows.t[-2]) / (rows.t[-1] - rows.t[-2])  # of the step in which it lies
+        ends = _row(rows, -2), _row(rows, -1)
+        seen = jax.tree.map(lambda a, b: (1 - part) * a + part * b, *ends)
+        return Cut(ends[1], seen=seen)
 
     def _to_event(self, phase: MechatronicSystem, stop: float) -> Cut | None:
         t, tried = phase.interval[0], _TRIED * self._scene.nominal_step
@@ -192,6 +200,9 @@ class PhasedRun(PreparedRun):
             if rows.status != "ok":
                 return None
             before = _from_row(phase, rows, -1)
+        if at <= before.interval[0]:  # events that accumulate: no time is left to this one
+            self._events.append((at, event))
+            return Cut(jax.tree.map(np.asarray, consistent_start(before).z), event)
         rows = self._measured(before, at)
         self._keep(phase, rows)
         if rows.status != "ok":
@@ -204,6 +215,12 @@ class PhasedRun(PreparedRun):
     ) -> tuple[int, int, float] | None:
         """The row before which the first event lies, its number, and its time in s."""
         values, rates = _watched(phase, rows)
+        if rows.status == "ok" and not np.isfinite(values).all():
+            t = rows.t[np.argmin(np.isfinite(values).all(axis=1))]
+            rows.status, rows.message = (
+                "diverged",
+                (f"A function of `events` is not finite at t={t:.6g} s."),
+            )
         first: tuple[int, int, float] | None = None
         for fall in falls(rows.t, values, rates):
             if first and fall.row > first[0]:
@@ -235,14 +252,17 @@ class PhasedRun(PreparedRun):
             count = len(parts["t"][-1])
             phase.append(np.full(count, piece.phase))
             held.append(np.tile(piece.held, (count, 1)))
+        every = {name: np.concatenate(found) for name, found in parts.items()}
+        # A step over a sample ends in the next phase of the motion.
+        over = self._samples.phases(every["t"]) if self._samples and self._over else None
         return Trajectory(
-            **{name: np.concatenate(found) for name, found in parts.items()},
+            **every,
             status=status,
             message=message,
             work=self._work(),
             notes={name: np.concatenate(found) for name, found in notes.items()},
             xd=np.concatenate(held),
-            phase=np.concatenate(phase),
+            phase=np.concatenate(phase) if over is None else over,
             events=np.array(self._events).reshape(-1, 2),
         )
 

@@ -20,6 +20,7 @@ from problems.formulations import (
 )
 from problems.projections import projected_state
 from problems.runtime import Array, Float, Int, jax, jnp
+from problems.spec import SpecError
 from problems.system import MechatronicSystem
 from problems.variables import INVARIANTS, VARIABLES, Variables
 
@@ -129,7 +130,12 @@ def _number_of_events(template: MechatronicSystem) -> int:
     if not template.has("events"):
         return 0
     z: Any = [*(np.zeros(template.sizes.of(g)) for g in VARIABLES), np.zeros(())]
-    return len(jax.eval_shape(template.events, Variables(*z)))
+    shape = jax.eval_shape(template.events, Variables(*z)).shape
+    if len(shape) != 1 or not shape[0]:
+        raise SpecError(
+            f"{template.spec}: events has shape {shape}, expected one number for each event, (n,)."
+        )
+    return shape[0]
 
 
 def _over_rows(function: Callable, about: tuple) -> Callable:

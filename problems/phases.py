@@ -20,7 +20,7 @@ import numpy as np
 from problems.compiled import compiled
 from problems.initial_values import InconsistentStart, consistent_start
 from problems.layouts import state_layout
-from problems.runtime import Float, jax
+from problems.runtime import Float, Int, jax
 from problems.spec import SpecError, suggest
 from problems.system import MechatronicSystem
 from problems.variables import State, Variables
@@ -38,11 +38,12 @@ class EndlessEvents(ArithmeticError):
 
 
 class Cut(NamedTuple):
-    """The end of a phase: all variables there, and the number of the event; None if there is
-    none."""
+    """The end of a phase: all variables there, the number of the event, None if there is none, and
+    the variables that a sample sees, if they are others."""
 
     z: Variables
     event: int | None = None
+    seen: Variables | None = None
 
 
 def march(
@@ -74,9 +75,11 @@ def march(
         t = phase.interval[0]
         stop = min(t_end, instants.following(t)) if instants else t_end
         cut = _falling_at_start(phase) or flow(phase, stop)
-        if cut is None or (cut.event is None and stop >= t_end):
+        if cut is None:
             return
         now = float(cut.z.t)
+        if cut.event is None and (stop >= t_end or now >= t_end):  # a step may go over the stop
+            return
         if cut.event is not None:
             events, at_once = events + 1, 0 if now - t > 64 * np.spacing(abs(t)) else at_once + 1
             if events > MOST_EVENTS or at_once > _MOST_AT_ONCE:
@@ -85,7 +88,7 @@ def march(
                     f"function must rise or stay positive; end earlier, or give the motion beyond "
                     f"a state of its own, by a held value"
                 )
-        phase = after(phase, cut.z, cut.event)
+        phase = after(phase, cut.z, cut.event, cut.seen)
 
 
 class Samples(NamedTuple):
@@ -117,16 +120,24 @@ class Samples(NamedTuple):
         k = math.floor((t - self.t0) / self.period + _SAME) + 1
         return self.t0 + k * self.period
 
+    def phases(self, t: Float[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
+        """Return the numbers of the phases at times in s; an instant belongs to that before."""
+        return np.maximum(np.ceil((t - self.t0) / self.period - _SAME).astype(int) - 1, 0)
 
-def after(phase: MechatronicSystem, z: Variables, event: int | None) -> MechatronicSystem:
+
+def after(
+    phase: MechatronicSystem, z: Variables, event: int | None, seen: Variables | None = None
+) -> MechatronicSystem:
     """Return the phase that follows the variables z at an event, or at a sample if it is None.
+
+    A sample sees z, or the variables ``seen``.
 
     State and velocities are moved to the constraints, where a method has left them or a jump does
     not fit them, by the least changes in the norm of M: of velocities, by the joints' impulses.
     """
     functions, p = compiled(phase), phase.parameters()
     block = "sample()" if event is None else "jump()"
-    found = functions.sample(p, z) if event is None else functions.jumps[event](p, z)
+    found = functions.sample(p, seen or z) if event is None else functions.jumps[event](p, z)
     new = _checked(phase, found, z, block)
     state = State(*(new.pop(group, np.asarray(getattr(z, group))) for group in State._fields))
     following = phase.phase(float(z.t), state, {name: float(v) for name, v in new.items()})

@@ -33,7 +33,8 @@ def fault_of_blocks(cls: Any, contract: type) -> str:
     """
     blocks = {name: _arguments(f) for name, f in vars(contract).items() if _is_declared(name, f)}
     stated = {name for name in blocks if cls.has(name)}
-    for one, other in (("output", "actuation"), ("actuation", "output")):
+    pairs = ("output", "actuation"), ("events", "jump")
+    for one, other in (*pairs, *(pair[::-1] for pair in pairs)):
         if one in stated and other not in stated:
             return f"it states {one} but not {other}; they belong together."
     owners = [owner for owner in cls.__mro__ if owner not in contract.__mro__]

@@ -317,9 +317,11 @@ class MechatronicSystem:
 
     @property
     def is_hybrid(self) -> bool:
-        """Whether values jump at instants; those of one phase between two instants do not."""
-        sampled = self.has("sample") and self.sampling != "ignore"
-        return (sampled or self.has("events")) and "in_phase" not in vars(self)
+        """Whether values jump at instants; those of one phase between two instants do not.
+
+        They do, too, if runs ignore samples: the motion does not.
+        """
+        return (self.has("sample") or self.has("events")) and "in_phase" not in vars(self)
 
     def components(self, group: str) -> list[Component]:
         """Return the components of a group, named by numbers where the scene gives no names."""

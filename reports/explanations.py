@@ -7,10 +7,12 @@ import math
 from bench.results.quantities import NORM, parts
 from bench.results.records import Record, SceneRecord
 from reports.series import Series
+from reports.text.jump_tables import policy
 
 #: Names of experiments.
 PATTERN, TRANSIENT, UNDAMPED = "variable_steps", "start_transient", "undamped_index3"
 STIFF = "spurious_acceleration"
+IGNORED, OVER = "ignored_samples", "steps_over_samples"
 #: The verdict of a fit on errors that never fall.
 STUCK = "does not converge"
 
@@ -21,6 +23,8 @@ def explained(s: Series, group: str, scene: SceneRecord | None, transient: bool 
     The symptom is an order that is lost, or errors that never fall. ``transient`` says whether the
     order is there after the start transient.
     """
+    if at_samples := {"ignore": IGNORED, "interpolate": OVER}.get(policy(scene)):
+        return at_samples
     if len(s.records[0].pattern) > 1:
         return PATTERN
     if _felt(group) and _unresolved(s.finest, scene):
@@ -35,9 +39,11 @@ def wrong_runs(s: Series, group: str, best: Record, scene: SceneRecord | None) -
     """The experiment that shows why all runs are wrong in a group; none if there is none.
 
     Where positions are wrong, too, or another group than accelerations and multipliers is, the
-    accuracy is too low for the motion itself, which no experiment explains.
+    accuracy is too low for the motion itself, which no experiment explains; unless the samples of
+    a controller are ignored.
     """
-    return explained(s, group, scene) if _felt(group) and not best.wrong("q") else ""
+    motion = not _felt(group) or best.wrong("q")
+    return "" if motion and policy(scene) != "ignore" else explained(s, group, scene)
 
 
 def _unresolved(run: Record, scene: SceneRecord | None) -> bool:

@@ -35,6 +35,7 @@ LONG |= {"start_transient", "energy_blow_up", "spurious_acceleration", "singular
 LONG |= {"composite_index3", "stage_order", "one_sided_multiplier", "exact_energy", "baumgarte"}
 LONG |= {"no_error_control", "rosenbrock_index2", "variable_steps", "undamped_index3"}
 LONG |= {"sharp_cuts", "mixed_forces", "wrong_norm"}
+LONG |= {"ignored_samples", "steps_over_samples", "event_times"}
 EACH = [name for name in NAMES if name not in LONG] + long(*sorted(LONG))
 
 #: One case of each experiment (part, case) and what a mutant of it does instead: with the failure
@@ -63,6 +64,9 @@ MUTANTS = {
     "rosenbrock_index2": ((0, 1), {"integrator": "rodas5p[steps=constant]"}),
     "mixed_forces": ((0, 0), {"integrator": "hht_i3[steps=constant]"}),
     "wrong_norm": ((2, 0), {"norm": "end"}),
+    "ignored_samples": ((0, 0), {"problem": "sampled_pd"}),
+    "steps_over_samples": ((0, 0), {"problem": "sampled_pd"}),
+    "event_times": ((0, 0), {"integrator": "stormer_verlet"}),
 }
 
 
@@ -282,6 +286,8 @@ def test_a_difference_is_told_and_ends_with_an_error(stepbench, tmp_path, monkey
     ("change", "said"),
     [
         (('measure = "condition"', 'measure = "conditions"'), "did you mean 'condition'"),
+        (('measure = "condition"', 'measure = "value"'), "name='none' is no component"),
+        (('measure = "condition"', 'measure = "events"'), "name='none' is not known"),
         (('take = "slope"', 'take = "slop"'), "did you mean 'slope'"),
         (("healthy =", "helthy ="), "helthy"),
         (("healthy = [-0.5, inf]", "healthy = [-0.5, 3]"), "a better method would be hit"),

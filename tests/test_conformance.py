@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from helpers import long
 
@@ -13,6 +14,7 @@ from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED
 from bench.guard import limits
 from bench.plugins.registry import Registry
 from bench.running.inventory import Inventory
+from integrators.native.kernel import Kernel
 
 PLUGINS = Path(__file__).parent / "wrong_plugins.py"
 
@@ -57,6 +59,9 @@ def test_what_is_right_passes_every_check(registry, kind, text):
         ("wrong[how=stateful]", "execute", "measure() before and after execute()"),
         ("wrong[how=idle]", "execute", "but execute() does not return this value"),
         ("wrong[how=from_zero]", "start time", "moved by 64 s q ends 0."),
+        ("wrong[how=late]", "samples", "No row on sampled_pd is at the sample t=0.1 s"),
+        ("wrong[how=jittery]", "events", "At an impact the height of a ball is "),
+        ("wrong[how=heavy]", "events", "Times of impact of a ball are off by 0.00"),
         ("wrong[how=raises]", "nan", "raises FloatingPointError: not finite (wrong_plugins.py"),
         ("wrong[how=raises]", "blow-up", "raises FloatingPointError"),
         ("wrong[how=says_ok]", "nan", "ends with the status 'ok'"),
@@ -90,6 +95,11 @@ def test_a_wrong_integrator_is_told_what_to_mend(registry, text, check, sentence
         ("moody_force", "blocks", "force gives other values when called again"),
         ("hidden_slope", "blocks", "force[1] by v[1] is 0, the difference quotient -1"),
         ("stubborn", "traced", "A traced value of k does not act as a plain one"),
+        ("nan_sample", "jumps", "sample() returns demand=nan at t=0 s"),
+        ("long_sample", "jumps", "expected finite numbers of shape ()"),
+        ("scalar_events", "jumps", "events has shape ()"),
+        ("nan_events", "jumps", "events is [nan] at the start"),
+        ("misspelt_jump", "jumps", "jump() returns 'velocity', which is no held value"),
         ("idle", "traced", "The parameter c changes nothing"),
         ("idle", "description", "The parameter c has no unit"),
     ],
@@ -110,14 +120,44 @@ def test_a_run_tells_that_a_step_pattern_is_ignored(refused, tmp_path, command):
     assert "it ignores resolution.pattern" in refused(*given)
 
 
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (lambda lane, call: 1e-6, "from its twin by 0, from its single run by "),
+        *long((lambda lane, call: 1e-6 * lane, "differs from its twin by ")),
+        *long((lambda lane, call: 1e-12 * call, "has other bits when it is run again")),
+    ],
+)
+def test_a_batch_that_is_not_its_single_runs_fails(registry, monkeypatch, spoil, sentence):
+    plain, calls = Kernel.batched, []
+
+    def spoilt(self, packed, rows, row_count):
+        table, end = plain(self, packed, rows, row_count)
+        calls.append(1)
+        table = np.array(table)  # rows: number, t, q ...
+        table[:, :, 2] *= 1 + spoil(np.arange(len(table))[:, None], len(calls))
+        return table, end
+
+    monkeypatch.setattr(Kernel, "batched", spoilt)
+    finding = examine(registry, "integrators", "stormer_verlet", "batch")
+    assert finding.verdict == FAILED
+    assert sentence in finding.text
+
+
 def test_a_check_without_an_object_says_why(registry):
     findings = [
         examine(registry, "integrators", "newmark", "tolerance"),
         examine(registry, "integrators", "ida", "order"),
+        examine(registry, "integrators", "ida", "batch"),
         examine(registry, "problems", "spring_mass", "energy"),
     ]
     assert {finding.verdict for finding in findings} == {NOT_APPLICABLE}
-    words = ("fixed steps", "cannot take constant steps", "states no energy")
+    words = (
+        "fixed steps",
+        "cannot take constant steps",
+        "are not JAX functions",
+        "states no energy",
+    )
     for finding, reason in zip(findings, words, strict=True):
         assert reason in finding.text
 

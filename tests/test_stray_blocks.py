@@ -48,6 +48,7 @@ def test_none_leaves_out_an_inherited_block():
     assert not made.has("energy")
     assert made.fault() == ""
     assert scene(output=lambda self, z: z.y, actuation=None).fault().startswith("it states output")
+    assert scene(events=lambda self, z: z.q).fault().startswith("it states events but not jump")
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,10 @@ from integrators import Integrator, PreparedRun, Steps, Work, option
 from integrators.methods.generalized_alpha import Newmark
 from problems import MechatronicSystem, State, jax, jnp, parameter
 from problems.rotations import rotated, turned
+from problems.scenes.bouncing_ball import BouncingBall
 from problems.scenes.heavy_top_lie import HeavyTopSE3
 from problems.scenes.pendulum import Pendulum
+from problems.scenes.sampled_pd import SampledPd
 
 RANDOM = np.random.default_rng(0)
 
@@ -53,6 +55,11 @@ class Run(PreparedRun):
             run.v[-1] += self.executed
         if how == "from_zero":
             run.q[1:] += 0.01 * self.t0
+        if how == "jittery":
+            run.q[-1] += 1e-6 * RANDOM.uniform()
+        if how == "heavy":  # as if gravity were larger
+            run.q[:, 0] -= 0.05 * (run.t - self.t0) ** 2
+            run.v[:, 0] -= 0.1 * (run.t - self.t0)
         if how == "raises" and run.status != "ok":
             raise FloatingPointError("not finite")
         if how == "says_ok":
@@ -119,6 +126,46 @@ class Nameless(Wrong):
     @property
     def spec(self):
         return "nameless"
+
+
+@dataclass(frozen=True)
+class NanSample(SampledPd):
+    """A controller whose demand is no number."""
+
+    def sample(self, z):
+        return {"demand": jnp.nan}
+
+
+@dataclass(frozen=True)
+class LongSample(SampledPd):
+    """A controller that gives a vector for a number."""
+
+    def sample(self, z):
+        return {"demand": z.q}
+
+
+@dataclass(frozen=True)
+class ScalarEvents(BouncingBall):
+    """A ball whose events are no vector."""
+
+    def events(self, z):
+        return z.q[0]
+
+
+@dataclass(frozen=True)
+class NanEvents(BouncingBall):
+    """A ball whose height is no number."""
+
+    def events(self, z):
+        return z.q * jnp.nan
+
+
+@dataclass(frozen=True)
+class MisspeltJump(BouncingBall):
+    """A ball whose jump gives a value that does not exist."""
+
+    def jump(self, z, event):
+        return {"velocity": -z.v}
 
 
 @dataclass(frozen=True)

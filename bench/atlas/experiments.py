@@ -7,6 +7,7 @@ a part hold for all its cases; a case may have other settings of its own.
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from collections.abc import Sequence
 from importlib import resources
@@ -25,11 +26,18 @@ from problems import spec
 from problems.spec import SpecError
 
 #: Quantities that a sweep measures ...
-MEASURES = ("error", "energy", "constraint", "note", "work", "reached", "condition", "linear")
+MEASURES = (
+    "error", "energy", "constraint", "note", "work", "reached", "value", "events", "condition",
+    "linear",
+)  # fmt: skip
+#: What is measured of the events of a run: their number, and how far their times are off in s.
+EVENTS = ("events", "time")
 #: ... and rules that make one number of the values of a sweep.
 TAKES = ("last", "largest", "growth", "slope")
 #: Quantities of which less is better, and a higher power of the step.
 _ONE_SIDED = ("error", "energy", "constraint", "work")
+#: A component of a group, such as lam1.
+COMPONENT = re.compile(r"(q|v|a|lam|x|y)([1-9]\d*)")
 _FUNCTIONS = {name: made for name, made in vars(math).items() if not name.startswith("_")}
 #: A number, or arithmetic of numbers with functions of `math`, such as "2*sqrt(3)".
 Formula = float | str
@@ -51,6 +59,11 @@ class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
         largest value that the method notes (``name``: gamma, h, ...); counts (residuals, ...)
     reached
         part of the interval that was reached before the run failed
+    value
+        component ``name`` (such as q1) in the last row, in its unit
+    events
+        number of the events, or the largest difference in s from their times in the reference
+        (``name``: events, time)
     condition
         condition number of the index-3 tangent, in the ``name``d scaling: none, rows, both
     linear
@@ -215,6 +228,10 @@ def _check(s: Case, healthy: tuple[float, float], where: str) -> None:
     if s.measure == "error":
         _one_of(s.group, GROUPS, f"{where}: group")
         _one_of(s.norm or "max", list(NORMS), f"{where}: norm")
+    if s.measure == "value" and not COMPONENT.fullmatch(s.name or ""):
+        raise SpecError(f"{where}: name={s.name!r} is no component; write one such as q1.")
+    if s.measure == "events":
+        _one_of(s.name, EVENTS, f"{where}: name")
     if s.measure == "constraint":
         _one_of(s.name, LEVELS, f"{where}: name")
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 
 import numpy as np
 
-from bench.atlas.experiments import Settings
+from bench.atlas.experiments import COMPONENT, Settings
 from bench.results.quantities import NORM, NORMS, TRUST
 from bench.results.records import Record, Rows
 from bench.running.worker import Worker
@@ -41,6 +40,11 @@ def value_of(s: Settings, record: Record, rows: Rows) -> float | None:
         return record.error(s.group or "", s.norm or "max")
     if s.measure == "energy":
         return record.energy_drift
+    if s.measure == "value":
+        found = component_history(s.name or "", rows)
+        return found[1][-1] if found else None
+    if s.measure == "events":
+        return record.events.get(s.name or "")
     if s.measure == "constraint":
         return record.constraint.get(s.name or "")
     return record.work.get(s.name or "")
@@ -87,6 +91,8 @@ def quantity_words(s: Settings) -> str:
         "note": f"largest {s.name}",
         "work": str(s.name),
         "reached": "part of the interval reached",
+        "value": f"{s.name} at the end",
+        "events": "number of events" if s.name == "events" else "error of the events' times in s",
         "condition": "condition number of the tangent",
         "linear": str(s.name).replace("_", " "),
     }[s.measure or ""]
@@ -94,7 +100,7 @@ def quantity_words(s: Settings) -> str:
 
 def component_history(show: str, rows: Rows) -> tuple[list[float], list[float]] | None:
     """Return times in s and values of a component such as "lam1" or of a note such as "gamma"."""
-    match = re.fullmatch(r"(q|v|a|lam|x|y)(\d+)", show)
+    match = COMPONENT.fullmatch(show)
     if match and match[1] in rows.values:
         return rows.t, [row[int(match[2]) - 1] for row in rows.values[match[1]]]
     if show in rows.notes:

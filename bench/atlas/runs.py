@@ -54,7 +54,7 @@ class _Trial:
             name, pattern = self.integrator.spec, s.pattern or (1.0,)
             return [Task(linear_response, (name, x, pattern), sources=self.integrator.sources)]
         return [
-            measure_task(cell, cell.sources(registry), s.measure == "error")
+            measure_task(cell, cell.sources(registry), s.measure in ("error", "events"))
             for cell in self.sweep.cells
         ]
 

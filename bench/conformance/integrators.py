@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from bench.conformance.audit import check_counts
+from bench.conformance.batches import check_batch
+from bench.conformance.jumps import check_events, check_samples
 from bench.conformance.orders import check_order, check_tolerance
 from bench.conformance.trials import (
     TRAJECTORY_GROUPS,
@@ -307,6 +309,9 @@ INTEGRATOR_CHECKS = {
     "work": check_work,
     "pattern": check_pattern,
     "start time": check_start_time,
+    "batch": check_batch,
+    "samples": check_samples,
+    "events": check_events,
     "empty interval": check_empty_interval,
     "nan": check_nan,
     "blow-up": check_blow_up,

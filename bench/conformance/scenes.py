@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from bench.conformance.blocks import check_blocks, check_parameters
+from bench.conformance.jumps import check_jumps
 from bench.conformance.trials import reference
 from bench.conformance.verdicts import DoesNotApply, Failed, round_trip
 from bench.plugins.registry import Registry
@@ -304,6 +305,7 @@ SCENE_CHECKS = {
     "mass": check_mass,
     "move": check_move,
     "blocks": check_blocks,
+    "jumps": check_jumps,
     "traced": check_parameters,
     "reference": check_reference,
     "constraints": check_constraints,

@@ -32,8 +32,8 @@ _BLOCKS = {
     "velocity_constraint": "0 = A(q) v - b(t)",
     "state_rate": "xdot = f(q, v, a, lam, x, y, t)",
     "output": "y = h(q, v, a, lam, x, y, t)",
-    "sample": "xd+ = D(q, v, a, lam, x, y, t, xd)",
-    "events": "0 = e(q, v, x, t)",
+    "sample": "xd^+ = D(q, v, a, lam, x, y, t, xd)",
+    "events": "e(q, v, x, t) = 0 ⇒ z^+ = J(z)",
 }
 
 

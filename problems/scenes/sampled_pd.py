@@ -17,7 +17,7 @@ class SampledPd(SampledSystem):
     Tests whether a method hits the samples: one that steps over them gives the motion of the
     continuous controller, which looks as smooth, and is another one. With a delay the force of a
     sample acts from the next one on. The loop without a delay loses stability at a sample time of
-    0.928 s. Left out: noise and quantisation.
+    2 arctan(1/2) = 0.927 s. Left out: noise and quantisation.
     """
 
     interval = (0.0, 5.0)

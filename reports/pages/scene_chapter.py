@@ -11,6 +11,7 @@ from reports.formatting import number, paragraphs
 from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.pages.study_section import ALL_FIGURES, StudySections
 from reports.series import Series
+from reports.text.jump_tables import events_table
 from reports.text.ranking_tables import targets_table
 from reports.text.run_tables import invariants_table, runs_table, summary_table
 from reports.text.scene_tables import motion_table, parameters_table, scene_facts
@@ -67,6 +68,7 @@ class SceneChapter:
         self.summary = summary_table(series) if series else None
         self.studies = [sections.make(s, f"{anchor}-{n}") for n, s in enumerate(studies, 1)]
         self.drift = invariants_table(series)
+        self.events = events_table(series)
         self.runs = runs_table(series, sections.ids, sections.component_names)
 
 

@@ -358,10 +358,12 @@ def _scene(name: str, series: Sequence[Series], scene: SceneRecord | None) -> di
     ok = [r for s in series for r in s.ok]
     groups = groups_of(ok, ASKED)
     floors = {g: trusted_error(ok, g, NORM) for g in groups}
+    options = name.partition("[")[2].rstrip("]")  # for which a heading has no room
+    tags = [tag_name(tag) for tag in scene.tags[:3]] if scene else []
     return {
         "id": name,
         "name": scene_name(name),
-        "about": " · ".join(tag_name(tag) for tag in scene.tags[:3]) if scene else "",
+        "about": " · ".join([*filter(None, [options]), *tags]),
         "page": scene_page(name),
         "groups": groups,
         "picture": little_picture(scene.drawings) if scene else [],

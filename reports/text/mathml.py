@@ -17,6 +17,7 @@ _NAMES = {
     "nl": ("multipliers", "lam"),
     "nx": ("controller states", "x"),
     "ny": ("outputs", "y"),
+    "nd": ("held values", "xd"),
 }
 
 

@@ -146,7 +146,7 @@
       const left = p.x + dx * far - (dx < 0 ? wide : dx ? 0 : wide / 2), top = p.y + dy * (far + 4) - high / 2;
       const out = left < at.inside.x0 || left + wide > at.inside.x1 + 8 || top < at.inside.y0 - 4 || top + high > at.inside.y1;
       const hits = points.filter((o) => o.x > left - 3 && o.x < left + wide + 3 && o.y > top - 2 && o.y < top + high + 2).length;
-      const over = taken.some((o) => left < o.left + o.wide && o.left < left + wide && top < o.top + o.high && o.top < top + high);
+      const over = left < 0 || taken.some((o) => left < o.left + o.wide && o.left < left + wide && top < o.top + o.high && o.top < top + high);
       const cost = hits + far / 15 + (out ? 500 : 0) + (over ? 1000 : 0);
       if (!best || cost < best.cost) best = { left, top, wide, high, cost, far, near: { x: Math.max(left, Math.min(p.x, left + wide)), y: top + high / 2 - dy * 6 } };
     }

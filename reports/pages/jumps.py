@@ -1,0 +1,100 @@
+"""Scenes whose values jump as a chapter of the report: sampled controllers, and events."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import count
+
+from bench.results.quantities import NORM, WRONG, quantity
+from bench.results.records import SceneRecord, counted
+from reports.formatting import file_name, number_range, words
+from reports.names import scene_name
+from reports.pages.chapter import Chapter, Section
+from reports.scenes import StoredRuns
+from reports.series import Series, ok_runs
+from reports.text.jump_tables import (
+    JUDGED,
+    POLICIES,
+    events_table,
+    miscounted,
+    policies_table,
+    policy,
+)
+
+
+def jumps_chapter(stored: StoredRuns) -> Chapter:
+    """The chapter on these runs: a section for each sampled scene, and for each with events."""
+    return Chapter(
+        "jumps.html",
+        "Sampled and switched",
+        "Controllers that see samples alone, and events such as impacts.",
+        "How methods go through instants at which values jump: what a run does at the samples of "
+        "a controller, and how it finds the times of events.",
+        [*_sampled(stored), *_with_events(stored)],
+    )
+
+
+def _sampled(stored: StoredRuns) -> Iterator[Section]:
+    """A section for each scene with a sampled controller, over all policies at samples."""
+    families: dict[str, dict[str, tuple[str, Sequence[Series]]]] = {}
+    for title, own in stored.series.items():
+        if own and (named := policy(scene := stored.scenes.get(title))) and scene:
+            families.setdefault(_without_policy(scene), {})[named] = title, own
+    for k, found in zip(count(1), families.values(), strict=False):
+        ordered = {name: found[name] for name in POLICIES if name in found}
+        title = scene_name(next(iter(ordered.values()))[0])
+        ignored = ok_runs(ordered["ignore"][1]) if "ignore" in ordered else []
+        silent = [r for r in ignored if r.wrong(JUDGED) and not r.message]
+        size = number_range(r.error(JUDGED, NORM) for r in ignored)
+        verdict = (
+            f"The samples are ignored by {counted(len(ignored), 'run')}: error in "
+            f"{quantity(JUDGED)} of {size}, however fine the steps; they give the motion of the "
+            f"continuous controller. Wrong without warning (above {WRONG:g}): {len(silent)}."
+        )
+        yield Section(
+            f"jumps-sampled-{k}",
+            title,
+            [policies_table({name: own for name, (_, own) in ordered.items()})],
+            claim="A controller sees the motion at samples and holds its values between them.",
+            verdict=verdict if ignored else "",
+            good=not ignored,
+        )
+
+
+def _without_policy(scene: SceneRecord) -> str:
+    """A text that is the same for scenes that differ in the policy alone."""
+    others = {p["name"]: p["value"] for p in scene.parameters if p["name"] != "sampling"}
+    return f"{scene.problem.partition('[')[0]} {others} {scene.t_end}"
+
+
+def _with_events(stored: StoredRuns) -> Iterator[Section]:
+    names = stored.words.names
+    for title, own in stored.series.items():
+        table = events_table(own)
+        if table:
+            anchor = f"jumps-events-{file_name(title)}"
+            said = list(_found(own, names))
+            yield Section(anchor, scene_name(title), [table], sentences=said)
+
+
+def _found(series: Sequence[Series], names: Mapping[str, str]) -> Iterator[str]:
+    """How far the times of events are off, which methods miscount them, and which runs failed."""
+    right = [s for s in series if s.ok and not any(map(miscounted, s.ok))]
+    if right:
+        off = number_range(s.finest.events["time"] for s in right)
+        who = words(names[s.label] for s in right)
+        yield f"Every run of {who} finds all events; in the finest one, times are off by {off} s."
+    odd = [
+        f"{names[s.label]} ({', '.join(r.resolution.partition(',')[0] for r in wrong)})"
+        for s in series
+        if (wrong := [r for r in s.ok if miscounted(r)])
+    ]
+    if odd:
+        yield f"Another number of events than the reference: {words(odd)}."
+    failed = [
+        f"{names[s.label]} ({', '.join(r.resolution.partition(',')[0] for r in bad)})"
+        for s in series
+        if (bad := [r for r in s.records if r.status not in ("ok", "unsupported")])
+    ]
+    if failed:
+        yield f"Without a result: {words(failed)}."
