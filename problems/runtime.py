@@ -18,7 +18,7 @@ import os
 import signal
 import sys
 import warnings
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -59,6 +59,7 @@ _SETTINGS = {
     # Reloading a cached program on a sibling CPU warns at length about instruction sets.
     "TF_CPP_MIN_LOG_LEVEL": "3",
 }
+_EPS = sys.float_info.epsilon
 #: Room for addresses in bytes below which JAX does not start: XLA then asks for it without end.
 _LEAST_ADDRESSES = 3 * 2**29
 #: Starts XLA's compiler, which reads XLA_FLAGS then, and ends the process at a flag it refuses.
@@ -128,6 +129,22 @@ def joins_loops() -> bool:
     if not joined:
         slower(f"Small scenes run slowly: XLA no longer joins loops by {_JOINED}.")
     return joined
+
+
+def single_floats() -> AbstractContextManager:
+    """Return a context in which JAX traces, and runs, programs with 32-bit floats and integers."""
+    return jax.enable_x64(False)
+
+
+def coarseness() -> float:
+    """Return the rounding of the floats in use relative to that of 64-bit floats: 1, or 2^29 in
+    `single_floats`."""
+    return float(jnp.finfo(jnp.result_type(float)).eps) / _EPS
+
+
+def smallest() -> float:
+    """Return a number that is added where a divisor may be zero, and is nothing beside others."""
+    return 1e-300 if coarseness() == 1 else 1e-37
 
 
 @cache

@@ -12,6 +12,8 @@ leaves behind: on slider_crank at 1 kHz generalized-alpha blows up if two steps 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
 from functools import cache, partial
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -23,6 +25,7 @@ from integrators.native.constant_steps import Clock, grid, step_times
 from integrators.native.endings import Ending
 from integrators.native.kernel import Form, bounded, rewritten_step
 from integrators.native.linear_solvers import Once, Residual
+from integrators.native.precision import TOLERANCE, RoundedSolver, rounded
 from integrators.native.stage_tangents import StageTangents
 from integrators.native.step_method import NativeMethod
 from integrators.native.step_program import Carried, Numbers, StepProgram
@@ -32,7 +35,7 @@ from integrators.resolutions import Steps
 from problems.formulations import Start
 from problems.initial_values import consistent_start
 from problems.named_equations import with_named_blocks
-from problems.runtime import Array, Float, jax, jnp
+from problems.runtime import Array, Float, jax, jnp, single_floats
 from problems.system import MechatronicSystem
 
 _NAMES = Reading._fields[:-1]
@@ -161,6 +164,8 @@ class LoneStep:
     iterations
         Most iterations in each call of Newton's method, after which the step goes on; None for
         those of the method, without which a step has failed.
+    precision
+        One of `integrators.native.precision.PRECISIONS`; other ones than double have full tangents.
 
     Attributes
     ----------
@@ -168,6 +173,8 @@ class LoneStep:
         Whether a step of the method calls Newton's method.
     first
         The state at the start, an array (see `Compiled`).
+    floats
+        Makes the context in which steps are called if the precision is single.
     """
 
     def __init__(
@@ -177,19 +184,28 @@ class LoneStep:
         h: float,
         steps: int,
         iterations: int | None = None,
+        precision: str = "double",
     ) -> None:
         self._scene, self._limited = scene, iterations is not None
-        self._program, numbers = method.program(scene)
+        self._program, numbers = method.program(scene, precision == "double")
         if iterations is not None:
             self._program = LimitedProgram(**vars(self._program))
             numbers = numbers._replace(most=iterations)
         t0, self._start = scene.interval[0], consistent_start(scene)
         self._clock = grid(t0, t0 + steps * h, Steps(h))[0]._replace(macro_steps=steps)
-        parts = scene.parameters(), numbers, self._start, self._clock
+        if precision == "mixed":
+            self._program = replace(self._program, dense=RoundedSolver())
+        single = precision == "single"
+        if single:
+            numbers = numbers._replace(tolerance=max(numbers.tolerance, TOLERANCE))
+        parts: Any = scene.parameters(), numbers, self._start, self._clock
+        parts = rounded(parts) if single else parts
+        self.floats = single_floats if single else nullcontext
         form = Form.of(*parts)
-        self._packed = form.pack(*parts)
-        self._compiled = compiled(self._program, scene.template(), form)
-        self.first = self._compiled.begin(self._packed)
+        with self.floats():
+            self._packed = form.pack(*parts)
+            self._compiled = compiled(self._program, scene.template(), form)
+            self.first = self._compiled.begin(self._packed)
         self.iterates = self._compiled.iterates
 
     def __call__(self, state: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -202,7 +218,8 @@ class LoneStep:
         It ends before the first step that has no result: not solved though its iterations are not
         limited, refused by the method, not finite, or grown beyond all bounds.
         """
-        success, reading, sane = self._compiled.read(jnp.stack(states), self._packed)
+        with self.floats():
+            success, reading, sane = self._compiled.read(jnp.stack(states), self._packed)
         solved, accepted = np.asarray(success).T
         refused = solved & ~accepted if self._limited else ~accepted
         bad = refused | ~np.asarray(sane)
