@@ -18,7 +18,9 @@ import os
 import signal
 import sys
 import warnings
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -59,7 +61,7 @@ _SETTINGS = {
     # Reloading a cached program on a sibling CPU warns at length about instruction sets.
     "TF_CPP_MIN_LOG_LEVEL": "3",
 }
-_EPS = sys.float_info.epsilon
+_single = ContextVar("single", default=False)
 #: Room for addresses in bytes below which JAX does not start: XLA then asks for it without end.
 _LEAST_ADDRESSES = 3 * 2**29
 #: Starts XLA's compiler, which reads XLA_FLAGS then, and ends the process at a flag it refuses.
@@ -131,15 +133,19 @@ def joins_loops() -> bool:
     return joined
 
 
-def single_floats() -> AbstractContextManager:
-    """Return a context in which JAX traces, and runs, programs with 32-bit floats and integers."""
-    return jax.enable_x64(False)
+@contextmanager
+def single_floats() -> Iterator[None]:
+    """Trace programs that will have 32-bit floats: their tolerances follow `coarseness`."""
+    token = _single.set(True)
+    try:
+        yield
+    finally:
+        _single.reset(token)
 
 
 def coarseness() -> float:
-    """Return the rounding of the floats in use relative to that of 64-bit floats: 1, or 2^29 in
-    `single_floats`."""
-    return float(jnp.finfo(jnp.result_type(float)).eps) / _EPS
+    """Return the rounding of a program's floats in that of 64-bit ones: 1, or 2^29 in single."""
+    return 2.0**29 if _single.get() else 1.0
 
 
 def smallest() -> float:

@@ -225,11 +225,11 @@ class EliminationPlan:
 
 def planned(entries: Bool[np.ndarray, "n n"]) -> EliminationPlan | None:
     """Plan the elimination of matrices with a pattern; None if it is singular or much work."""
-    return _planned(entries.tobytes(), len(entries))
+    return _planned(entries.tobytes(), len(entries), coarseness())
 
 
 @lru_cache(256)
-def _planned(pattern: bytes, n: int) -> EliminationPlan | None:
+def _planned(pattern: bytes, n: int, _: float) -> EliminationPlan | None:
     entries = np.frombuffer(pattern, bool).reshape(n, n)
     left, pivots = entries.copy(), []
     for _ in range(n):

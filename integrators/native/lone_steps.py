@@ -25,7 +25,7 @@ from integrators.native.constant_steps import Clock, grid, step_times
 from integrators.native.endings import Ending
 from integrators.native.kernel import Form, bounded, rewritten_step
 from integrators.native.linear_solvers import Once, Residual
-from integrators.native.precision import TOLERANCE, RoundedSolver, rounded
+from integrators.native.precision import TOLERANCE, RoundedSolver, single
 from integrators.native.stage_tangents import StageTangents
 from integrators.native.step_method import NativeMethod
 from integrators.native.step_program import Carried, Numbers, StepProgram
@@ -101,13 +101,17 @@ class Compiled(NamedTuple):
 
 
 @cache
-def compiled(program: StepProgram, template: MechatronicSystem, form: Form) -> Compiled:
+def compiled(
+    program: StepProgram, template: MechatronicSystem, form: Form, in_single: bool = False
+) -> Compiled:
     """Return the compiled functions of a method's step on a kind of scene.
 
     Parameters
     ----------
     form
         Form of the packed arguments: parameters, numbers, start and clock.
+    in_single
+        Whether the functions have 32-bit floats.
     """
     from jax.flatten_util import ravel_pytree  # JAX is loaded late
 
@@ -118,7 +122,9 @@ def compiled(program: StepProgram, template: MechatronicSystem, form: Form) -> C
         h = step_times(clock, 0)[1]
         return jnp.ones(3).at[0].set(0), program.begin(named.with_parameters(p), numbers, start, h)
 
-    first = jax.eval_shape(begun, *form.structs)
+    floats = single_floats if in_single else nullcontext
+    with floats():
+        first = jax.eval_shape(begun, *form.structs)
     parted = ravel_pytree(jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), first))[1]
 
     def begin(packed: Array) -> Array:
@@ -143,9 +149,11 @@ def compiled(program: StepProgram, template: MechatronicSystem, form: Form) -> C
         return jax.vmap(one)(states)
 
     p, numbers, *_ = form.structs
-    _, report = jax.eval_shape(step, p, numbers, first[1], jnp.zeros(()), jnp.zeros(()))
+    with floats():
+        _, report = jax.eval_shape(step, p, numbers, first[1], jnp.zeros(()), jnp.zeros(()))
     iterates = any(name.startswith("newton") for name in report.turns)
-    return Compiled(jax.jit(begin), jax.jit(advance), jax.jit(read), iterates)
+    functions = (single(f) if in_single else f for f in (begin, advance, read))
+    return Compiled(*map(jax.jit, functions), iterates)
 
 
 class LoneStep:
@@ -165,7 +173,7 @@ class LoneStep:
         Most iterations in each call of Newton's method, after which the step goes on; None for
         those of the method, without which a step has failed.
     precision
-        One of `integrators.native.precision.PRECISIONS`; other ones than double have full tangents.
+        One of `integrators.native.precision.PRECISIONS`; all but double have full tangents.
 
     Attributes
     ----------
@@ -173,8 +181,6 @@ class LoneStep:
         Whether a step of the method calls Newton's method.
     first
         The state at the start, an array (see `Compiled`).
-    floats
-        Makes the context in which steps are called if the precision is single.
     """
 
     def __init__(
@@ -191,21 +197,18 @@ class LoneStep:
         if iterations is not None:
             self._program = LimitedProgram(**vars(self._program))
             numbers = numbers._replace(most=iterations)
-        t0, self._start = scene.interval[0], consistent_start(scene)
-        self._clock = grid(t0, t0 + steps * h, Steps(h))[0]._replace(macro_steps=steps)
         if precision == "mixed":
             self._program = replace(self._program, dense=RoundedSolver())
-        single = precision == "single"
-        if single:
+        elif precision == "single":
             numbers = numbers._replace(tolerance=max(numbers.tolerance, TOLERANCE))
-        parts: Any = scene.parameters(), numbers, self._start, self._clock
-        parts = rounded(parts) if single else parts
-        self.floats = single_floats if single else nullcontext
+        t0, self._start = scene.interval[0], consistent_start(scene)
+        self._clock = grid(t0, t0 + steps * h, Steps(h))[0]._replace(macro_steps=steps)
+        parts = scene.parameters(), numbers, self._start, self._clock
         form = Form.of(*parts)
-        with self.floats():
-            self._packed = form.pack(*parts)
-            self._compiled = compiled(self._program, scene.template(), form)
-            self.first = self._compiled.begin(self._packed)
+        self._packed = form.pack(*parts)
+        in_single = precision == "single"
+        self._compiled = compiled(self._program, scene.template(), form, in_single)
+        self.first = self._compiled.begin(self._packed)
         self.iterates = self._compiled.iterates
 
     def __call__(self, state: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -218,8 +221,7 @@ class LoneStep:
         It ends before the first step that has no result: not solved though its iterations are not
         limited, refused by the method, not finite, or grown beyond all bounds.
         """
-        with self.floats():
-            success, reading, sane = self._compiled.read(jnp.stack(states), self._packed)
+        success, reading, sane = self._compiled.read(jnp.stack(states), self._packed)
         solved, accepted = np.asarray(success).T
         refused = solved & ~accepted if self._limited else ~accepted
         bad = refused | ~np.asarray(sane)
