@@ -13,6 +13,7 @@ from bench.commands import (
     gradients,
     listing,
     plugins,
+    precision,
     ratings,
     realtime,
     results,
@@ -35,6 +36,7 @@ _MODULES = (
     results,
     studies,
     gradients,
+    precision,
     realtime,
     sweeps,
 )

@@ -229,7 +229,8 @@ def planned(entries: Bool[np.ndarray, "n n"]) -> EliminationPlan | None:
 
 
 @lru_cache(256)
-def _planned(pattern: bytes, n: int, _: float) -> EliminationPlan | None:
+def _planned(pattern: bytes, n: int, coarse: float) -> EliminationPlan | None:
+    # Tolerances are part of the programs that JAX keeps of a plan: each has its own.
     entries = np.frombuffer(pattern, bool).reshape(n, n)
     left, pivots = entries.copy(), []
     for _ in range(n):

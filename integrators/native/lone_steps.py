@@ -152,8 +152,8 @@ def compiled(
     with floats():
         _, report = jax.eval_shape(step, p, numbers, first[1], jnp.zeros(()), jnp.zeros(()))
     iterates = any(name.startswith("newton") for name in report.turns)
-    functions = (single(f) if in_single else f for f in (begin, advance, read))
-    return Compiled(*map(jax.jit, functions), iterates)
+    made = single if in_single else lambda function: function
+    return Compiled(jax.jit(made(begin)), jax.jit(made(advance)), jax.jit(made(read)), iterates)
 
 
 class LoneStep:
@@ -221,7 +221,7 @@ class LoneStep:
         It ends before the first step that has no result: not solved though its iterations are not
         limited, refused by the method, not finite, or grown beyond all bounds.
         """
-        success, reading, sane = self._compiled.read(jnp.stack(states), self._packed)
+        success, reading, sane = self._compiled.read(jnp.asarray(np.stack(states)), self._packed)
         solved, accepted = np.asarray(success).T
         refused = solved & ~accepted if self._limited else ~accepted
         bad = refused | ~np.asarray(sane)
