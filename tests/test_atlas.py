@@ -34,7 +34,7 @@ LONG = {"drift", "stiff_controller", "bdf_damping", "discontinuity", "classical_
 LONG |= {"start_transient", "energy_blow_up", "spurious_acceleration", "singular"}
 LONG |= {"composite_index3", "stage_order", "one_sided_multiplier", "exact_energy", "baumgarte"}
 LONG |= {"no_error_control", "rosenbrock_index2", "variable_steps", "undamped_index3"}
-LONG |= {"sharp_cuts", "mixed_forces", "wrong_norm"}
+LONG |= {"sharp_cuts", "mixed_forces", "wrong_norm", "single_precision"}
 EACH = [name for name in NAMES if name not in LONG] + long(*sorted(LONG))
 
 #: One case of each experiment (part, case) and what a mutant of it does instead: with the failure
@@ -63,6 +63,7 @@ MUTANTS = {
     "rosenbrock_index2": ((0, 1), {"integrator": "rodas5p[steps=constant]"}),
     "mixed_forces": ((0, 0), {"integrator": "hht_i3[steps=constant]"}),
     "wrong_norm": ((2, 0), {"norm": "end"}),
+    "single_precision": ((0, 0), {"name": "mixed"}),
 }
 
 

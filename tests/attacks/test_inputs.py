@@ -48,6 +48,7 @@ RIGHT = {
     "orders-table": ["newmark"],
     "rate": ["pendulum", "newmark"],
     "realtime": ["pendulum", "newmark"],
+    "precision": ["pendulum", "newmark"],
     # Parameters that only other arguments take:
     **{f"solve {name}": ["pendulum", "ida"] for name in ("rtol", "atol")},
     **{f"map {name}": ["pendulum", "generalized_alpha_adaptive"] for name in ("rtol", "atol")},
