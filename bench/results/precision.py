@@ -117,7 +117,7 @@ def precision_sentences(runs: Sequence[PrecisionRun]) -> list[str]:
 def _said(precision: str, found: Sequence[Takeover]) -> str:
     taken = [one for one in found if one.h is not None]
     if not taken:
-        return f"in {precision} the errors are those in double"
+        return f"in {precision} no error is {FACTOR:g} times that in double"
     words = []
     for one in sorted(taken, key=lambda one: (-(one.h or 0.0), one.slope or 0.0)):
         slope = "not determined" if one.slope is None else f"{one.slope:.2f}"
