@@ -100,10 +100,13 @@ def _parameter(parameter: Any) -> Any:
         return of(*parts) if hasattr(parameter, "_fields") else of(parts)
     if isinstance(parameter, np.dtype):
         return _NARROW.get(parameter, parameter)
-    if not is_program(parameter) or not hasattr(parameter, "consts"):
+    if not is_program(parameter):
         return parameter
 
     def body(*given: Any) -> list[Any]:
         return [*map(_rounded, evaluated(parameter, given, _in_single))]
 
-    return jax.make_jaxpr(body)(*(_abstract(x, _NARROW) for x in parameter.in_avals))
+    variables = getattr(parameter, "jaxpr", parameter).invars
+    made = jax.make_jaxpr(body)(*(_abstract(x.aval, _NARROW) for x in variables))
+    # Sums of scattered entries, say, have a program without constants.
+    return made if hasattr(parameter, "consts") else made.jaxpr
