@@ -102,9 +102,15 @@ def test_other_precisions_change_no_program_in_double(worker):
         return run.kernel.run.lower(run.arguments, *run.end_only).as_text() + alone.as_text()
 
     before = program()
+    assert "f32" not in before
     for precision in ("single", "mixed"):
         step = step_of(worker, "pendulum", INDEX3, precision)
         step(step.first)
+        alone = step._compiled.advance.lower(step.first, step._packed).as_text()
+        narrow = [line for line in alone.splitlines() if "f32" in line]
+        wide = [line for line in alone.splitlines() if "f64" in line and "f32" not in line]
+        assert (len(narrow) > len(wide)) == (precision == "single")
+        assert len(narrow) > 30
     assert program() == before
 
 
@@ -130,7 +136,7 @@ def test_loops_branches_and_constants_become_narrow():
 
 
 def test_an_inverse_in_single_takes_the_largest_pivot():
-    a = np.array([[1e-9, 1.0, 2.0], [3.0, 0.0, 1.0], [1.0, 4.0, 1e-9]])
+    a = np.array([[3.0, 0.0, 1.0], [1.0, 4.0, 1e-9], [1e-9, 1.0, 2.0]])
     found = jax.jit(single(small_matrices.inverse))(jnp.asarray(a, jnp.float32))
     assert found.dtype == jnp.float32
     assert np.asarray(found) @ a == pytest.approx(np.eye(3), abs=16 * EPS)

@@ -76,8 +76,8 @@ class NativeMethod(Integrator):
         Parameters
         ----------
         sparse
-            True if tangents may be sparse; many runs side by side, and precisions other than double,
-            need dense ones.
+            True if tangents may be sparse; many runs side by side need dense ones, and so do single
+            and mixed precision.
 
         Raises
         ------
