@@ -12,7 +12,7 @@ from typing import Any
 from problems.kinematics import q_rate
 from problems.layouts import algebraic_layout
 from problems.named_equations import equation
-from problems.runtime import Array, Float, coarseness, jax, jnp
+from problems.runtime import Array, Float, jax, jnp
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 
@@ -144,7 +144,7 @@ def idle_multipliers(
     """
     rows = jax.lax.stop_gradient(rows)
     squares = rows @ rows.T
-    small = _SMALL * coarseness() ** 0.5 * jnp.trace(squares)
+    small = _SMALL * jnp.trace(squares)
     part = small * jnp.linalg.inv(squares + small * jnp.eye(scene.sizes.nl))
     part = part @ part
     return part @ part.T  # columns of the inverse are longer or shorter by rounding, rows are not

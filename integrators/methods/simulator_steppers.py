@@ -31,7 +31,7 @@ from problems.formulations import Start, control_residuals, inertia
 from problems.kinematics import advance
 from problems.layouts import stage_layout
 from problems.named_equations import equation
-from problems.runtime import Array, coarseness, jax, jnp
+from problems.runtime import Array, jax, jnp
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 
@@ -87,8 +87,7 @@ class SimulatorStepper(OwnValues, StepMethod):
         guess = jnp.concatenate([now.a, now.lam, state.xdot, now.y])
         a, lam, _, xdot, y = layout.split(work.once(residual, guess))
         of_a = a @ inertia(scene, now.q, a)
-        least = -_ROUNDING * coarseness() ** 0.5
-        sound = of_a - a @ (applied(a) - applied(jnp.zeros_like(a))) >= least * of_a
+        sound = of_a - a @ (applied(a) - applied(jnp.zeros_like(a))) >= -_ROUNDING * of_a
         work.count(refused=~sound)
         v = now.v + h * a
         z = Variables(advance(scene, now.q, h * v), v, a, lam, now.x + h * xdot, y, t)

@@ -8,11 +8,10 @@ without success, or a value that is not a number, it tries full Newton from the 
 With updates d1, d2, ... that shrink by r = d_k/d_(k-1), the error left after d_k is at most
 d_k r/(1 - r). The iteration ends when this error (or d_k itself) is within the `Bounds`. It also
 ends when updates by new tangents are tiny and no longer shrink: they have met round-off. Tiny is
-below ``_STAGNANT`` times the size of the group, more by the root of `coarseness` in single.
-At rest the unknowns are zero, and what is left is the rounding of forces that balance, of which the
-unknowns know nothing: there updates within ``Bounds.noise`` that shrink by less than quadratic
-convergence does have met it. Updates that go to and fro over a jump of the force do not shrink
-either; they are larger, and a failure.
+below ``_STAGNANT`` times the size of the group. At rest the unknowns are zero, and what is left is
+the rounding of forces that balance, of which the unknowns know nothing: there updates within
+``Bounds.noise`` that shrink by less than quadratic convergence does have met it. Updates that go to
+and fro over a jump of the force do not shrink either; they are larger, and a failure.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from typing import Any, NamedTuple
 from integrators.native.linear_solvers import LinearSolver
 from integrators.native.step_records import PIVOTS, Scalar, StepReport, largest
 from problems.named_equations import part, turns
-from problems.runtime import Array, Bool, Float, Int, coarseness, jax, jnp, smallest
+from problems.runtime import Array, Bool, Float, Int, jax, jnp, smallest
 
 #: Updates that stop shrinking below this relative size have met round-off.
 _STAGNANT = 1e-7
@@ -127,7 +126,7 @@ def is_solved(now: Iteration, tol: Scalar, solved_after: Scalar = math.inf) -> B
     size, before = now.size, now.before
     left = jnp.where(jnp.isfinite(before), size * size / (before - size), size)
     small = (size <= 1.0) | ((size < before) & (left <= 1.0))
-    stagnant = now.exact & (size > 0.5 * before) & (size * tol < _STAGNANT * coarseness() ** 0.5)
+    stagnant = now.exact & (size > 0.5 * before) & (size * tol < _STAGNANT)
     done = (now.k >= solved_after) & (now.exact | (now.k == 0)) & ~jnp.isnan(size)
     return small | stagnant | done
 

@@ -172,7 +172,7 @@ def stage_equations(
 
 def inherited(of_a: Scalar, a: Array, control: Sequence[Array]) -> list[Scalar]:
     """Rounding errors of the controller's values, xdot and y, which inherit those of a."""
-    part = jnp.minimum(of_a / (largest(a) + smallest()), _MOST_ROUNDING * coarseness() ** 0.5)
+    part = jnp.minimum(of_a / (largest(a) + smallest()), _MOST_ROUNDING)
     return [part * largest(now, 0.0) for now in control]
 
 
@@ -183,9 +183,9 @@ def resting(scene: MechatronicSystem, base: Base, slopes: Slopes) -> tuple[Scala
     place. Multipliers balance such accelerations, and controllers may see them. Outputs follow
     from the rest; one that jumps moves what it acts on.
     """
-    eps, most = _EPS * coarseness(), _REST * coarseness() ** 0.5
-    of_a = jnp.minimum(8 * _of_position(base, slopes), most)
-    of_x = jnp.minimum((16 * eps * largest(base.x, 1.0) + of_a) / slopes.x, most)
+    eps = _EPS * coarseness()
+    of_a = jnp.minimum(8 * _of_position(base, slopes), _REST)
+    of_x = jnp.minimum((16 * eps * largest(base.x, 1.0) + of_a) / slopes.x, _REST)
     of_lam = of_a * formulations.largest_inertia(scene, origin(base.q))
     return of_a, of_lam, of_a, of_x, math.inf
 
