@@ -264,6 +264,29 @@ def test_newton_ends_where_32_bits_end(worker, problem, integrator, h):
     assert run.t[-1] == pytest.approx(run.t[0] + 200 * h, rel=1e-14)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("problem", "integrator"),
+    [
+        ("quarter_car", "rodas5p[steps=constant]"),  # solves for accelerations and outputs
+        ("quarter_car", "half_explicit_euler"),  # solves for outputs by itself
+        ("spring_mass[q0=0]", INDEX3),  # all is zero
+        ("slider_crank", "radau_iia[formulation=index3,stages=2,steps=constant]"),
+        ("pendulum[copies=2]", "ali3p[values=own]"),
+    ],
+)
+def test_other_iterations_end_in_single_near_double(worker, problem, integrator):
+    double, narrow = (
+        run_of(worker, problem, integrator, p, 1e-3, 100) for p in ("double", "single")
+    )
+    assert (narrow.status, narrow.message) == ("ok", "")
+    assert len(narrow.t) == 101
+    for group in ("q", "v", "x"):
+        exact = getattr(double, group)
+        size = 1 + np.abs(exact).max(initial=0)
+        assert np.abs(getattr(narrow, group) - exact).max(initial=0) < 1e-2 * size
+
+
 @pytest.mark.parametrize(
     ("problem", "integrator", "words"),
     [
