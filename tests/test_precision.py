@@ -21,6 +21,7 @@ from integrators.native.kernel import Form
 from integrators.native.lone_steps import LoneStep
 from integrators.native.precision import single
 from integrators.resolutions import Steps
+from problems import formulations
 from problems.runtime import coarseness, jax, jnp, single_floats, smallest
 from problems.scenes.pendulum import Pendulum
 from problems.spec import SpecError
@@ -140,6 +141,17 @@ def test_an_inverse_in_single_takes_the_largest_pivot():
     found = jax.jit(single(small_matrices.inverse))(jnp.asarray(a, jnp.float32))
     assert found.dtype == jnp.float32
     assert np.asarray(found) @ a == pytest.approx(np.eye(3), abs=16 * EPS)
+
+
+def test_equations_of_motion_are_solved_as_far_as_32_bits_go():
+    def root(guess):
+        return formulations._newton(
+            lambda u: u * u - jnp.array([2.0, 3.0]), guess, jnp.linalg.solve
+        )
+
+    found, iterations = jax.jit(single(root))(jnp.ones(2, jnp.float32))
+    assert np.asarray(found) == pytest.approx(np.sqrt([2, 3]), rel=2 * EPS)
+    assert iterations < 10
 
 
 def test_time_in_single_does_not_add_up():
