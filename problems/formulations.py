@@ -27,7 +27,7 @@ from problems.constraints import (
 from problems.kinematics import q_rate
 from problems.layouts import algebraic_layout, dae_layout, state_layout
 from problems.named_equations import EQUATIONS, INDEX1, equation, jitted
-from problems.runtime import Array, Float, Int, jax, jnp
+from problems.runtime import Array, Float, Int, coarseness, jax, jnp
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 
@@ -168,10 +168,11 @@ def _solution(
 
 def _newton(residual: Callable, guess: Float[Array, " n"], solve: Callable) -> tuple[Array, Array]:
     """The solution by Newton's method, NaN where it fails, and the number of iterations."""
+    small = 1e-9 * coarseness() ** 0.5
 
     def is_open(carry: tuple) -> Array:
         _, size, k = carry
-        return (size > 1e-9) & (k < 50)
+        return (size > small) & (k < 50)
 
     def iterate(carry: tuple) -> tuple:
         u, _, k = carry
@@ -180,7 +181,7 @@ def _newton(residual: Callable, guess: Float[Array, " n"], solve: Callable) -> t
 
     loop = jitted(INDEX1, lambda *start: jax.lax.while_loop(is_open, iterate, start))
     u, size, k = loop(guess, jnp.inf, jnp.asarray(0))
-    return jnp.where(size <= 1e-9, u, jnp.nan), k
+    return jnp.where(size <= small, u, jnp.nan), k
 
 
 def _jacobian_and_residual(residual: Callable, u: Float[Array, " n"]) -> tuple[Array, Array]:

@@ -18,7 +18,9 @@ import os
 import signal
 import sys
 import warnings
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -59,6 +61,7 @@ _SETTINGS = {
     # Reloading a cached program on a sibling CPU warns at length about instruction sets.
     "TF_CPP_MIN_LOG_LEVEL": "3",
 }
+_single = ContextVar("single", default=False)
 #: Room for addresses in bytes below which JAX does not start: XLA then asks for it without end.
 _LEAST_ADDRESSES = 3 * 2**29
 #: Starts XLA's compiler, which reads XLA_FLAGS then, and ends the process at a flag it refuses.
@@ -128,6 +131,26 @@ def joins_loops() -> bool:
     if not joined:
         slower(f"Small scenes run slowly: XLA no longer joins loops by {_JOINED}.")
     return joined
+
+
+@contextmanager
+def single_floats() -> Iterator[None]:
+    """Trace programs that will have 32-bit floats: their tolerances follow `coarseness`."""
+    token = _single.set(True)
+    try:
+        yield
+    finally:
+        _single.reset(token)
+
+
+def coarseness() -> float:
+    """Return the rounding of a program's floats in that of 64-bit ones: 1, or 2^29 in single."""
+    return 2.0**29 if _single.get() else 1.0
+
+
+def smallest() -> float:
+    """Return a number that is added where a divisor may be zero, and is nothing beside others."""
+    return 1e-300 if coarseness() == 1 else 1e-37
 
 
 @cache

@@ -167,6 +167,7 @@ def test_residuals_are_those_of_the_rows(worker):
         ("pendulum", "stormer_verlet", "does not take pendulum"),
         ("bouncing_ball", "newmark", "jump at samples or events"),
         ("sampled_pd[sampling=ignore]", "newmark", "jump at samples or events"),
+        ("heavy_top_se3", "bdf2", "states kinematics, .* which the method does not handle"),
     ],
 )
 def test_methods_without_a_step_of_their_own_are_refused(worker, problem, integrator, words):

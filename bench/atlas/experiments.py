@@ -21,12 +21,14 @@ from bench.results.experiments import BASES, Expected
 from bench.results.quantities import GROUPS, LEVELS, NORMS
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, check_end
+from integrators.native.precision import PRECISIONS
 from integrators.resolutions import Steps, Tolerances
 from problems import spec
 from problems.spec import SpecError
 
 #: Quantities that a sweep measures ...
 MEASURES = (
+<<<<<<< HEAD
     "error", "energy", "constraint", "note", "work", "reached", "value", "events", "condition",
     "linear",
 )  # fmt: skip
@@ -38,6 +40,14 @@ TAKES = ("last", "largest", "growth", "slope")
 _ONE_SIDED = ("error", "energy", "constraint", "work")
 #: A component of a group, such as lam1.
 COMPONENT = re.compile(r"(q|v|a|lam|x|y)([1-9]\d*)")
+=======
+    "error", "precision", "energy", "constraint", "note", "work", "reached", "condition", "linear",
+)  # fmt: skip
+#: ... and rules that make one number of the values of a sweep.
+TAKES = ("last", "largest", "growth", "slope")
+#: Quantities of which less is better, and a higher power of the step.
+_ONE_SIDED = ("error", "energy", "constraint", "work", "precision")
+>>>>>>> precision
 _FUNCTIONS = {name: made for name, made in vars(math).items() if not name.startswith("_")}
 #: A number, or arithmetic of numbers with functions of `math`, such as "2*sqrt(3)".
 Formula = float | str
@@ -52,6 +62,8 @@ class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
     error
         relative error of ``group`` in ``norm``
+    precision
+        the same of runs in a precision (``name``: double, single, mixed)
     energy, constraint
         largest drift of the energy; largest residual of Phi and its derivatives (``name``:
         position, velocity, acceleration)
@@ -225,7 +237,9 @@ def _check(s: Case, healthy: tuple[float, float], where: str) -> None:
             f"{where}: healthy={list(healthy)} is bounded {side}, so that a better method would be "
             f"hit; write {'inf' if good > 0 else 0} there."
         )
-    if s.measure == "error":
+    if s.measure == "precision":
+        _one_of(s.name, PRECISIONS, f"{where}: name")
+    if s.measure in ("error", "precision"):
         _one_of(s.group, GROUPS, f"{where}: group")
         _one_of(s.norm or "max", list(NORMS), f"{where}: norm")
     if s.measure == "value" and not COMPONENT.fullmatch(s.name or ""):

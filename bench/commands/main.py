@@ -13,6 +13,7 @@ from bench.commands import (
     gradients,
     listing,
     plugins,
+    precision,
     ratings,
     realtime,
     recommendations,
@@ -37,6 +38,7 @@ _MODULES = (
     results,
     studies,
     gradients,
+    precision,
     realtime,
     sweeps,
 )

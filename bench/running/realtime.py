@@ -16,6 +16,7 @@ from integrators import answers
 from integrators.contract import Integrator, Trajectory
 from integrators.native.lone_steps import LoneStep
 from integrators.native.step_method import NativeMethod
+from problems.reference import Reference
 from problems.runtime import Array, Float, jax
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
@@ -61,14 +62,7 @@ def realtime_job(
     for iterations, step in runs.items():
         seconds, states = timed(step, step.first, steps)
         run, unconverged = step.run(states)
-        errors: dict[str, float | None] = {}
-        if not reference.missing and run.status == "ok":
-            measure.end_at_blow_up(
-                run, reference, measure.invariant_changes(scene, run, reference, ["energy"])
-            )
-        if not reference.missing and run.status == "ok":
-            table = relative_errors(run, reference).errors
-            errors = {name: norms["max"] for name, norms in table.items() if name[0] != "|"}
+        errors = errors_of(scene, run, reference)
         done = len(run.t) - 1
         found.append(
             RealTimeRun(
@@ -90,6 +84,20 @@ def realtime_job(
     return found
 
 
+def errors_of(
+    scene: MechatronicSystem, run: Trajectory, reference: Reference, norm: str = "max"
+) -> dict[str, float | None]:
+    """Return the errors of a run by group, none if it failed or blew up, which ends it."""
+    if reference.missing or run.status != "ok":
+        return {}
+    changes = measure.invariant_changes(scene, run, reference, ["energy"])
+    measure.end_at_blow_up(run, reference, changes)
+    if run.status != "ok":
+        return {}
+    table = relative_errors(run, reference).errors
+    return {name: norms[norm] for name, norms in table.items() if name[0] != "|"}
+
+
 def stepping(method: Integrator, scene: MechatronicSystem) -> NativeMethod:
     """Return a method at constant steps whose step is a function of a state.
 
@@ -98,7 +106,7 @@ def stepping(method: Integrator, scene: MechatronicSystem) -> NativeMethod:
     SpecError
         If there is none, or it does not take the scene.
     """
-    if reason := answers.refusal(method, scene):
+    if reason := answers.refusal(method, scene, "why_not"):
         raise SpecError(f"{method.spec} does not take {scene.spec}: {reason}")
     if scene.is_hybrid:
         raise SpecError(

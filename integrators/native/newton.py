@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 from integrators.native.linear_solvers import LinearSolver
 from integrators.native.step_records import PIVOTS, Scalar, StepReport, largest
 from problems.named_equations import part, turns
-from problems.runtime import Array, Bool, Float, Int, jax, jnp
+from problems.runtime import Array, Bool, Float, Int, jax, jnp, smallest
 
 #: Updates that stop shrinking below this relative size have met round-off.
 _STAGNANT = 1e-7
@@ -77,7 +77,8 @@ class Bounds(NamedTuple):
         for d, a, b, rounding, noise in zip(*split, self.rounding, self.noise, strict=True):
             if d.size:
                 largest_entry = largest(d)
-                bound = self.tol * jnp.maximum(largest(a), largest(b)) + factor * rounding + 1e-300
+                bound = self.tol * jnp.maximum(largest(a), largest(b)) + factor * rounding
+                bound = bound + smallest()
                 sizes.append(largest_entry / bound)
                 is_noise = is_noise & (largest_entry < bound + noise)
         size = jnp.max(jnp.stack(sizes))

@@ -77,6 +77,7 @@ def _by_elimination(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Gauss-Jordan elimination in place with the largest pivot of each column; it stores pivot
     rows instead of exchanging rows."""
     n, rows = len(a), jnp.arange(len(a))
+    bits = jnp.int64 if a.dtype == jnp.float64 else jnp.int32
     zero, one = jnp.zeros((), a.dtype), jnp.ones((), a.dtype)
     put = jax.lax.dynamic_update_index_in_dim
 
@@ -85,7 +86,7 @@ def _by_elimination(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
         column = w[:, k]
         # Floats without a sign have the order of their bits, and comparing integers is faster.
         # The last bits hold the row. NaN is the largest.
-        size = jax.lax.bitcast_convert_type(jnp.abs(column), jnp.int64) & -_ROOM | rows
+        size = jax.lax.bitcast_convert_type(jnp.abs(column), bits) & -_ROOM | rows
         p = jnp.max(jnp.where(column_of == n, size, -1)) & (_ROOM - 1)
         row = put(w[p], one, k, 0) / column[p]
         w = put(w, jnp.zeros(n, a.dtype), k, 1) - put(column, zero, p, 0)[:, None] * row

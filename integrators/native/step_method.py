@@ -76,7 +76,8 @@ class NativeMethod(Integrator):
         Parameters
         ----------
         sparse
-            True if tangents may be sparse; many runs side by side need dense ones.
+            True if tangents may be sparse; many runs side by side need dense ones, and so do single
+            and mixed precision.
 
         Raises
         ------
@@ -95,8 +96,8 @@ class NativeMethod(Integrator):
         asked = self.newton_settings.linear_solver
         if not allowed and asked == "sparse":
             raise SpecError(
-                f"{self.spec} cannot have sparse tangents in many runs side by side; take "
-                f"linear_solver=dense."
+                f"{self.spec} cannot have sparse tangents in many runs side by side, nor in single "
+                f"or mixed precision; take linear_solver=dense."
             )
 
         def found() -> SparseTangents:

@@ -49,6 +49,7 @@ RIGHT = {
     "rate": ["pendulum", "newmark"],
     "realtime": ["pendulum", "newmark"],
     "recommend": ["pendulum"],
+    "precision": ["pendulum", "newmark"],
     # Parameters that only other arguments take:
     **{f"solve {name}": ["pendulum", "ida"] for name in ("rtol", "atol")},
     **{f"map {name}": ["pendulum", "generalized_alpha_adaptive"] for name in ("rtol", "atol")},
