@@ -31,6 +31,8 @@ MOST_EVENTS = 10_000
 _MOST_AT_ONCE = 16
 #: A sample that lies nearer to the end than this part of the sample time is that of the end.
 _SAME = 1e-9
+#: Remedy where a contact that lasts makes events without end.
+_OF_CONTACT = "; contact that lasts is no event: take moreau_jean"
 
 
 class EndlessEvents(ArithmeticError):
@@ -83,7 +85,7 @@ def march(
                 raise EndlessEvents(
                     f"Events do not end at t={now:.9g} s: {events} so far. After the jump the "
                     f"function must rise or stay positive; end earlier, or give the motion beyond "
-                    f"a state of its own, by a held value"
+                    f"a state of its own, by a held value{_OF_CONTACT * scene.has('gaps')}"
                 )
         phase = after(phase, cut.z, cut.event)
 

@@ -36,6 +36,13 @@ def fault_of_blocks(cls: Any, contract: type) -> str:
     for one, other in (("output", "actuation"), ("actuation", "output")):
         if one in stated and other not in stated:
             return f"it states {one} but not {other}; they belong together."
+    if "slips" in stated and "gaps" not in stated:
+        return "it states slips but not gaps; they belong together."
+    if "gaps" in stated and "events" not in stated:
+        return (
+            "it states gaps but not events, without which bodies would go through each other; "
+            "take problems.ContactSystem for its base, or state events and jump."
+        )
     owners = [owner for owner in cls.__mro__ if owner not in contract.__mro__]
     for name, method in ((n, m) for owner in owners for n, m in vars(owner).items()):
         # ``outputs`` of the contract are names, a tuple: a method of this name overrides nothing.

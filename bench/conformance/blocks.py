@@ -34,6 +34,8 @@ _ARGUMENTS = {
     "events": "z",
     "sample": "z",
     "jump": "z",
+    "gaps": "qt",
+    "slips": "qvt",
 }
 
 
