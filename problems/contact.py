@@ -1,6 +1,6 @@
 """Contact: gaps that stay open, impacts, and Coulomb's friction.
 
-A scene states ``gaps`` g(q, t) >= 0, perhaps ``slips``, the tangential velocities, and the numbers
+A scene states ``gaps`` g(q, t) >= 0, perhaps ``sliding``, the tangential velocities, and the numbers
 ``restitution`` e and ``friction`` mu. A contact acts by p_N along the gradient of its gap and by p_T
 along that of its slip. In an impact these are impulses in N s. With ' behind the impact::
 
@@ -55,18 +55,18 @@ def after_impact(scene: MechatronicSystem, z: Variables, contact: int) -> Float[
     u_n, normal = jax.value_and_grad(lambda v: gap_rates(scene, q, v, t)[contact])(v)
     along_n = moved_by(normal)
     e, mu = (number[contact] for number in constants(scene, scene.gaps(q, t).shape[0]))
-    if not scene.has("slips"):
+    if not scene.has("sliding"):
         stopped = along_n * (u_n / (normal @ along_n))
         return (v - stopped) - e * stopped
-    u_t, tangent = jax.value_and_grad(lambda v: scene.slips(q, v, t)[contact])(v)
+    u_t, tangent = jax.value_and_grad(lambda v: scene.sliding(q, v, t)[contact])(v)
     along_t = moved_by(tangent)
     a, b, c = normal @ along_n, normal @ along_t, tangent @ along_t
     rebound = -(1 + e) * u_n
     p_n, p_t = jnp.linalg.solve(jnp.array([[a, b], [b, c]]), jnp.array([rebound, -u_t]))
     side = jnp.sign(p_t)
-    sliding = rebound / (a + side * mu * b)
+    slid = rebound / (a + side * mu * b)
     sticks = jnp.abs(p_t) <= mu * p_n
-    p_n, p_t = jnp.where(sticks, p_n, sliding), jnp.where(sticks, p_t, side * mu * sliding)
+    p_n, p_t = jnp.where(sticks, p_n, slid), jnp.where(sticks, p_t, side * mu * slid)
     return jnp.where(p_n >= 0, v + along_n * p_n + along_t * p_t, jnp.nan)
 
 

@@ -36,8 +36,8 @@ def fault_of_blocks(cls: Any, contract: type) -> str:
     for one, other in (("output", "actuation"), ("actuation", "output")):
         if one in stated and other not in stated:
             return f"it states {one} but not {other}; they belong together."
-    if "slips" in stated and "gaps" not in stated:
-        return "it states slips but not gaps; they belong together."
+    if "sliding" in stated and "gaps" not in stated:
+        return "it states sliding but not gaps; they belong together."
     if "gaps" in stated and "events" not in stated:
         return (
             "it states gaps but not events, without which bodies would go through each other; "

@@ -15,7 +15,7 @@ gives 0 = A(q) v - b(t), as of rolling wheels, whose multipliers follow those of
 Values may jump at instants (`problems.phases`): ``sample`` gives new values of held parameters at
 equal distances ``sample_time`` in time, as a sampled controller does; ``events`` are functions that
 fall through zero where something happens, as an impact, and ``jump`` says what changes there.
-``gaps`` are distances that contacts keep from becoming negative (`problems.contact`); ``slips`` are
+``gaps`` are distances that contacts keep from becoming negative (`problems.contact`); ``sliding`` are
 velocities at which bodies in contact slide, ``restitution`` and ``friction`` the constants.
 
 A scene is a frozen dataclass: its parameters are fields, its blocks are methods written in
@@ -86,7 +86,7 @@ class MechatronicSystem:
     scenes that have it: ``constraint``; ``velocity_constraint``; ``kinematics``, perhaps with
     ``move``; ``coupled_force``; ``state_rate`` (controller states); ``output`` together with
     ``actuation``; ``sample`` together with ``sample_time``; ``events`` together with ``jump``;
-    ``gaps`` (see `problems.contact.ContactSystem`), perhaps with ``slips``; ``energy``; ``momentum``; ``points``; ``exact``; ``draw``. An override may leave out
+    ``gaps`` (see `problems.contact.ContactSystem`), perhaps with ``sliding``; ``energy``; ``momentum``; ``points``; ``exact``; ``draw``. An override may leave out
     annotations.
 
     The class attributes say how to use the scene:
@@ -223,7 +223,7 @@ class MechatronicSystem:
         zero by forces along their gradients."""
         raise NotImplementedError
 
-    def slips(
+    def sliding(
         self, q: Float[Array, " nq"], v: Float[Array, " nv"], t: Float[Array, ""]
     ) -> Float[Array, " nc"]:
         """Velocities at which each pair of bodies slides if its gap is closed, linear in v."""

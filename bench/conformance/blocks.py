@@ -35,7 +35,7 @@ _ARGUMENTS = {
     "sample": "z",
     "jump": "z",
     "gaps": "qt",
-    "slips": "qvt",
+    "sliding": "qvt",
 }
 
 

@@ -1,0 +1,221 @@
+"""Time stepping of Moreau and Jean: impacts and contact that lasts, within the steps.
+
+A step of the theta method in velocities and impulses; nothing is located, and impacts may
+accumulate. With D(z) = M(q) a - g + Phi_q^T lam - L y at both ends of the step, q^ = q + h/2 v and
+the directions G_N, G_T of contacts (`problems.contact`) there::
+
+    theta D(q+, v+) + (1 - theta) D(q, v) = G_N^T r_N + G_T^T r_T,    a = (v+ - v)/h
+    q+ = q + h (theta v+ + (1 - theta) v),    d/dt Phi(q+, v+) = 0
+    0 <= r_N  perpendicular to  u_N+ + e u_N >= 0    where gap(q^) <= 0, else r_N = 0
+    |r_T| <= mu r_N,    r_T against u_T+ unless u_T+ = 0
+
+So r and lam are impulses divided by h. The equations are piecewise smooth, and Newton's method
+takes the tangent of the piece that holds (Alart & Curnier).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from integrators.contract import WIDER, PreparedRun, Trajectory, option
+from integrators.native.step_method import ImplicitStepMethod
+from integrators.native.step_records import Reading, Time, largest
+from integrators.native.step_work import StepWork
+from problems.constraints import constraint_velocity
+from problems.contact import ContactSystem, constants, gap_rates
+from problems.formulations import Start, control_residuals, dynamics_residual
+from problems.kinematics import advance
+from problems.layouts import Layout
+from problems.runtime import Array, jax, jnp
+from problems.system import MechatronicSystem
+from problems.variables import Variables
+
+_EPS = float(np.finfo(float).eps)
+
+
+class ImpactState(NamedTuple):
+    """The end of a step: all variables, xdot, impulses of contacts in the step, normal ones first,
+    and the numbers of impacts of each contact so far."""
+
+    z: Variables
+    xdot: Array
+    p: Array
+    impacts: Array
+
+
+class Contacts(NamedTuple):
+    """Contacts in a step: those that are closed, and their velocities G v+ + b.
+
+    In b of normals the restitution e u_N is added. Rows of G are those of normals, then tangents.
+    """
+
+    closed: Array
+    g: Array
+    b: Array
+    mu: Array
+    #: Accelerations by unit forces, about: they weigh forces against velocities.
+    weight: Array
+
+    @classmethod
+    def of(cls, scene: MechatronicSystem, now: Variables, h: Time) -> Contacts:
+        """Find them in the middle of a step that begins at ``now``."""
+        q, t, still = advance(scene, now.q, h / 2 * now.v), now.t + h / 2, 0.0 * now.v
+
+        def rates(v: Array) -> Array:
+            rows = [gap_rates(scene, q, v, t)]
+            return jnp.concatenate([*rows, scene.sliding(q, v, t)] if slides else rows)
+
+        slides, gaps = scene.has("sliding"), scene.gaps(q, t)
+        e, mu = constants(scene, len(gaps))
+        g, b = jax.jacfwd(rates)(still), rates(still)
+        b = b.at[: len(gaps)].add(e * rates(now.v)[: len(gaps)])
+        weight = jnp.sum(g * g / jnp.diag(scene.mass(q)), axis=1)
+        return cls(gaps <= 0, g, b, mu, weight)
+
+    def rows(self, r: Array, v: Array, h: Time) -> Array:
+        """Residuals, accelerations: of forces r and velocities v at the end of the step."""
+        nc, u = len(self.closed), (self.g @ v + self.b) / h
+        push = jnp.where(self.closed, jnp.maximum(0.0, self.weight[:nc] * r[:nc] - u[:nc]), 0.0)
+        rows = self.weight[:nc] * r[:nc] - push
+        if len(r) == nc:
+            return rows
+        most = self.weight[nc:] * self.mu * push / self.weight[:nc]
+        along = self.weight[nc:] * r[nc:]
+        return jnp.concatenate([rows, along - jnp.clip(along - u[nc:], -most, most)])
+
+
+@dataclass(frozen=True)
+class MoreauJean(ImplicitStepMethod):
+    """Theta method in velocities and impulses: order one, and impacts may accumulate.
+
+    The reported a is (v+ - v)/h and lam that of constraint impulses, both means over the step: in a
+    step with an impact they hold it and grow as 1/h. Notes tell the impulses and the numbers of
+    impacts. Constraints hold for velocities; positions drift. On scenes without ``gaps`` it is the
+    theta method, of order two for theta = 1/2, which does not damp.
+    """
+
+    name: ClassVar[str] = "moreau_jean"
+    family: ClassVar[str] = "time stepping of contact"
+    takes: ClassVar[tuple[str, ...]] = tuple(WIDER)
+    formulation = "index2"
+    drift = "unprojected"
+    passes_impacts = True
+    source: ClassVar[str] = (
+        "Moreau (1988), doi:10.1007/978-3-7091-2624-0_1; Jean (1999), "
+        "doi:10.1016/S0045-7825(98)00383-1; Newton's method: Alart & Curnier (1991), "
+        "doi:10.1016/0045-7825(91)90022-X"
+    )
+
+    theta: float = option(
+        0.5, "weight of the end of the step; 1 damps most", low=0.5, high=1.0, always=True
+    )
+
+    def claims(self, scene: MechatronicSystem) -> dict[str, int]:
+        if scene.has("gaps"):
+            return {"q": 1, "v": 1}
+        order = 2 if self.theta == 0.5 else 1
+        return {"q": order, "v": order, "a": 1, "lam": 1, "x": order, "y": 1}
+
+    def supports(self, scene: MechatronicSystem) -> str | None:
+        if scene.has("gaps") and scene.has("sample"):
+            return (
+                "it steps over impacts, and ends no step at a sample; take a method that goes "
+                "from event to event."
+            )
+        return None
+
+    def caution(self, scene: MechatronicSystem) -> str | None:
+        if not scene.has("gaps"):
+            return None
+        return (
+            "Accelerations are (v+ - v)/h: in a step with an impact they hold its impulse, and "
+            "their errors grow as 1/h; trust q and v, and v beside an impact to a step."
+        )
+
+    def notes_on(self, scene: MechatronicSystem) -> tuple[str, ...]:
+        count = range(1, 1 + _number_of_gaps(scene))
+        return (*(f"impulse {k}" for k in count), *(f"impacts {k}" for k in count))
+
+    def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Any) -> PreparedRun:
+        run = super().prepare(scene, t_end, resolution)
+        own = getattr(type(scene), "events", None) is ContactSystem.events
+        return ImpactRun(run) if own and "in_phase" not in vars(scene) else run
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> ImpactState:
+        count = _number_of_gaps(scene)
+        forces = jnp.zeros(2 * count if scene.has("sliding") else count)
+        return ImpactState(start.z, start.xdot, forces, jnp.zeros(count))
+
+    def step(
+        self, scene: MechatronicSystem, state: ImpactState, t: Time, h: Time, work: StepWork
+    ) -> ImpactState:
+        now, theta, sizes = state.z, self.theta, scene.sizes
+        nc = len(state.impacts)
+        layout = Layout(a=sizes.nv, lam=sizes.nl, r=len(state.p), xdot=sizes.nx, y=sizes.ny)
+        contacts = Contacts.of(scene, now, h) if nc else None
+
+        def at(u: Array) -> tuple[Variables, Array]:
+            a, lam, _, xdot, y = layout.split(u)
+            q = advance(scene, now.q, h * now.v, theta * h * (h * a))
+            x = now.x + h * (theta * xdot + (1 - theta) * state.xdot)
+            return Variables(q, now.v + h * a, a, lam, x, y, t), xdot
+
+        def residual(u: Array) -> Array:
+            z, xdot = at(u)
+            before = now._replace(a=z.a, lam=z.lam)
+            balance = theta * dynamics_residual(scene, z)
+            balance = balance + (1 - theta) * dynamics_residual(scene, before)
+            rows = []
+            if sizes.nl:
+                rows.append(constraint_velocity(scene, z.q, z.v, t) / h)
+            if contacts:
+                r = layout.split(u)[2]
+                balance = balance - r @ contacts.g
+                rows.append(contacts.rows(r, z.v, h))
+            return jnp.concatenate([balance, *rows, *control_residuals(scene, z, xdot)])
+
+        guess = jnp.concatenate([now.a, now.lam, state.p / h, state.xdot, now.y])
+        forces = dynamics_residual(scene, now._replace(a=0 * now.a))
+        of_a = _EPS * (largest(now.v) / h + largest(forces) / largest(scene.mass(now.q)))
+        rounding = 8 * of_a, 8 * _EPS * largest(forces), 8 * _EPS * largest(forces), 0.0, 0.0
+        u = work.solve(
+            residual, guess, groups=layout.cuts, rounding=rounding, evaluations=2
+        )
+        work.count(residuals=1)
+        (z, xdot), p = at(u), h * layout.split(u)[2]
+        begun = (p[:nc] > 0) & ~(state.p[:nc] > 0)
+        return ImpactState(z, xdot, p, state.impacts + begun)
+
+    def read(self, scene: MechatronicSystem, state: ImpactState) -> Reading:
+        nc = len(state.impacts)
+        return Reading.of(state.z, state.xdot)._replace(notes=(*state.p[:nc], *state.impacts))
+
+
+def _number_of_gaps(scene: MechatronicSystem) -> int:
+    if not scene.has("gaps"):
+        return 0
+    return jax.eval_shape(scene.gaps, jnp.zeros(scene.sizes.nq), jnp.zeros(())).shape[0]
+
+
+class ImpactRun(PreparedRun):
+    """A run whose phases are those between its impacts, as they are of runs that locate events."""
+
+    def __init__(self, run: PreparedRun) -> None:
+        self._run = run
+        self.execute, self.bill = run.execute, run.bill
+
+    def execute(self) -> Any:  # replaced by that of the run
+        return self._run.execute()
+
+    def measure(self) -> Trajectory:
+        rows = self._run.measure()
+        counts = [row for name, row in rows.notes.items() if name.startswith("impacts ")]
+        counts = np.nan_to_num(np.column_stack(counts)).astype(int)  # no step led to the first row
+        rows.phase, rows.xd = counts.sum(axis=1), np.zeros((len(rows.t), 0))
+        new = np.diff(counts, axis=0, prepend=0)
+        times = [(t, k) for t, n in zip(rows.t, new, strict=True) for k in np.flatnonzero(n)]
+        rows.events = np.array(times, dtype=float).reshape(-1, 2)
+        return rows
