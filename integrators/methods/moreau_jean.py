@@ -26,7 +26,7 @@ from integrators.native.step_records import Reading, Time, largest
 from integrators.native.step_work import StepWork
 from problems.constraints import constraint_velocity
 from problems.contact import ContactSystem, constants, gap_rates
-from problems.formulations import Start, control_residuals, dynamics_residual
+from problems.formulations import Start, control_residuals, dynamics_residual, largest_inertia
 from problems.kinematics import advance
 from problems.layouts import Layout
 from problems.runtime import Array, jax, jnp
@@ -34,6 +34,9 @@ from problems.system import MechatronicSystem
 from problems.variables import Variables
 
 _EPS = float(np.finfo(float).eps)
+#: Part of the velocity that its impulse takes away with which a contact gives way, so that contacts
+#: of which one would do share the load.
+_GIVE = 1e-8
 
 
 class ImpactState(NamedTuple):
@@ -77,7 +80,7 @@ class Contacts(NamedTuple):
 
     def rows(self, r: Array, v: Array, h: Time) -> Array:
         """Residuals, accelerations: of forces r and velocities v at the end of the step."""
-        nc, u = len(self.closed), (self.g @ v + self.b) / h
+        nc, u = len(self.closed), (self.g @ v + self.b) / h + _GIVE * self.weight * r
         push = jnp.where(self.closed, jnp.maximum(0.0, self.weight[:nc] * r[:nc] - u[:nc]), 0.0)
         rows = self.weight[:nc] * r[:nc] - push
         if len(r) == nc:
@@ -116,7 +119,8 @@ class MoreauJean(ImplicitStepMethod):
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
         if scene.has("gaps"):
             return {"q": 1, "v": 1}
-        order = 2 if self.theta == 0.5 else 1
+        # Controllers may see a, which is that of the middle of the step.
+        order = 2 if self.theta == 0.5 and not (scene.sizes.nx or scene.sizes.ny) else 1
         return {"q": order, "v": order, "a": 1, "lam": 1, "x": order, "y": 1}
 
     def supports(self, scene: MechatronicSystem) -> str | None:
@@ -178,9 +182,9 @@ class MoreauJean(ImplicitStepMethod):
             return jnp.concatenate([balance, *rows, *control_residuals(scene, z, xdot)])
 
         guess = jnp.concatenate([now.a, now.lam, state.p / h, state.xdot, now.y])
-        forces = dynamics_residual(scene, now._replace(a=0 * now.a))
-        of_a = _EPS * (largest(now.v) / h + largest(forces) / largest(scene.mass(now.q)))
-        rounding = 8 * of_a, 8 * _EPS * largest(forces), 8 * _EPS * largest(forces), 0.0, 0.0
+        forces = largest(dynamics_residual(scene, now._replace(a=0 * now.a)))
+        of_a = 8 * _EPS * (largest(now.v) / h + forces / largest_inertia(scene, now.q))
+        rounding = of_a, 8 * _EPS * forces, 8 * _EPS / _GIVE * forces, 0.0, 0.0
         u = work.solve(
             residual, guess, groups=layout.cuts, rounding=rounding, evaluations=2
         )
