@@ -13,13 +13,17 @@ Holonomic and other constraints hold in an impact, too. Velocities change by the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
-from problems.constraints import constraint_change
+from problems.constraints import constraint_change, regular
 from problems.kinematics import q_rate
 from problems.named_equations import equation
-from problems.runtime import Array, Float, jax, jnp
+from problems.runtime import Array, Bool, Float, jax, jnp
 from problems.system import MechatronicSystem
 from problems.variables import Variables
+
+#: Iterations for an impact, and the part of velocities that may be left of its residual.
+_MOST, _SOLVED = 30, 1e-12
 
 
 @equation
@@ -30,44 +34,103 @@ def gap_rates(
     return jax.jvp(scene.gaps, (q, t), (q_rate(scene, q, v), jnp.ones_like(t)))[1]
 
 
-def constants(scene: MechatronicSystem, count: int) -> tuple[Array, Array]:
-    """Return restitution and friction of each of so many contacts."""
-    e, mu = (jnp.asarray(number, dtype=float) for number in (scene.restitution, scene.friction))
-    return jnp.broadcast_to(e, (count,)), jnp.broadcast_to(mu, (count,))
+class Contacts(NamedTuple):
+    """Contacts at a place and a time: those that are closed, and their velocities G v + b.
+
+    Rows of G are those of normals, then of tangents. Restitution e u_N is added to b of normals.
+    """
+
+    closed: Bool[Array, " nc"]
+    g: Float[Array, "n nv"]
+    b: Float[Array, " n"]
+    mu: Float[Array, " nc"]
+    #: Accelerations by unit forces, about: they weigh forces against velocities.
+    weight: Float[Array, " n"]
+
+    @classmethod
+    def of(
+        cls, scene: MechatronicSystem, q: Array, v: Array, t: Array, closed: Array | None = None
+    ) -> Contacts:
+        """Return those of a place and a time, with the velocities v before; all that have no gap
+        are closed, unless it is given."""
+        gaps = scene.gaps(q, t)
+        nc, still = len(gaps), 0.0 * v
+        slide = [scene.sliding] if scene.has("sliding") else []
+
+        def rates(v: Array) -> Array:
+            return jnp.concatenate([gap_rates(scene, q, v, t), *(f(q, v, t) for f in slide)])
+
+        e, mu = (jnp.asarray(x, dtype=float) for x in (scene.restitution, scene.friction))
+        g, b = jax.jacfwd(rates)(still), rates(still)
+        b = b.at[:nc].add(e * rates(v)[:nc])
+        weight = jnp.sum(g * g / jnp.diag(scene.mass(q)), axis=1)
+        closed = gaps <= 0 if closed is None else closed
+        return cls(closed, g, b, jnp.broadcast_to(mu, (nc,)), weight)
+
+    def rows(self, r: Array, v: Array, h: Any = 1.0, give: float = 0.0) -> Array:
+        """Residuals of the laws for forces r and the velocities v after them, as accelerations.
+
+        Parameters
+        ----------
+        h
+            Time in s for which forces act; 1 if r are impulses.
+        give
+            Part of the velocity that its impulse takes away with which a contact gives way.
+        """
+        nc, u = len(self.closed), (self.g @ v + self.b) / h + give * self.weight * r
+        along = self.weight * r
+        push = jnp.where(self.closed, jnp.maximum(0.0, (along - u)[:nc]), 0.0)
+        rows = along[:nc] - push
+        if len(r) == nc:
+            return rows
+        most = self.weight[nc:] * self.mu * push / self.weight[:nc]
+        return jnp.concatenate([rows, along[nc:] - jnp.clip((along - u)[nc:], -most, most)])
+
+
+def impact(
+    scene: MechatronicSystem, z: Variables, closed: Bool[Array, " nc"]
+) -> tuple[Float[Array, " nv"], Float[Array, " n"]]:
+    """Compute the velocities behind an impact of closed contacts, and impulses, normal ones first.
+
+    Newton's method goes from piece to piece of the laws. They are NaN where it finds no solution.
+    """
+    contacts = Contacts.of(scene, z.q, z.v, z.t, closed)
+    moved = _moved_by(scene, z, contacts.g)
+
+    def residual(p: Array) -> Array:
+        return contacts.rows(p, z.v + p @ moved)
+
+    def update(_: int, p: Array) -> Array:
+        return p - jnp.linalg.solve(jax.jacfwd(residual)(p), residual(p))
+
+    p = jax.lax.fori_loop(0, _MOST, update, jnp.zeros(len(contacts.b)))
+    solved = jnp.max(jnp.abs(residual(p))) <= _SOLVED * jnp.max(jnp.abs(contacts.g @ z.v))
+    p = jnp.where(solved, p, jnp.nan)
+    return z.v + p @ moved, p
+
+
+def _moved_by(scene: MechatronicSystem, z: Variables, directions: Array) -> Array:
+    """Changes of v by unit impulses along rows, and by the impulses of constraints that follow."""
+    nv, nl = directions.shape[1], scene.sizes.nl
+    matrix = scene.mass(z.q)
+    if nl:
+        rows = jax.jacfwd(lambda w: constraint_change(scene, z.q, z.t, w))(0.0 * z.v)
+        matrix = jnp.block([[matrix, rows.T], [rows, jnp.zeros((nl, nl))]])
+        matrix = regular(scene, matrix)
+    right = jnp.concatenate([directions.T, jnp.zeros((nl, len(directions)))])
+    return jnp.linalg.solve(matrix, right)[:nv].T
 
 
 def after_impact(scene: MechatronicSystem, z: Variables, contact: int) -> Float[Array, " nv"]:
-    """Compute the velocities behind an impact of one contact.
-
-    They are NaN where the laws of Newton and Coulomb have no solution (Painleve).
-    """
-    q, v, t, still = z.q, z.v, z.t, jnp.zeros_like(z.v)
-    of_constraints = jnp.zeros((0, len(v)))
-    if scene.sizes.nl:
-        of_constraints = jax.jacfwd(lambda w: constraint_change(scene, q, t, w))(still)
-    nl = len(of_constraints)
-    matrix = jnp.block([[scene.mass(q), of_constraints.T], [of_constraints, jnp.zeros((nl, nl))]])
-
-    def moved_by(direction: Array) -> Array:
-        """Change of v by a unit impulse."""
-        return jnp.linalg.solve(matrix, jnp.concatenate([direction, jnp.zeros(nl)]))[: len(v)]
-
-    u_n, normal = jax.value_and_grad(lambda v: gap_rates(scene, q, v, t)[contact])(v)
-    along_n = moved_by(normal)
-    e, mu = (number[contact] for number in constants(scene, scene.gaps(q, t).shape[0]))
-    if not scene.has("sliding"):
-        stopped = along_n * (u_n / (normal @ along_n))
-        return (v - stopped) - e * stopped
-    u_t, tangent = jax.value_and_grad(lambda v: scene.sliding(q, v, t)[contact])(v)
-    along_t = moved_by(tangent)
-    a, b, c = normal @ along_n, normal @ along_t, tangent @ along_t
-    rebound = -(1 + e) * u_n
-    p_n, p_t = jnp.linalg.solve(jnp.array([[a, b], [b, c]]), jnp.array([rebound, -u_t]))
-    side = jnp.sign(p_t)
-    slid = rebound / (a + side * mu * b)
-    sticks = jnp.abs(p_t) <= mu * p_n
-    p_n, p_t = jnp.where(sticks, p_n, slid), jnp.where(sticks, p_t, side * mu * slid)
-    return jnp.where(p_n >= 0, v + along_n * p_n + along_t * p_t, jnp.nan)
+    """Compute the velocities behind an impact of one contact."""
+    closed = jnp.arange(len(scene.gaps(z.q, z.t))) == contact
+    if scene.has("sliding"):
+        return impact(scene, z, closed)[0]
+    e = jnp.broadcast_to(jnp.asarray(scene.restitution, dtype=float), closed.shape)[contact]
+    u, normal = jax.value_and_grad(lambda v: gap_rates(scene, z.q, v, z.t)[contact])(z.v)
+    along = _moved_by(scene, z, normal[None])[0]
+    stopped = along * (u / (normal @ along))
+    return (z.v - stopped) - e * stopped
 
 
 @dataclass(frozen=True)

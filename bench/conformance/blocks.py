@@ -37,6 +37,8 @@ _ARGUMENTS = {
     "gaps": "qt",
     "sliding": "qvt",
 }
+#: Attributes that may be parameters.
+_CONSTANTS = ("sample_time", "restitution", "friction")
 
 
 def _block(name: str) -> Callable[[MechatronicSystem, Variables], Any]:
@@ -185,10 +187,10 @@ def _with_another(scene: MechatronicSystem, field: dataclasses.Field) -> Mechatr
 
 
 def _unmoved(scene: MechatronicSystem, other: MechatronicSystem) -> bool:
-    """Whether initial states, actuation, pictures and the time between samples are the same."""
+    """Whether initial states, actuation, pictures and constants of the contract are the same."""
     one, two = scene.initial_state(), other.initial_state()
     pairs: list[tuple[Any, Any]] = list(zip(one, two, strict=True))
-    pairs.append((scene.sample_time, other.sample_time))
+    pairs += [(getattr(scene, name), getattr(other, name)) for name in _CONSTANTS]
     if scene.has("actuation"):
         pairs.append((scene.actuation(), other.actuation()))
     if scene.has("draw"):

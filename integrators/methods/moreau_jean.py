@@ -25,7 +25,7 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading, Time, largest
 from integrators.native.step_work import StepWork
 from problems.constraints import constraint_velocity
-from problems.contact import ContactSystem, constants, gap_rates
+from problems.contact import Contacts, ContactSystem
 from problems.formulations import Start, control_residuals, dynamics_residual, largest_inertia
 from problems.kinematics import advance
 from problems.layouts import Layout
@@ -47,47 +47,6 @@ class ImpactState(NamedTuple):
     xdot: Array
     p: Array
     impacts: Array
-
-
-class Contacts(NamedTuple):
-    """Contacts in a step: those that are closed, and their velocities G v+ + b.
-
-    In b of normals the restitution e u_N is added. Rows of G are those of normals, then tangents.
-    """
-
-    closed: Array
-    g: Array
-    b: Array
-    mu: Array
-    #: Accelerations by unit forces, about: they weigh forces against velocities.
-    weight: Array
-
-    @classmethod
-    def of(cls, scene: MechatronicSystem, now: Variables, h: Time) -> Contacts:
-        """Find them in the middle of a step that begins at ``now``."""
-        q, t, still = advance(scene, now.q, h / 2 * now.v), now.t + h / 2, 0.0 * now.v
-
-        def rates(v: Array) -> Array:
-            rows = [gap_rates(scene, q, v, t)]
-            return jnp.concatenate([*rows, scene.sliding(q, v, t)] if slides else rows)
-
-        slides, gaps = scene.has("sliding"), scene.gaps(q, t)
-        e, mu = constants(scene, len(gaps))
-        g, b = jax.jacfwd(rates)(still), rates(still)
-        b = b.at[: len(gaps)].add(e * rates(now.v)[: len(gaps)])
-        weight = jnp.sum(g * g / jnp.diag(scene.mass(q)), axis=1)
-        return cls(gaps <= 0, g, b, mu, weight)
-
-    def rows(self, r: Array, v: Array, h: Time) -> Array:
-        """Residuals, accelerations: of forces r and velocities v at the end of the step."""
-        nc, u = len(self.closed), (self.g @ v + self.b) / h + _GIVE * self.weight * r
-        push = jnp.where(self.closed, jnp.maximum(0.0, self.weight[:nc] * r[:nc] - u[:nc]), 0.0)
-        rows = self.weight[:nc] * r[:nc] - push
-        if len(r) == nc:
-            return rows
-        most = self.weight[nc:] * self.mu * push / self.weight[:nc]
-        along = self.weight[nc:] * r[nc:]
-        return jnp.concatenate([rows, along - jnp.clip(along - u[nc:], -most, most)])
 
 
 @dataclass(frozen=True)
@@ -159,7 +118,8 @@ class MoreauJean(ImplicitStepMethod):
         now, theta, sizes = state.z, self.theta, scene.sizes
         nc = len(state.impacts)
         layout = Layout(a=sizes.nv, lam=sizes.nl, r=len(state.p), xdot=sizes.nx, y=sizes.ny)
-        contacts = Contacts.of(scene, now, h) if nc else None
+        middle = advance(scene, now.q, h / 2 * now.v)
+        contacts = Contacts.of(scene, middle, now.v, t - h / 2) if nc else None
 
         def at(u: Array) -> tuple[Variables, Array]:
             a, lam, _, xdot, y = layout.split(u)
@@ -178,7 +138,7 @@ class MoreauJean(ImplicitStepMethod):
             if contacts:
                 r = layout.split(u)[2]
                 balance = balance - r @ contacts.g
-                rows.append(contacts.rows(r, z.v, h))
+                rows.append(contacts.rows(r, z.v, h, _GIVE))
             return jnp.concatenate([balance, *rows, *control_residuals(scene, z, xdot)])
 
         guess = jnp.concatenate([now.a, now.lam, state.p / h, state.xdot, now.y])
