@@ -1,0 +1,299 @@
+"""Contact: impacts as events and within steps, friction and rest, judged by closed forms."""
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+import pytest
+import scipy.linalg
+from click.testing import CliRunner
+from scipy.optimize import brentq
+
+from bench.commands.main import main
+from bench.running.errors import event_errors, relative_errors
+from integrators.methods.half_explicit import PHEM56
+from integrators.methods.moreau_jean import MoreauJean
+from integrators.methods.radau_iia import RadauIIA
+from integrators.resolutions import Steps, Tolerances
+from problems import ContactSystem, MechatronicSystem, State, Variables, held, jax, jnp, parameter
+from problems.compiled import compiled
+from problems.reference import Reference, ReferenceFailed
+from problems.scenes.bouncing_ball import BouncingBall
+from problems.scenes.impact_stop import ImpactStop
+from problems.scenes.sliding_rolling import SlidingRolling
+from problems.scenes.woodpecker import Woodpecker
+from problems.spec import SpecError
+
+
+def run(method, scene, resolution, t_end=None):
+    return method.prepare(scene, t_end or scene.interval[1], resolution).measure()
+
+
+def at(q, v):
+    """All variables of a scene without constraints and controllers."""
+    q, v, none = (np.asarray(part, dtype=float) for part in (q, v, ()))
+    return Variables(q, v, 0 * v, none, none, none, np.zeros(()))
+
+
+# ---- laws of impact ----------------------------------------------------------------------
+@dataclass(frozen=True)
+class _Ball(ContactSystem):
+    """A ball with spin on ground that rises: x, y, angle; radius and mass are 1."""
+
+    interval = (0.0, 2.0)
+    nominal_step = 0.02
+    restitution: float = parameter(0.5, "1", "restitution", low=0.0, high=1.0)
+    friction: float = parameter(0.2, "1", "friction", low=0.0)
+    rises: float = parameter(0.0, "m/s", "velocity of the ground")
+    fast: float = parameter(3.0, "m/s", "velocity along the ground")
+
+    def mass(self, q):
+        return jnp.diag(jnp.array([1.0, 1.0, 0.4]))
+
+    def force(self, q, v, t):
+        return jnp.array([0.0, -9.81, 0.0])
+
+    def gaps(self, q, t):
+        return q[1:2] - 1 - self.rises * t
+
+    def sliding(self, q, v, t):
+        return v[:1] - v[2:]
+
+    def initial_state(self):
+        return State(q=np.array([0.0, 1.5, 0.0]), v=np.array([self.fast, 0.0, 0.0]))
+
+
+def _behind(ball, z):
+    return compiled(ball).jumps[0](ball.parameters(), z)["v"]
+
+
+@pytest.mark.parametrize("fast", [3.0, -3.0, 0.1])
+def test_an_oblique_impact_slides_or_sticks_by_coulombs_law(fast):
+    down, scene = 2.0, _Ball()
+    v = np.asarray(_behind(scene, at([0, 1, 0], [fast, -down, 0])))
+    # A unit tangential impulse changes the slip by 1 + 1/0.4.
+    needed, most = fast / 3.5, 0.2 * 1.5 * down
+    p = np.sign(needed) * min(abs(needed), most)
+    assert v == pytest.approx([fast - p, 0.5 * down, p / 0.4], abs=1e-14)
+    assert abs(needed) > most or v[0] == pytest.approx(v[2], abs=1e-14)
+
+
+def test_ground_that_moves_gives_its_velocity_to_the_law():
+    scene = _Ball(rises=1.0, friction=0.0)
+    v = np.asarray(_behind(scene, at([0, 1, 0], [0, -2, 0])))
+    assert v == pytest.approx([0, 1 + 0.5 * 3, 0], abs=1e-14)
+    step = run(MoreauJean(theta=1.0), scene, Steps(0.001), 0.4)
+    k = int(np.argmax(step.notes["impacts 1"] > 0))
+    before = step.v[k - 1, 1] - 1
+    assert before < -2
+    assert step.v[k, 1] - 1 == pytest.approx(-0.5 * before, abs=1e-6)
+
+
+@dataclass(frozen=True)
+class _Bob(ContactSystem):
+    """A pendulum in x and y that swings against a wall at x = 0."""
+
+    interval = (0.0, 2.0)
+    nominal_step = 0.02
+    restitution = 0.6
+
+    def mass(self, q):
+        return 2.0 * jnp.eye(2)
+
+    def force(self, q, v, t):
+        return jnp.array([0.0, -2.0 * 9.81])
+
+    def constraint(self, q, t):
+        return jnp.stack([(q @ q - 1) / 2])
+
+    def gaps(self, q, t):
+        return q[:1] + 0.3
+
+    def initial_state(self):
+        return State(q=np.array([np.sin(1.0), -np.cos(1.0)]), v=np.zeros(2))
+
+
+@pytest.mark.long
+def test_impacts_keep_to_the_constraints():
+    exact = np.sqrt(2 * 9.81 * (np.sqrt(1 - 0.09) - np.cos(1.0)))  # speed at the wall, by energy
+    found = run(PHEM56(), _Bob(), Tolerances(1e-10), 1.0)
+    first = int(np.argmax(found.phase > 0))
+    assert np.linalg.norm(found.v[first - 1]) == pytest.approx(exact, rel=1e-8)
+    after = np.linalg.norm(run(PHEM56(), _Bob(), Tolerances(1e-10), found.t[first - 1] + 1e-9).v[-1])
+    assert after == pytest.approx(0.6 * exact, rel=1e-7)
+    stepped = run(MoreauJean(), _Bob(), Steps(1e-3), 1.0)
+    k = int(np.argmax(stepped.notes["impacts 1"] > 0))
+    assert np.linalg.norm(stepped.v[k]) == pytest.approx(0.6 * exact, rel=5e-3)
+    assert np.abs(np.sum(stepped.q * stepped.v, axis=1)).max() < 1e-12
+
+
+@dataclass(frozen=True)
+class _Block(ContactSystem):
+    """A block that is dropped on its two lower corners at once; 2 m wide and high, 1 kg."""
+
+    interval = (0.0, 1.0)
+    nominal_step = 0.01
+    friction = 0.3
+    fast: float = parameter(1.0, "m/s", "velocity along the ground")
+
+    def mass(self, q):
+        return jnp.diag(jnp.array([1.0, 1.0, 2 / 3]))
+
+    def force(self, q, v, t):
+        return jnp.array([0.0, -9.81, 0.0])
+
+    def _corners(self, q):
+        cos, sin = jnp.cos(q[2]), jnp.sin(q[2])
+        return jnp.stack([q[:2] + jnp.stack([s * cos + sin, s * sin - cos]) for s in (-1, 1)])
+
+    def gaps(self, q, t):
+        return self._corners(q)[:, 1]
+
+    def sliding(self, q, v, t):
+        return jax.jvp(self._corners, (q,), (v,))[1][:, 0]
+
+    def initial_state(self):
+        return State(q=np.array([0.0, 1.0, 0.0]), v=np.array([self.fast, 0.0, 0.0]))
+
+
+@pytest.mark.long
+def test_a_block_slides_to_rest_and_its_redundant_contacts_share_the_load():
+    # It slides by v0^2/(2 mu g); its corners carry m g/2 -+ mu m g (height over width of centre)/2.
+    found = run(MoreauJean(), _Block(), Steps(0.005))
+    way = 1 / (2 * 0.3 * 9.81)
+    assert found.status == "ok"
+    assert found.q[-1] == pytest.approx([way, 1.0, 0.0], abs=2e-3)
+    assert np.abs(found.v[-1]).max() < 1e-8
+    loads = np.array([found.notes["impulse 1"], found.notes["impulse 2"]]) / 0.005
+    assert loads[:, 20] == pytest.approx([9.81 / 2 * 0.7, 9.81 / 2 * 1.3], rel=1e-3)
+    assert loads[:, -1].sum() == pytest.approx(9.81, rel=1e-9)
+
+
+# ---- time stepping -------------------------------------------------------------------------
+def order(sizes, errors):
+    return np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+
+
+def stepped(scene, t_end, coarse, fine, count, **options):
+    """Step sizes, and errors of q and v in phases and of times of impact."""
+    reference = Reference(scene, t_end)
+    numbers = np.unique(np.round(np.geomspace(t_end / coarse, t_end / fine, count)))
+    errors = []
+    for n in numbers:
+        found = run(MoreauJean(**options), scene, Steps(t_end / n), t_end)
+        of, events = relative_errors(found, reference).errors, event_errors(found, reference)
+        assert events["events"] == events["expected"]
+        errors.append([of["q"]["max"], of["v"]["max"], events["time"]])
+    return t_end / numbers, np.array(errors)
+
+
+def test_impacts_of_a_ball_that_accumulate_are_passed_and_it_rests():
+    scene, h = BouncingBall(), 1e-3
+    zeno = np.sqrt(2 / 9.81) * 1.8 / 0.2
+    assert zeno == pytest.approx(4.0637127688716, abs=1e-12)
+    found = run(MoreauJean(), scene, Steps(h), 5.0)
+    assert found.status == "ok"
+    rests = found.t > zeno + 0.05
+    assert np.abs(found.v[rests]).max() < 1e-9
+    assert found.notes["impulse 1"][rests] == pytest.approx(9.81 * h, rel=1e-6)
+    assert np.abs(found.q[rests]).max() < 4 * h
+    flying = (found.t > zeno - 0.5) & (found.t < zeno - 0.3)
+    assert found.q[flying].max() > 0.01
+    assert found.events[-1, 0] == pytest.approx(zeno, abs=0.05)
+    # a is the change of v in a step, with the impulses in it
+    assert found.a[1:] == pytest.approx(np.diff(found.v, axis=0) / h, abs=1e-9)
+    mean = found.notes["impulse 1"][1:] / h - 9.81
+    assert found.a[1:, 0] == pytest.approx(mean, abs=1e-9)
+
+
+@pytest.mark.parametrize("theta", [0.5, 1.0])
+def test_the_ball_has_order_one_through_impacts(theta):
+    sizes, errors = stepped(BouncingBall(), 2.0, 0.01, 1e-4, 24, theta=theta)
+    assert [order(sizes, e) for e in errors.T] == pytest.approx([1, 1, 1], abs=0.2)
+    assert errors[-1].min() > 1e-6
+
+
+def test_theta_of_one_half_is_of_order_two_without_contact():
+    from problems.scenes.oscillator import Oscillator
+
+    for theta, expected in ((0.5, 2), (1.0, 1)):
+        ends = [run(MoreauJean(theta=theta), Oscillator(), Steps(h), 2.0).q for h in _HALVED]
+        exact = Reference(Oscillator(), 2.0)(np.array([2.0]))["q"][0]
+        assert order(_HALVED, [abs(q[-1] - exact)[0] for q in ends]) == pytest.approx(
+            expected, abs=0.1
+        )
+
+
+_HALVED = [0.02, 0.01, 0.005]
+
+
+# ---- a mass against a stop -------------------------------------------------------------------
+def impacts_of_stop(scene, t_end):
+    """Times of impact and velocities before them, from closed pieces and bracketed roots."""
+    w, force, omega = np.sqrt(scene.k / scene.m), scene.amplitude, scene.omega
+    part = force / (scene.k - scene.m * omega**2)
+    t0, q0, v0, found = 0.0, 0.1, 0.0, []
+    while True:
+        a = q0 - scene.rest - part * np.cos(omega * t0)
+        b = (v0 + part * omega * np.sin(omega * t0)) / w
+
+        def q(t, a=a, b=b, t0=t0):
+            free = a * np.cos(w * (t - t0)) + b * np.sin(w * (t - t0))
+            return scene.rest + part * np.cos(omega * t) + free
+
+        grid = np.linspace(t0, t_end, 4001)[1:]
+        below = np.flatnonzero(q(grid) < 0)
+        if not len(below):
+            return np.array(found)
+        k = below[0]
+        t1 = brentq(q, grid[k - 1], grid[k], xtol=1e-15, rtol=1e-14)
+        turned = w * (b * np.cos(w * (t1 - t0)) - a * np.sin(w * (t1 - t0)))
+        v = turned - part * omega * np.sin(omega * t1)
+        found.append((t1, v))
+        t0, q0, v0 = t1, 0.0, -scene.restitution * v
+
+
+def test_the_reference_of_the_stop_has_the_impacts_of_closed_pieces():
+    exact = impacts_of_stop(ImpactStop(), 4.0)
+    reference = Reference(ImpactStop(), 4.0)
+    assert len(exact) == 5
+    assert reference.events[:, 0] == pytest.approx(exact[:, 0], abs=1e-13)
+    before = reference(reference.events[:, 0], np.arange(5))["v"][:, 0]
+    assert before == pytest.approx(exact[:, 1], abs=1e-12)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("method", "tolerance"), [(PHEM56(), Tolerances(1e-10)), (RadauIIA(), Tolerances(1e-9))]
+)
+def test_methods_of_two_families_find_the_impacts_of_the_stop(method, tolerance):
+    exact = impacts_of_stop(ImpactStop(), 4.0)
+    found = run(method, ImpactStop(), tolerance)
+    assert found.events[:, 0] == pytest.approx(exact[:, 0], abs=1e-9)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("theta", [0.5, 1.0])
+def test_the_stop_has_order_one_through_impacts(theta):
+    sizes, errors = stepped(ImpactStop(), 4.0, 0.005, 2.5e-4, 16, theta=theta)
+    assert [order(sizes, e) for e in errors.T] == pytest.approx([1, 1, 1], abs=0.2)
+
+
+# ---- sliding, then rolling -----------------------------------------------------------------------
+@pytest.mark.parametrize(("k", "part"), [(0.4, 2 / 7), (0.5, 1 / 3)])
+def test_a_ball_and_a_disc_roll_from_their_known_times_on(k, part):
+    scene = SlidingRolling(k=k)
+    rolls = part * 2.0 / (0.2 * 9.81)
+    reference = Reference(scene, 1.0)
+    assert reference.events == pytest.approx(np.array([[rolls, 1]]), abs=1e-13)
+    speed = 2.0 / (1 + k)
+    assert speed == pytest.approx({0.4: 10 / 7, 0.5: 4 / 3}[k], abs=1e-14)
+    assert reference(np.array([1.0]))["v"][0] == pytest.approx([speed, 0, 10 * speed], abs=1e-12)
+    for h in (0.01, 0.001):
+        found = run(MoreauJean(), scene, Steps(h))
+        slip = found.v[:, 0] - 0.1 * found.v[:, 2]
+        first = found.t[np.argmax(np.abs(slip) < 1e-9)]
+        assert rolls - 1e-12 <= first <= rolls + h
+        assert found.v[-1] == pytest.approx([speed, 0, 10 * speed], abs=1e-6)
+        assert not len(found.phase)
+        assert event_errors(found, reference) == {}
