@@ -138,9 +138,9 @@ class Woodpecker(MechatronicSystem):
             closed = jnp.stack([jnp.asarray(event == 0), side == 1, side == 2])
             v, p = impact(self, z, closed)
             normal, tangential = p[1] + p[2], p[4] + p[5]
-            side = jnp.where(normal > 0, side, 0.0)
+            side = side if event else jnp.where(normal > 0, side, 0.0)
             held_back = jnp.abs(tangential) < _HELD * self.friction * normal
-            slides = jnp.where(held_back, 0.0, -jnp.sign(tangential))
+            slides = jnp.where(held_back, 0.0, jnp.sign(self.sliding(q, v, z.t)[1]))
         elif event > _RELEASE:
             v = v.at[0].set(0.0)
         touches = side > 0  # rounding is taken from what vanishes
@@ -153,7 +153,8 @@ class Woodpecker(MechatronicSystem):
         holds = (jnp.abs(tangential) <= self.friction * normal) & (event != _LOOSE)
         begins = jnp.where(holds, 0.0, -jnp.sign(tangential))
         slides = jnp.where(slides == 0, begins, slides)
-        ends = (side == 0) | (event == _RELEASE)
+        now = self.with_parameters({"side": side, "slides": slides})
+        ends = (side == 0) | (event == _RELEASE) | (now._contact(q)[1][0] <= 0)
         return {
             "q": q,
             "v": v,
