@@ -1,13 +1,16 @@
 """Contact: gaps that stay open, impacts, and Coulomb's friction.
 
-A scene states ``gaps`` g(q, t) >= 0, perhaps ``sliding``, the tangential velocities, and the numbers
-``restitution`` e and ``friction`` mu. A contact acts by p_N along the gradient of its gap and by p_T
-along that of its slip. In an impact these are impulses in N s. With ' behind the impact::
+A scene states ``gaps`` g(q, t) >= 0, perhaps the velocities ``sliding`` at which bodies that touch
+move along each other, and the numbers ``restitution`` e and ``friction`` mu. A contact acts by p_N
+along G_N, the derivative of dg/dt by v, and by p_T along G_T, that of the sliding velocity. In an
+impact these are impulses; with ' for values behind it::
 
-    M (v' - v) = G_N^T p_N + G_T^T p_T,   u_N' = -e u_N,   |p_T| <= mu p_N
+    M (v' - v) = G_N^T p_N + G_T^T p_T
+    0 <= p_N  perpendicular to  u_N' + e u_N >= 0      (Newton)
+    |p_T| <= mu p_N,    p_T = -mu p_N sign(u_T')  unless u_T' = 0      (Coulomb)
 
-where u_N = dg/dt is Newton's and p_T Coulomb's: the slip stops, or p_T = mu p_N acts against it.
-Holonomic and other constraints hold in an impact, too. Velocities change by the least M norm.
+with u_N = dg/dt and the sliding velocity u_T. Constraints hold in an impact, too. Newton's law with
+friction may raise the energy where an impact turns a body round (Kane & Levinson 1985).
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ gives 0 = A(q) v - b(t), as of rolling wheels, whose multipliers follow those of
 Values may jump at instants (`problems.phases`): ``sample`` gives new values of held parameters at
 equal distances ``sample_time`` in time, as a sampled controller does; ``events`` are functions that
 fall through zero where something happens, as an impact, and ``jump`` says what changes there.
-``gaps`` are distances that contacts keep from becoming negative (`problems.contact`); ``sliding`` are
-velocities at which bodies in contact slide, ``restitution`` and ``friction`` the constants.
+``gaps`` are distances that contacts keep from becoming negative (`problems.contact`), ``sliding``
+the velocities of bodies that touch along each other; ``restitution`` and ``friction`` are numbers.
 
 A scene is a frozen dataclass: its parameters are fields, its blocks are methods written in
 ``jax.numpy``. Blocks that it does not define do not exist, and cost nothing.
@@ -86,8 +86,8 @@ class MechatronicSystem:
     scenes that have it: ``constraint``; ``velocity_constraint``; ``kinematics``, perhaps with
     ``move``; ``coupled_force``; ``state_rate`` (controller states); ``output`` together with
     ``actuation``; ``sample`` together with ``sample_time``; ``events`` together with ``jump``;
-    ``gaps`` (see `problems.contact.ContactSystem`), perhaps with ``sliding``; ``energy``; ``momentum``; ``points``; ``exact``; ``draw``. An override may leave out
-    annotations.
+    ``gaps`` (see `problems.contact.ContactSystem`), perhaps with ``sliding``; ``energy``;
+    ``momentum``; ``points``; ``exact``; ``draw``. An override may leave out annotations.
 
     The class attributes say how to use the scene:
 

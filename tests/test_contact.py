@@ -1,6 +1,7 @@
 """Contact: impacts as events and within steps, friction and rest, judged by closed forms."""
 
-from dataclasses import dataclass, replace
+import json
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -14,10 +15,11 @@ from bench.running.errors import event_errors, relative_errors
 from integrators.methods.half_explicit import PHEM56
 from integrators.methods.moreau_jean import MoreauJean
 from integrators.methods.radau_iia import RadauIIA
+from integrators.methods.stormer_verlet import StormerVerlet
 from integrators.resolutions import Steps, Tolerances
-from problems import ContactSystem, MechatronicSystem, State, Variables, held, jax, jnp, parameter
+from problems import ContactSystem, MechatronicSystem, State, Variables, jax, jnp, parameter
 from problems.compiled import compiled
-from problems.reference import Reference, ReferenceFailed
+from problems.reference import Reference
 from problems.scenes.bouncing_ball import BouncingBall
 from problems.scenes.impact_stop import ImpactStop
 from problems.scenes.sliding_rolling import SlidingRolling
@@ -119,7 +121,9 @@ def test_impacts_keep_to_the_constraints():
     found = run(PHEM56(), _Bob(), Tolerances(1e-10), 1.0)
     first = int(np.argmax(found.phase > 0))
     assert np.linalg.norm(found.v[first - 1]) == pytest.approx(exact, rel=1e-8)
-    after = np.linalg.norm(run(PHEM56(), _Bob(), Tolerances(1e-10), found.t[first - 1] + 1e-9).v[-1])
+    after = np.linalg.norm(
+        run(PHEM56(), _Bob(), Tolerances(1e-10), found.t[first - 1] + 1e-9).v[-1]
+    )
     assert after == pytest.approx(0.6 * exact, rel=1e-7)
     stepped = run(MoreauJean(), _Bob(), Steps(1e-3), 1.0)
     k = int(np.argmax(stepped.notes["impacts 1"] > 0))
@@ -484,3 +488,55 @@ def test_methods_follow_the_woodpecker(toy):
         errors.append(np.abs(passed.q[-1] - end[:3]).max())
     assert errors[0] > 2 * errors[-1]
     assert errors[-1] < 1e-3
+
+
+# ---- what is refused ---------------------------------------------------------------------------
+def _only(name, **blocks):
+    """A scene that states these blocks beside those of a ball, without those of its base."""
+    own = {block: getattr(_Ball, block) for block in ("mass", "force", "initial_state")}
+    numbers = {"fast": 1.0, "__module__": __name__, "interval": (0.0, 1.0), "nominal_step": 0.1}
+    return dataclass(frozen=True)(type(name, (MechatronicSystem,), own | numbers | blocks))()
+
+
+def _sample(self, z):
+    return {}
+
+
+@pytest.mark.parametrize(
+    ("scene", "words"),
+    [
+        (_only("Loose", gaps=_Ball.gaps), "states gaps but not events"),
+        (_only("Slippery", sliding=_Ball.sliding), "states sliding but not gaps"),
+        (
+            type("Sampled", (_Ball,), {"sample": _sample, "sample_time": 0.1})(),
+            "ends no step at a sample",
+        ),
+    ],
+)
+def test_scenes_that_would_be_wrong_are_refused(scene, words):
+    with pytest.raises(SpecError, match=words):
+        MoreauJean().prepare(scene, 1.0, Steps(0.1))
+
+
+@dataclass(frozen=True)
+class _Soft(BouncingBall):
+    """A ball that stays on the ground, which events cannot tell."""
+
+    e: float = parameter(0.0, "1", "restitution")
+
+
+def test_events_that_end_in_rest_name_the_method_that_goes_on():
+    found = run(StormerVerlet(), _Soft(), Steps(0.05))
+    assert found.status == "step_too_small"
+    assert "contact that lasts is no event: take moreau_jean" in found.message
+    rests = run(MoreauJean(), _Soft(), Steps(0.01))
+    assert rests.status == "ok"
+    assert abs(rests.q[-1, 0]) < 0.05
+
+
+def test_a_run_says_what_its_accelerations_are():
+    asked = ["solve", "impact_stop", "moreau_jean", "--step", "0.002", "--json"]
+    found = json.loads(CliRunner().invoke(main, asked).stdout)
+    assert found["events"]["events"] == found["events"]["expected"] == 5
+    assert found["errors"]["q"]["max"] < 0.1 < found["errors"]["a"]["max"]
+    assert "in a step with an impact they hold its impulse" in found["message"]

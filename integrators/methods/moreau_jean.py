@@ -145,9 +145,7 @@ class MoreauJean(ImplicitStepMethod):
         forces = largest(dynamics_residual(scene, now._replace(a=0 * now.a)))
         of_a = 8 * _EPS * (largest(now.v) / h + forces / largest_inertia(scene, now.q))
         rounding = of_a, 8 * _EPS * forces, 8 * _EPS / _GIVE * forces, 0.0, 0.0
-        u = work.solve(
-            residual, guess, groups=layout.cuts, rounding=rounding, evaluations=2
-        )
+        u = work.solve(residual, guess, groups=layout.cuts, rounding=rounding, evaluations=2)
         work.count(residuals=1)
         (z, xdot), p = at(u), h * layout.split(u)[2]
         begun = (p[:nc] > 0) & ~(state.p[:nc] > 0)

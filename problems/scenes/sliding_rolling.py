@@ -6,7 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import MechatronicSystem, Published, State, Variables, drawing, held, jax, jnp, parameter
+from problems import (
+    MechatronicSystem,
+    Published,
+    State,
+    Variables,
+    drawing,
+    held,
+    jax,
+    jnp,
+    parameter,
+)
 
 
 @dataclass(frozen=True)

@@ -104,11 +104,14 @@ class Woodpecker(MechatronicSystem):
     def _contact(self, q: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Direction of the normal of the sleeve's contact, and its normal and tangential force."""
         n = jnp.stack([0.0, jnp.where(self.side == 2, -1.0, 1.0) * self.h_sleeve, 0.0])
+        r0, r1, r2 = self.mass(q)  # LAPACK would take longer than all the rest
+        inverse = jnp.stack([jnp.cross(r1, r2), jnp.cross(r2, r0), jnp.cross(r0, r1)])
         both = jnp.stack([n, self._tangent()])
-        moved = jnp.linalg.solve(self.mass(q), both.T)
-        a, w = both @ moved, self._weight_and_spring(q) @ moved
-        sticking = -jnp.linalg.solve(a, w)
-        normal = -w[0] / (a[0, 0] - self.slides * self.friction * a[0, 1])
+        moved = both @ inverse / (r0 @ inverse[0])
+        a, (u, w) = moved @ both.T, moved @ self._weight_and_spring(q)
+        sticking = jnp.stack([a[0, 1] * w - a[1, 1] * u, a[0, 1] * u - a[0, 0] * w])
+        sticking = sticking / (a[0, 0] * a[1, 1] - a[0, 1] ** 2)
+        normal = -u / (a[0, 0] - self.slides * self.friction * a[0, 1])
         sliding = jnp.stack([normal, -self.slides * self.friction * normal])
         return n, jnp.where(self.side == 0, 0.0, jnp.where(self.slides == 0, sticking, sliding))
 
@@ -125,9 +128,7 @@ class Woodpecker(MechatronicSystem):
                 *gaps,
                 jnp.where(touches, normal, 1.0),
                 jnp.where(touches & slides, slip + _TURNED, 1.0),
-                jnp.where(
-                    touches & ~slides, self.friction * normal - jnp.abs(tangential), 1.0
-                ),
+                jnp.where(touches & ~slides, self.friction * normal - jnp.abs(tangential), 1.0),
             ]
         )
 
@@ -169,14 +170,14 @@ class Woodpecker(MechatronicSystem):
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
         y, tilt, lean = q
 
-        def placed(points: Any, angle: float, at: np.ndarray) -> np.ndarray:
+        def placed(points: Any, angle: float, at: Any) -> np.ndarray:
             cos, sin = np.cos(angle), np.sin(angle)
             return np.asarray(points) @ np.array([[cos, sin], [-sin, cos]]) + at
 
         r, half = self.r_sleeve, self.h_sleeve
         pole = [np.array([[x, -0.12], [x, 0.05]]) for x in (-self.r_pole, self.r_pole)]
         sleeve = placed([[-r, -half], [r, -half], [r, half], [-r, half], [-r, -half]], tilt, [0, y])
-        hinge = placed([[r, 0], [self.l_sleeve, 0]], tilt, np.array([0, y]))
+        hinge = placed([[r, 0], [self.l_sleeve, 0]], tilt, [0, y])
         beak = [self.l_bird - self.l_beak, self.h_beak]
         tail = [self.l_bird + 0.006, -0.03]
         bird = placed([[0, 0], [self.l_bird, 0], [self.l_bird, 0.02], beak, tail], lean, hinge[1])
