@@ -37,16 +37,19 @@ _EPS = float(np.finfo(float).eps)
 #: Part of the velocity that its impulse takes away with which a contact gives way, so that contacts
 #: of which one would do share the load.
 _GIVE = 1e-8
+#: Each of them has three notes.
+_MOST_GAPS = 16
 
 
 class ImpactState(NamedTuple):
     """The end of a step: all variables, xdot, impulses of contacts in the step, normal ones first,
-    and the numbers of impacts of each contact so far."""
+    the number of impacts of each contact so far, and the time of the last one in s."""
 
     z: Variables
     xdot: Array
     p: Array
     impacts: Array
+    last: Array
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,8 @@ class MoreauJean(ImplicitStepMethod):
                 "it steps over impacts, and ends no step at a sample; take a method that goes "
                 "from event to event."
             )
+        if _number_of_gaps(scene) > _MOST_GAPS:
+            return f"it has more than {_MOST_GAPS} gaps, of which a run cannot tell the impulses."
         return None
 
     def caution(self, scene: MechatronicSystem) -> str | None:
@@ -100,7 +105,7 @@ class MoreauJean(ImplicitStepMethod):
 
     def notes_on(self, scene: MechatronicSystem) -> tuple[str, ...]:
         count = range(1, 1 + _number_of_gaps(scene))
-        return (*(f"impulse {k}" for k in count), *(f"impacts {k}" for k in count))
+        return tuple(f"{name} {k}" for name in ("impulse", "impacts", "last impact") for k in count)
 
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Any) -> PreparedRun:
         run = super().prepare(scene, t_end, resolution)
@@ -110,7 +115,7 @@ class MoreauJean(ImplicitStepMethod):
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> ImpactState:
         count = _number_of_gaps(scene)
         forces = jnp.zeros(2 * count if scene.has("sliding") else count)
-        return ImpactState(start.z, start.xdot, forces, jnp.zeros(count))
+        return ImpactState(start.z, start.xdot, forces, jnp.zeros(count), jnp.full(count, jnp.nan))
 
     def step(
         self, scene: MechatronicSystem, state: ImpactState, t: Time, h: Time, work: StepWork
@@ -149,11 +154,13 @@ class MoreauJean(ImplicitStepMethod):
         work.count(residuals=1)
         (z, xdot), p = at(u), h * layout.split(u)[2]
         begun = (p[:nc] > 0) & ~(state.p[:nc] > 0)
-        return ImpactState(z, xdot, p, state.impacts + begun)
+        return ImpactState(z, xdot, p, state.impacts + begun, jnp.where(begun, t, state.last))
 
     def read(self, scene: MechatronicSystem, state: ImpactState) -> Reading:
         nc = len(state.impacts)
-        return Reading.of(state.z, state.xdot)._replace(notes=(*state.p[:nc], *state.impacts))
+        return Reading.of(state.z, state.xdot)._replace(
+            notes=(*state.p[:nc], *state.impacts, *state.last)
+        )
 
 
 def _number_of_gaps(scene: MechatronicSystem) -> int:
@@ -174,10 +181,13 @@ class ImpactRun(PreparedRun):
 
     def measure(self) -> Trajectory:
         rows = self._run.measure()
-        counts = [row for name, row in rows.notes.items() if name.startswith("impacts ")]
-        counts = np.nan_to_num(np.column_stack(counts)).astype(int)  # no step led to the first row
+        counts, last = (
+            np.column_stack([row for name, row in rows.notes.items() if name.startswith(of)])
+            for of in ("impacts ", "last impact ")
+        )
+        counts = np.nan_to_num(counts).astype(int)  # no step led to the first row
         rows.phase, rows.xd = counts.sum(axis=1), np.zeros((len(rows.t), 0))
         new = np.diff(counts, axis=0, prepend=0)
-        times = [(t, k) for t, n in zip(rows.t, new, strict=True) for k in np.flatnonzero(n)]
-        rows.events = np.array(times, dtype=float).reshape(-1, 2)
+        times = [(last[row, k], k) for row, k in np.argwhere(new) for _ in range(new[row, k])]
+        rows.events = np.array(sorted(times), dtype=float).reshape(-1, 2)
         return rows
