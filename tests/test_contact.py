@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 
 from bench.commands.main import main
 from bench.running.errors import event_errors, relative_errors
+from integrators.adapters.ida import IDA
 from integrators.methods.half_explicit import PHEM56
 from integrators.methods.moreau_jean import MoreauJean
 from integrators.methods.radau_iia import RadauIIA
@@ -20,6 +21,7 @@ from integrators.methods.stormer_verlet import StormerVerlet
 from integrators.resolutions import Steps, Tolerances
 from problems import ContactSystem, MechatronicSystem, State, Variables, jax, jnp, parameter
 from problems.compiled import compiled
+from problems.phases import falls
 from problems.reference import Reference
 from problems.scenes.bouncing_ball import BouncingBall
 from problems.scenes.impact_stop import ImpactStop
@@ -206,6 +208,9 @@ def test_impacts_of_a_ball_that_accumulate_are_passed_and_it_rests():
     flying = (found.t > zeno - 0.5) & (found.t < zeno - 0.3)
     assert found.q[flying].max() > 0.01
     assert found.events[-1, 0] == pytest.approx(zeno, abs=0.05)
+    k, fast = int(np.argmax(found.notes["impacts 1"] > 0)), np.sqrt(2 * 9.81)
+    assert found.notes["impulse 1"][k] == pytest.approx(1.8 * fast, rel=0.01)
+    assert found.v[k, 0] / found.v[k - 1, 0] == pytest.approx(-0.8, abs=1e-7)
     # a is the change of v in a step, with the impulses in it
     assert found.a[1:] == pytest.approx(np.diff(found.v, axis=0) / h, abs=1e-9)
     mean = found.notes["impulse 1"][1:] / h - 9.81
@@ -262,6 +267,31 @@ def test_the_reference_of_the_stop_has_the_impacts_of_closed_pieces():
     assert reference.events[:, 0] == pytest.approx(exact[:, 0], abs=1e-13)
     before = reference(reference.events[:, 0], np.arange(5))["v"][:, 0]
     assert before == pytest.approx(exact[:, 1], abs=1e-12)
+
+
+def test_a_gap_that_an_impact_left_just_closed_has_not_closed_again():
+    t, gap = np.arange(4.0), np.array([-2.0, -1.0, 5.0, -3.0])[:, None]
+    rates = np.array([1.0, 1.0, 0.0, -8.0])[:, None]
+    assert [fall.row for fall in falls(t, gap, rates)] == [3]
+    back = np.array([-2.0, -1.0])[:, None], np.array([1.0, -1.0])[:, None]  # a short flight
+    assert [fall.row for fall in falls(t[:2], *back)] == [1]
+
+
+@dataclass(frozen=True)
+class _Far(ImpactStop):
+    """At its impacts IDA leaves gaps of some 1e-9 m, and then begins with very short steps."""
+
+    omega: float = parameter(4.0, "rad/s", "frequency of the force")
+
+    def initial_state(self):
+        return State(q=np.array([0.2]), v=np.zeros(1))
+
+
+@pytest.mark.long
+def test_ida_passes_impacts_that_it_locates_by_its_tolerance():
+    found = run(IDA(), _Far(), Tolerances(1e-8))
+    assert found.status == "ok"
+    assert found.events[:, 0] == pytest.approx(Reference(_Far(), 4.0).events[:, 0], abs=1e-5)
 
 
 @pytest.mark.long
