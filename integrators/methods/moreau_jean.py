@@ -98,10 +98,12 @@ class MoreauJean(ImplicitStepMethod):
     def caution(self, scene: MechatronicSystem) -> str | None:
         if not scene.has("gaps"):
             return None
-        return (
+        words = (
             "Accelerations are (v+ - v)/h: in a step with an impact they hold its impulse, and "
-            "their errors grow as 1/h; trust q and v, and v beside an impact to a step."
+            "their errors grow as 1/h; trust q and v."
         )
+        beside = " Rows are compared by time: the largest error of v beside an impact is its jump."
+        return words if _impacts_are_phases(scene) else words + beside
 
     def notes_on(self, scene: MechatronicSystem) -> tuple[str, ...]:
         count = range(1, 1 + _number_of_gaps(scene))
@@ -109,8 +111,7 @@ class MoreauJean(ImplicitStepMethod):
 
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Any) -> PreparedRun:
         run = super().prepare(scene, t_end, resolution)
-        own = getattr(type(scene), "events", None) is ContactSystem.events
-        return ImpactRun(run) if own and "in_phase" not in vars(scene) else run
+        return ImpactRun(run) if _impacts_are_phases(scene) else run
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> ImpactState:
         count = _number_of_gaps(scene)
@@ -161,6 +162,11 @@ class MoreauJean(ImplicitStepMethod):
         return Reading.of(state.z, state.xdot)._replace(
             notes=(*state.p[:nc], *state.impacts, *state.last)
         )
+
+
+def _impacts_are_phases(scene: MechatronicSystem) -> bool:
+    """Whether the phases of a scene are those between impacts, and all of them."""
+    return type(scene).events is ContactSystem.events and "in_phase" not in vars(scene)
 
 
 def _number_of_gaps(scene: MechatronicSystem) -> int:
