@@ -1,8 +1,10 @@
 """Contact: impacts as events and within steps, friction and rest, judged by closed forms."""
 
 import json
+import re
 from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from helpers import long
 from scipy.optimize import brentq
 
 from bench.commands.main import main
+from bench.plugins.registry import Registry
 from bench.running.errors import event_errors, relative_errors
 from integrators.adapters.ida import IDA
 from integrators.methods.half_explicit import PHEM56
@@ -568,3 +571,16 @@ def test_a_run_says_what_its_accelerations_are(without_processes):
     assert found["events"]["events"] == found["events"]["expected"] == 5
     assert found["errors"]["q"]["max"] < 0.1 < found["errors"]["a"]["max"]
     assert "in a step with an impact they hold its impulse" in found["message"]
+
+
+@pytest.mark.long
+def test_the_scene_of_the_docs_rolls_after_its_first_impact(tmp_path):
+    text = (Path(__file__).parents[1] / "docs/jumps.md").read_text(encoding="utf-8")
+    code = next(b for b in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "Contact" in b)
+    (tmp_path / "disc.py").write_text(code, encoding="utf-8")
+    registry = Registry([tmp_path / "disc.py"])
+    checked = CliRunner().invoke(main, ["check", str(tmp_path / "disc.py")])
+    assert checked.exit_code == 0, checked.output
+    for method, step in ((StormerVerlet(), 0.02), (MoreauJean(), 0.001)):
+        found = run(method, registry.problem("disc"), Steps(step))
+        assert found.v[-1, [0, 2]] == pytest.approx([2.0, 2.0], abs=1e-7)
