@@ -25,8 +25,9 @@ from problems.runtime import Array, Bool, Float, jax, jnp
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 
-#: Iterations for an impact, and the part of velocities that may be left of its residual.
-_MOST, _SOLVED = 30, 1e-12
+#: Sweeps and Newton iterations for an impact, and the part of velocities that may be left of its
+#: residual.
+_SWEEPS, _MOST, _SOLVED = 50, 10, 1e-12
 
 
 @equation
@@ -95,10 +96,21 @@ def impact(
 ) -> tuple[Float[Array, " nv"], Float[Array, " n"]]:
     """Compute the velocities behind an impact of closed contacts, and impulses, normal ones first.
 
-    Newton's method goes from piece to piece of the laws. They are NaN where it finds no solution.
+    Sweeps of projections from contact to contact (Gauss & Seidel) find the piece of the laws that
+    holds, and Newton's method the impulses. They are NaN where this does not converge.
     """
     contacts = Contacts.of(scene, z.q, z.v, z.t, closed)
-    moved = _moved_by(scene, z, contacts.g)
+    nc, g, moved = len(contacts.closed), contacts.g, _moved_by(scene, z, contacts.g)
+    matrix, still = g @ moved.T, g @ z.v + contacts.b
+
+    def sweep(_: int, p: Array) -> Array:
+        for k in range(nc):
+            for j in range(k, len(p), nc):
+                free = p[j] - (still[j] + matrix[j] @ p) / matrix[j, j]
+                normal = jnp.where(contacts.closed[k], jnp.maximum(0.0, free), 0.0)
+                most = contacts.mu[k] * p[k]
+                p = p.at[j].set(normal if j == k else jnp.clip(free, -most, most))
+        return p
 
     def residual(p: Array) -> Array:
         return contacts.rows(p, z.v + p @ moved)
@@ -106,8 +118,9 @@ def impact(
     def update(_: int, p: Array) -> Array:
         return p - jnp.linalg.solve(jax.jacfwd(residual)(p), residual(p))
 
-    p = jax.lax.fori_loop(0, _MOST, update, jnp.zeros(len(contacts.b)))
-    solved = jnp.max(jnp.abs(residual(p))) <= _SOLVED * jnp.max(jnp.abs(contacts.g @ z.v))
+    p = jax.lax.fori_loop(0, _SWEEPS, sweep, jnp.zeros(len(still)))
+    p = jax.lax.fori_loop(0, _MOST, update, p)
+    solved = jnp.max(jnp.abs(residual(p))) <= _SOLVED * jnp.max(jnp.abs(g @ z.v))
     p = jnp.where(solved, p, jnp.nan)
     return z.v + p @ moved, p
 

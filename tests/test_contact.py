@@ -24,6 +24,7 @@ from integrators.methods.stormer_verlet import StormerVerlet
 from integrators.resolutions import Steps, Tolerances
 from problems import ContactSystem, MechatronicSystem, State, Variables, jax, jnp, parameter
 from problems.compiled import compiled
+from problems.contact import impact
 from problems.phases import falls
 from problems.reference import Reference
 from problems.scenes.bouncing_ball import BouncingBall
@@ -40,8 +41,8 @@ def run(method, scene, resolution, t_end=None):
 
 def at(q, v):
     """All variables of a scene without constraints and controllers."""
-    q, v, none = (np.asarray(part, dtype=float) for part in (q, v, ()))
-    return Variables(q, v, 0 * v, none, none, none, np.zeros(()))
+    q, v, none = (jnp.asarray(part, dtype=float) for part in (q, v, ()))
+    return Variables(q, v, 0 * v, none, none, none, jnp.zeros(()))
 
 
 # ---- laws of impact ----------------------------------------------------------------------
@@ -488,6 +489,35 @@ class _Toy:
         if side and self.forces(w[:3], (side, slip))[0] <= 0:
             return (0, 0), side
         return (side, slip), 0
+
+
+@pytest.mark.long
+def test_impacts_of_two_contacts_are_those_of_the_only_consistent_state():
+    scene, toy, random = Woodpecker(), _Toy(), np.random.default_rng(1)
+    at_pole = np.array([0.0, -6e-4 / 5.8e-3, 0.0024 / 0.02])
+    v = random.uniform(-1, 1, (2000, 3)) * [0.3, 20, 20]
+    v = v[(toy.normals[0] @ v.T < 0) & (toy.normals[1] @ v.T < 0)]
+    closed = np.array([True, True, False])
+    after, p = jax.jit(jax.vmap(lambda v: impact(scene, at(at_pole, v), closed)))(v)
+    left = 0
+    for before, found, impulses in zip(v, np.asarray(after), np.asarray(p), strict=True):
+        exact, known = toy.impact(before, [0, 1])
+        assert found == pytest.approx(exact, abs=1e-10)
+        assert impulses[:2] == pytest.approx([known[0], known[1]], abs=1e-14)
+        left += known[1] == 0 or known[0] == 0
+    assert 0 < left < len(v)
+
+
+@pytest.mark.long
+def test_a_strike_of_the_beak_ends_the_contact_of_the_sleeve():
+    scene, toy = Woodpecker(side=1.0), _Toy()
+    v = np.array([-0.01, 0.0, 10.0])
+    z = at([0.0, -6e-4 / 5.8e-3, 0.12], v)
+    new = compiled(scene).jumps[0](scene.parameters(), z)
+    exact, impulses = toy.impact(v, [0, 1])
+    assert impulses[1] == 0
+    assert new["v"] == pytest.approx(exact, abs=1e-10)
+    assert (new["side"], new["slides"]) == (0, 2)
 
 
 @pytest.fixture(scope="module")
