@@ -24,12 +24,13 @@ _RELEASE, _LOOSE = 3, 5
 class Woodpecker(MechatronicSystem):
     """A woodpecker on a sleeve with play, which slides down a pole by its weight.
 
-    The sleeve jams by friction when it tilts: below (gap 2), where the beak strikes the pole (gap
-    1), and above (gap 3); between it falls. The mass matrix is constant and the equations are
-    linear between events. Tests impacts and contact that lasts, slides and sticks; contacts that
-    are closed in an impact, as of sleeve and beak, take part in it together. Forces of the sleeve's
-    contact are in ``force`` where held values say so; `moreau_jean` finds them by ``gaps`` and
-    ``sliding``. Left out: angles that are not small, and tangential restitution.
+    The sleeve jams by friction when it tilts, below (gap 2) and above (gap 3). Between it falls,
+    and the beak strikes the pole (gap 1) before the sleeve jams above. The mass matrix is constant
+    and the equations are linear between events. Tests impacts and contact that lasts, slides and
+    sticks; contacts that are closed in an impact, as of sleeve and beak, take part in it together.
+    Forces of the sleeve's contact are in ``force`` where held values say so; `moreau_jean` finds
+    them by ``gaps`` and ``sliding``. Left out: angles that are not small, and tangential
+    restitution.
     """
 
     interval = (0.0, 0.3)
