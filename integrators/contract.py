@@ -102,7 +102,9 @@ def _of_taken_scenes(prepare: Callable[..., PreparedRun]) -> Callable[..., Prepa
     ) -> PreparedRun:
         if reason := self.why_not(scene):
             raise spec.SpecError(f"{self.spec} does not take {scene.spec}: {reason}")
-        if not (scene.has("sample") or scene.has("events")) or "in_phase" in vars(scene):
+        steps_over = self.passes_impacts and scene.has("gaps")
+        jumps = scene.has("sample") or (scene.has("events") and not steps_over)
+        if not jumps or "in_phase" in vars(scene):
             return prepare(self, scene, t_end, resolution)
         from integrators.phased_runs import prepared  # few scenes need it
 
@@ -139,6 +141,9 @@ class Integrator(ABC):
         "baumgarte"; empty if there are none, or it is not stated.
     takes_redundant
         Whether it takes scenes with redundant constraints; methods on the explicit ODE do.
+    passes_impacts
+        Whether its steps pass the impacts of a scene with ``gaps``; runs of others end a phase
+        there.
     calls
         How a step calls the scene's equations, a clause after the method's name ("it ..."); reports
         say it where seconds and operations disagree. Empty if not stated.
@@ -154,6 +159,7 @@ class Integrator(ABC):
     controls = "step"
     drift = ""
     takes_redundant = False
+    passes_impacts = False
     formulation = _stated_by_subclass()
 
     def __init_subclass__(cls, **kwargs: Any) -> None:

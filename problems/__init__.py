@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 from problems.bodies import GROUND, Body, RigidBodies
+from problems.contact import ContactSystem
 from problems.joints import (
     Distance,
     Fixed,
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = [
     "GROUND",
     "Body",
+    "ContactSystem",
     "Distance",
     "Fixed",
     "Joint",

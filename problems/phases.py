@@ -31,6 +31,8 @@ MOST_EVENTS = 10_000
 _MOST_AT_ONCE = 16
 #: A sample that lies nearer to the end than this part of the sample time is that of the end.
 _SAME = 1e-9
+#: Remedy where a contact that lasts makes events without end.
+_OF_CONTACT = "; contact that lasts is no event: take moreau_jean"
 
 
 class EndlessEvents(ArithmeticError):
@@ -86,7 +88,7 @@ def march(
                 raise EndlessEvents(
                     f"Events do not end at t={now:.9g} s: {events} so far. After the jump the "
                     f"function must rise or stay positive; end earlier, or give the motion beyond "
-                    f"a state of its own, by a held value"
+                    f"a state of its own, by a held value{_OF_CONTACT * scene.has('gaps')}"
                 )
         phase = after(phase, cut.z, cut.event, cut.seen)
 
@@ -205,15 +207,15 @@ def falls(
     """Find the functions that fall through zero between two rows, in the order of rows.
 
     A function is seen, too, if it falls and rises again between two rows and the cubic through its
-    values and rates there falls below zero.
+    values and rates there falls below zero. One that begins below zero, by the error of a method,
+    and rises has not fallen as long as it does.
     """
     before, now = values[:-1], values[1:]
-    positive = before > 0
-    if len(t) > 1:
-        positive[0] |= rates[0] > 0
+    begins = np.logical_and.accumulate((values <= 0) & (rates > 0))
+    positive = (before > 0) | begins[:-1]
     h = np.diff(t)[:, None]
     dips, at = _least_of_cubic(before, now, h * rates[:-1], h * rates[1:])
-    fallen = positive & ((now <= 0) | ((before > 0) & (dips < 0)))
+    fallen = positive & (((now <= 0) & ~begins[1:]) | ((before > 0) & (dips < 0)))
     found = []
     for row, event in np.argwhere(fallen).tolist():
         inside = t[row] + at[row, event] * (t[row + 1] - t[row])

@@ -37,6 +37,13 @@ def fault_of_blocks(cls: Any, contract: type) -> str:
     for one, other in (*pairs, *(pair[::-1] for pair in pairs)):
         if one in stated and other not in stated:
             return f"it states {one} but not {other}; they belong together."
+    if "sliding" in stated and "gaps" not in stated:
+        return "it states sliding but not gaps; they belong together."
+    if "gaps" in stated and "events" not in stated:
+        return (
+            "it states gaps but not events, without which bodies would go through each other; "
+            "take problems.ContactSystem for its base, or state events and jump."
+        )
     owners = [owner for owner in cls.__mro__ if owner not in contract.__mro__]
     for name, method in ((n, m) for owner in owners for n, m in vars(owner).items()):
         # ``outputs`` of the contract are names, a tuple: a method of this name overrides nothing.

@@ -15,6 +15,8 @@ gives 0 = A(q) v - b(t), as of rolling wheels, whose multipliers follow those of
 Values may jump at instants (`problems.phases`): ``sample`` gives new values of held parameters at
 equal distances ``sample_time`` in time, as a sampled controller does; ``events`` are functions that
 fall through zero where something happens, as an impact, and ``jump`` says what changes there.
+``gaps`` are distances that contacts keep from becoming negative (`problems.contact`), ``sliding``
+the velocities of bodies that touch along each other; ``restitution`` and ``friction`` are numbers.
 
 A scene is a frozen dataclass: its parameters are fields, its blocks are methods written in
 ``jax.numpy``. Blocks that it does not define do not exist, and cost nothing.
@@ -84,8 +86,8 @@ class MechatronicSystem:
     scenes that have it: ``constraint``; ``velocity_constraint``; ``kinematics``, perhaps with
     ``move``; ``coupled_force``; ``state_rate`` (controller states); ``output`` together with
     ``actuation``; ``sample`` together with ``sample_time``; ``events`` together with ``jump``;
-    ``energy``; ``momentum``; ``points``; ``exact``; ``draw``. An override may leave out
-    annotations.
+    ``gaps`` (see `problems.contact.ContactSystem`), perhaps with ``sliding``; ``energy``;
+    ``momentum``; ``points``; ``exact``; ``draw``. An override may leave out annotations.
 
     The class attributes say how to use the scene:
 
@@ -113,6 +115,9 @@ class MechatronicSystem:
     ``sample_time``, ``sampling``
         time between two samples in s, and the word of `problems.sampled.POLICIES` for what a run
         does at samples; both may be parameters
+    ``restitution``, ``friction``
+        of contacts: part of the approaching velocity with which a body leaves after an impact, and
+        Coulomb's coefficient; a number for all gaps or one for each, perhaps parameters
     """
 
     name: ClassVar[str]
@@ -131,6 +136,8 @@ class MechatronicSystem:
     # Without annotations: a subclass may replace these by parameters.
     sample_time = 0.0
     sampling = "hit"
+    restitution = 0.0
+    friction = 0.0
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -209,6 +216,17 @@ class MechatronicSystem:
     def jump(self, z: Variables, event: int) -> Mapping[str, Float[Array, ...] | float]:
         """Values after an event, whose number is that of its function: "q", "v", "x", or held
         ones by name; what is not named stays."""
+        raise NotImplementedError
+
+    def gaps(self, q: Float[Array, " nq"], t: Float[Array, ""]) -> Float[Array, " nc"]:
+        """Distances of bodies that may touch, in m (or rad); contacts keep them from falling below
+        zero by forces along their gradients."""
+        raise NotImplementedError
+
+    def sliding(
+        self, q: Float[Array, " nq"], v: Float[Array, " nv"], t: Float[Array, ""]
+    ) -> Float[Array, " nc"]:
+        """Velocities at which each pair of bodies slides if its gap is closed, linear in v."""
         raise NotImplementedError
 
     # ---- optional knowledge ------------------------------------------------------------

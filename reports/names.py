@@ -66,6 +66,7 @@ BUILT_IN = {
     "kr_alpha": BuiltIn("KR-α", 236, 7, 3),
     "linearly_implicit_euler": BuiltIn("Linearly implicit Euler", 348, 12, 0),
     "lobatto_iiia_iiib": BuiltIn("Lobatto A-B", 119, 9, 3),
+    "moreau_jean": BuiltIn("Moreau-Jean", 15, 10, 5),
     "mujoco": BuiltIn("MuJoCo", 68, 11, 5),
     "noh_bathe": BuiltIn("Noh-Bathe", 214, 11, 7),
     "park": BuiltIn("Park", 311, 14, 6),
@@ -109,6 +110,7 @@ _USUAL = {
     ("semi_implicit_euler", "erp", "0.2"),
     ("implicit_fast", "erp", "0.2"),
     ("linearly_implicit_euler", "erp", "1.0"),
+    ("moreau_jean", "theta", "0.5"),
 }
 #: Forms of a constrained system, and what becomes of the drift off its constraints.
 _FORMS = {

@@ -28,26 +28,17 @@ from problems.spec import SpecError
 
 #: Quantities that a sweep measures ...
 MEASURES = (
-<<<<<<< HEAD
-    "error", "energy", "constraint", "note", "work", "reached", "value", "events", "condition",
-    "linear",
+    "error", "precision", "energy", "constraint", "note", "work", "reached", "value", "events",
+    "condition", "linear",
 )  # fmt: skip
 #: What is measured of the events of a run: their number, and how far their times are off in s.
 EVENTS = ("events", "time")
 #: ... and rules that make one number of the values of a sweep.
 TAKES = ("last", "largest", "growth", "slope")
 #: Quantities of which less is better, and a higher power of the step.
-_ONE_SIDED = ("error", "energy", "constraint", "work")
+_ONE_SIDED = ("error", "energy", "constraint", "work", "precision")
 #: A component of a group, such as lam1.
 COMPONENT = re.compile(r"(q|v|a|lam|x|y)([1-9]\d*)")
-=======
-    "error", "precision", "energy", "constraint", "note", "work", "reached", "condition", "linear",
-)  # fmt: skip
-#: ... and rules that make one number of the values of a sweep.
-TAKES = ("last", "largest", "growth", "slope")
-#: Quantities of which less is better, and a higher power of the step.
-_ONE_SIDED = ("error", "energy", "constraint", "work", "precision")
->>>>>>> precision
 _FUNCTIONS = {name: made for name, made in vars(math).items() if not name.startswith("_")}
 #: A number, or arithmetic of numbers with functions of `math`, such as "2*sqrt(3)".
 Formula = float | str

@@ -187,7 +187,9 @@ class Record(msgspec.Struct, kw_only=True):
         why = (
             f"the error of {group} is {error / self.rtol:.2g} times rtol"
             if self.rtol
-            else f"its steps are too large for order {(self.claims or {}).get(group, 'unknown')}"
+            else f"its steps are too large for order {self.claims[group]}"
+            if self.claims and group in self.claims
+            else "the method claims no order of it"
         )
         each = ", ".join(f"{g} {e:.2g}" for g, e in wrong.items())
         judged = f"Errors above {WRONG:g} of the size (largest over time): {each}; {why}."

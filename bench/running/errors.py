@@ -183,10 +183,11 @@ def event_errors(trajectory: Trajectory, reference: Reference) -> dict[str, floa
     -------
     dict
         "events" and "expected" are their numbers up to the end; "time" is the largest difference in
-        s between the times of those that both have. Empty if neither has any.
+        s between the times of those that both have. Empty if neither has any, or the run knows none
+        because it steps over them.
     """
     own, known = trajectory.events, reference.events
-    if not len(own) and not len(known):
+    if not (len(own) or len(known)) or not len(trajectory.phase):
         return {}
     both = min(len(own), len(known))
     off = np.abs(own[:both, 0] - known[:both, 0])

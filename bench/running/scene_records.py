@@ -34,6 +34,7 @@ _BLOCKS = {
     "output": "y = h(q, v, a, lam, x, y, t)",
     "sample": "xd^+ = D(q, v, a, lam, x, y, t, xd)",
     "events": "e(q, v, x, t) = 0 ⇒ z^+ = J(z)",
+    "gaps": "0 <= gap(q, t)",
 }
 
 

@@ -47,7 +47,7 @@ class NativeMethod(Integrator):
     """Base of the integrators whose step functions run in our own compiled time loops."""
 
     calls: ClassVar[str] = "its whole time loop is one compiled program"
-    #: Names of the notes of a `Reading`.
+    #: Names of the notes of a `Reading`, if they do not depend on the scene.
     noted: ClassVar[tuple[str, ...]] = ()
     #: True if steps give q, v and x alone and count nothing; the equations then give the rest.
     states_only: ClassVar[bool] = False
@@ -59,6 +59,10 @@ class NativeMethod(Integrator):
     @abstractmethod
     def numbers(self) -> Any:
         """Return the numbers of the step functions, a pytree; new values compile nothing new."""
+
+    def notes_on(self, scene: MechatronicSystem) -> tuple[str, ...]:
+        """Return the names of the notes of a `Reading` of a scene."""
+        return self.noted
 
     @property
     def newton_settings(self) -> NewtonSettings:
@@ -136,10 +140,10 @@ class NativeMethod(Integrator):
                 f"The end {t_end:g} s does not lie after the start {scene.interval[0]:g} s; give a "
                 f"later one."
             )
-        program, numbers = self.program(scene)
+        (program, numbers), noted = self.program(scene), self.notes_on(scene)
         if isinstance(resolution, Steps):
-            return ConstantStepsRun(program, numbers, self.noted, scene, t_end, resolution)
-        return AdaptiveRun(program, numbers, self.noted, scene, t_end, resolution, self.step_limit)
+            return ConstantStepsRun(program, numbers, noted, scene, t_end, resolution)
+        return AdaptiveRun(program, numbers, noted, scene, t_end, resolution, self.step_limit)
 
 
 @dataclass(frozen=True)

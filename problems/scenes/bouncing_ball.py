@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import MechatronicSystem, Published, State, Variables, drawing, jax, jnp, parameter
+from problems import ContactSystem, Published, State, drawing, jax, jnp, parameter
 
 
 @dataclass(frozen=True)
-class BouncingBall(MechatronicSystem):
+class BouncingBall(ContactSystem):
     """A point mass above the ground, which it leaves with a part of the velocity of its impact.
 
     Tests how methods locate events: between impacts every method of second order is exact, so that
@@ -40,11 +40,12 @@ class BouncingBall(MechatronicSystem):
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return -self.g * jnp.ones(1)
 
-    def events(self, z: Variables) -> jax.Array:
-        return z.q
+    @property
+    def restitution(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.e
 
-    def jump(self, z: Variables, event: int) -> dict[str, jax.Array]:
-        return {"v": -self.e * z.v}
+    def gaps(self, q: jax.Array, t: jax.Array) -> jax.Array:
+        return q
 
     def initial_state(self) -> State:
         return State(q=np.array([self.height]), v=np.zeros(1))
