@@ -277,6 +277,12 @@ def test_newton_ends_where_32_bits_end(worker, problem, integrator, h):
 
 
 @pytest.mark.long
+def test_newton_ends_where_updates_no_longer_shrink(worker):
+    run = run_of(worker, "quarter_car", INDEX3, "single", 2.5e-4, 4000)
+    assert (run.status, run.message) == ("ok", "")
+
+
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("problem", "integrator"),
     [

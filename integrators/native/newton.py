@@ -24,9 +24,10 @@ from typing import Any, NamedTuple
 from integrators.native.linear_solvers import LinearSolver
 from integrators.native.step_records import PIVOTS, Scalar, StepReport, largest
 from problems.named_equations import part, turns
-from problems.runtime import Array, Bool, Float, Int, jax, jnp, smallest
+from problems.runtime import Array, Bool, Float, Int, coarseness, jax, jnp, smallest
 
-#: Updates that stop shrinking below this relative size have met round-off.
+#: Updates that stop shrinking below this relative size have met round-off; with 32-bit floats the
+#: size is larger by the root of `coarseness`.
 _STAGNANT = 1e-7
 #: Modified Newton keeps a tangent while each update is at most this multiple of the one before
 _CONTRACTION = 0.1
@@ -126,7 +127,7 @@ def is_solved(now: Iteration, tol: Scalar, solved_after: Scalar = math.inf) -> B
     size, before = now.size, now.before
     left = jnp.where(jnp.isfinite(before), size * size / (before - size), size)
     small = (size <= 1.0) | ((size < before) & (left <= 1.0))
-    stagnant = now.exact & (size > 0.5 * before) & (size * tol < _STAGNANT)
+    stagnant = now.exact & (size > 0.5 * before) & (size * tol < _STAGNANT * coarseness() ** 0.5)
     done = (now.k >= solved_after) & (now.exact | (now.k == 0)) & ~jnp.isnan(size)
     return small | stagnant | done
 
