@@ -285,7 +285,7 @@ def slider_crank(t):
 
 @pytest.mark.parametrize(
     ("scene", "minimal", "axis"),
-    [(SpatialFourBar(), four_bar, 2), *long((SpatialSliderCrank(), slider_crank, 0))],
+    long((SpatialFourBar(), four_bar, 2), (SpatialSliderCrank(), slider_crank, 0)),
     ids=lambda value: getattr(value, "name", ""),
 )
 def test_the_mechanism_moves_as_by_its_one_angle(scene, minimal, axis):

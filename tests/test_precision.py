@@ -48,6 +48,7 @@ def run_of(worker, problem, integrator, precision, h, steps):
     return run_in(precision, method, scene, h, steps)
 
 
+@pytest.mark.long
 def test_multipliers_of_index_3_grow_like_the_inverse_square_of_the_step(worker):
     t_end = worker.problem("pendulum").interval[0] + 0.1
     steps = [1e-3, 2.5e-4]

@@ -87,6 +87,7 @@ def test_all_springs_of_the_truck_are_in_equilibrium_at_its_start(scene):
     assert np.abs(stiffness - stiffness.T).max() < 1e-6 * np.abs(stiffness).max()
 
 
+@pytest.mark.long
 def test_the_eigenvalues_of_the_truck_are_the_published_ones():
     scene = PlanarTruck()
     q = scene.initial_state().q
@@ -100,6 +101,7 @@ def test_the_eigenvalues_of_the_truck_are_the_published_ones():
         assert np.abs(found - value).min() < 2e-3 * abs(value)
 
 
+@pytest.mark.long
 def test_the_governor_has_the_published_inertia_and_rates_of_its_dampers():
     scene = FlyballGovernor()
     q, v, _ = scene.initial_state()

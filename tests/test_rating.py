@@ -130,6 +130,7 @@ def test_rate_finds_sizes_and_keeps_runs(stepbench, tmp_path):
     assert json.loads(again.stdout)["ratings"] == told["ratings"]
 
 
+@pytest.mark.long
 def test_a_rule_that_nobody_meets_is_an_error_with_reasons(stepbench, tmp_path):
     result = stepbench(
         "rate", "pendulum", "half_explicit_euler", "stormer_verlet", "--out", tmp_path,

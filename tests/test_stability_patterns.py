@@ -66,6 +66,7 @@ def test_growth_begins_at_the_safe_ratio(rho_inf, fixed, updated, gamma):
     assert above > 1 + 1e-10
 
 
+@pytest.mark.long
 def test_the_safe_ratio_is_searched_for():
     found = largest_safe_ratio(method_of(0.8, "updated"))
     assert found.ratio == pytest.approx(1.189, rel=2e-3)

@@ -150,6 +150,7 @@ def test_methods_of_order_two_keep_it(method, scene):
     assert all(1.8 < found[g] < 2.6 for g in ("q", "v", "a", "lam", "y") if g in found)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scene", [Sleigh(), *long(Rubbing(), SleighOfRates(), Turret())], ids=str)
 @pytest.mark.parametrize("method", [TIGHT[0], *long(*TIGHT[1:], Rodas5P(), RadauIIA())], ids=str)
 def test_tolerances_are_followed(method, scene):
