@@ -77,7 +77,7 @@ def _by_elimination(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Gauss-Jordan elimination in place with the largest pivot of each column; it stores pivot
     rows instead of exchanging rows."""
     n, rows = len(a), jnp.arange(len(a))
-    bits = jnp.int64 if a.dtype == jnp.float64 else jnp.int32
+    bits = jnp.int64 if jnp.finfo(a.dtype).bits == 64 else jnp.int32  # of a real part
     zero, one = jnp.zeros((), a.dtype), jnp.ones((), a.dtype)
     put = jax.lax.dynamic_update_index_in_dim
 
