@@ -55,7 +55,8 @@ class Body(NamedTuple):
     ``position``
         of the centre of mass, in m
     ``orientation``
-        of the body axes: a rotation vector in rad, or a quaternion; by default the space axes
+        of the body axes, in plain numbers: a rotation vector in rad, or a quaternion with the
+        scalar part first, which is brought to the norm 1; by default the space axes
     ``velocity``, ``angular_velocity``
         in space axes, in m/s and rad/s; those not given follow from the others and the joints
     """
@@ -82,7 +83,13 @@ class Body(NamedTuple):
     @property
     def quaternion(self) -> Float[np.ndarray, " 4"]:
         """The orientation at the start."""
-        given = np.asarray(self.orientation, dtype=float)
+        try:
+            given = np.asarray(self.orientation, dtype=float)
+        except TypeError:  # a traced number
+            raise spec.SpecError(
+                f"The orientation of body {self.name!r} is computed by jnp or from a parameter; "
+                f"give plain numbers."
+            ) from None
         if len(given) == 4:
             return given / np.linalg.norm(given)
         angle = np.linalg.norm(given)
@@ -216,6 +223,14 @@ class RigidBodies(MechatronicSystem):
         q, v, free, residual, jacobian, mass = map(
             np.asarray, _start(self.with_parameters(numbers))(self.parameters())
         )
+        for body, tensor in zip(self.bodies(), np.asarray(self._inertias()[1]), strict=True):
+            small, middle, large = np.linalg.eigvalsh(tensor)
+            if large > (1 + 1e-9) * (small + middle):
+                raise spec.SpecError(
+                    f"{self.spec}: no body has the inertia of {body.name!r}: its largest "
+                    f"principal value {large:.4g} kg m^2 is above the sum of the others, "
+                    f"{small + middle:.4g}."
+                )
         if free.any() and len(residual):
             try:
                 factor = np.linalg.cholesky(mass[np.ix_(free, free)])

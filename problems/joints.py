@@ -12,6 +12,7 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias
 import numpy as np
 
 from problems.runtime import Array, Float, jnp
+from problems.spec import SpecError
 
 #: Three numbers, in m or without unit, which may be traced.
 Vector: TypeAlias = Sequence[Any] | Array | np.ndarray
@@ -150,6 +151,8 @@ class Distance(Joint):
 def _axes(axis: Vector) -> Any:
     """The unit vector of an axis and two across it, in rows (Duff et al. 2017)."""
     given = vector(axis)
+    if isinstance(given, np.ndarray) and not given.any():
+        raise SpecError("The axis of a joint is (0, 0, 0); give its direction.")
     xp: Any = np if isinstance(given, np.ndarray) else jnp
     x, y, z = given / (given @ given) ** 0.5
     sign = xp.where(z < 0, -1.0, 1.0)

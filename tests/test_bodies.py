@@ -387,3 +387,36 @@ def test_starts_that_cannot_be_are_refused():
 def test_parts_that_do_not_fit_are_told_in_a_sentence(blocks, sentence):
     with pytest.raises(SpecError, match=sentence):
         consistent_start(variant(**blocks))
+
+
+@dataclass(frozen=True)
+class _Thin(RigidBodies):
+    """A body whose inertia none has."""
+
+    turn: float = parameter(0.1, "rad", "angle at the start")
+    constraint = None
+
+    def bodies(self):
+        return (Body("thin", 1.0, (1.0, 2.0, 9.5)),)
+
+
+@dataclass(frozen=True)
+class _Traced(_Thin):
+    """A body whose orientation is computed from a parameter."""
+
+    def bodies(self):
+        return (Body("turned", 1.0, (1.0, 1.0, 1.0), orientation=(self.turn, 0.0, 0.0)),)
+
+
+@pytest.mark.parametrize(
+    ("cls", "words"),
+    [(_Thin, "no body has the inertia of 'thin'"), (_Traced, "orientation of body 'turned'")],
+)
+def test_a_body_that_cannot_be_is_named(cls, words):
+    with pytest.raises(SpecError, match=words):
+        cls().initial_state()
+
+
+def test_a_joint_without_a_direction_is_refused():
+    with pytest.raises(SpecError, match=r"axis of a joint is \(0, 0, 0\)"):
+        Revolute("ground", "thin", (0, 0, 0), (0, 0, 0)).residual(Frame(), Frame())

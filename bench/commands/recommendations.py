@@ -126,6 +126,7 @@ def recommend_(
         search = Search(candidates, suite, store, registry, runner)
         stored = "Finished runs are stored; the same command goes on."
         remark(stored)
+        progress.note(f"{len(candidates)} methods and forms on {scene.spec}, within {budget:g} s:")
 
         def tell() -> None:
             if order := verdict.order:
@@ -154,6 +155,10 @@ def recommend_(
         for sentence in sentences:
             click.echo(sentence)
         write_reports(out)
+    if not any(c.runs for c in candidates):
+        raise click.ClickException(
+            f"{budget:g} s were over before the first run had ended; give a larger --budget."
+        )
     if not verdict.order:
         raise click.ClickException(f"No integrator reaches {demands[0]} on {scene.spec}.")
 
@@ -187,7 +192,8 @@ def _in_turns(candidates: Sequence[Candidate]) -> list[Candidate]:
     keys = []
     for k, c in enumerate(candidates):
         turn = seen[c.method.family] = seen.get(c.method.family, -1) + 1
-        keys.append((turn, -max(c.method.orders.values(), default=0), k))
+        # A method that chooses its order as it goes may reach five.
+        keys.append((turn, -max(c.method.orders.values(), default=5), k))
     return [candidates[k] for *_, k in sorted(keys)]
 
 
@@ -226,9 +232,11 @@ class Verdict:
     @property
     def first(self) -> str:
         """The sentence on the cheapest run."""
-        run = self.best(self.order[0])
+        run, every = self.best(self.order[0]), self.race.candidates
+        tried = sum(1 for c in every if c.runs)
+        take = "Take" if tried == len(every) else f"Of {tried} tried, take"
         return (
-            f"Take {run.integrator} with {run.resolution}: {self.asked.title} "
+            f"{take} {run.integrator} with {run.resolution}: {self.asked.title} "
             f"{self.asked.of(run):.1e} for {self._costs(run)}."
         )
 
@@ -326,7 +334,7 @@ class Verdict:
         runs = [c.nearest(self.asked) for c in tried]
         runs = [run for run in runs if math.isfinite(self.asked.of(run))]
         if not runs:
-            return "No run reached the end."
+            return "No run has reached the end."
         run = min(runs, key=self.asked.of)
         return (
             f"Nothing reaches {self.asked}; the nearest is {run.integrator} with "

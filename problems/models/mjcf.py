@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import hashlib
+import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
@@ -21,13 +22,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from problems.initial_values import CONSISTENCY_TOLERANCE
+from problems.models import trees
 from problems.models.trees import Tree
 from problems.plain_text import said
 from problems.rotations import quaternion_rate, turned
-from problems.runtime import Array, Float, jax, jnp
+from problems.runtime import CACHE, Array, Float, jax, jnp
 from problems.spec import SpecError, is_name
 from problems.system import MechatronicSystem, parameter
 from problems.variables import State
+from problems.whole_files import keep, kept
 
 #: Largest difference from MuJoCo's numbers, relative to the largest of them, and the number of
 #: random states at which they are compared.
@@ -68,12 +71,14 @@ class MujocoScene(MechatronicSystem):
     model: ClassVar[_Model]
 
     def __post_init__(self) -> None:
-        for key, sentence in self.model.lacking.items():
-            if getattr(self, key) != LEFT_OUT:
-                raise SpecError(
-                    f"{self.name}: {sentence}, which a scene cannot state; "
-                    f"{self.name}[{key}={LEFT_OUT}] leaves it out."
-                )
+        lacking = self.model.lacking
+        if left := [key for key in lacking if getattr(self, key) != LEFT_OUT]:
+            parts = ", and ".join(lacking[key] for key in left)
+            options = ",".join(f"{key}={LEFT_OUT}" for key in lacking)
+            raise SpecError(
+                f"{self.name}: the model has {parts}; a scene cannot state this. "
+                f"{self.name}[{options}] leaves it out."
+            )
 
     # ---- blocks
     def mass(self, q: Array) -> Array:
@@ -98,9 +103,9 @@ class MujocoScene(MechatronicSystem):
         return 0.5 * v @ self.mass(q) @ v + potential
 
     def points(self, q: Array) -> dict[str, Array]:
-        """Origins of the bodies, by their names."""
-        origins = self.model.tree.poses(q).origins
-        return {name: origins[k] for name, k in self.model.named.items()}
+        """Centres of mass of the bodies, by their names."""
+        centres = self.model.tree.centres(q)
+        return {name: centres[k] for name, k in self.model.named.items()}
 
     # ---- the same model in MuJoCo
     def in_mujoco(self) -> tuple[Any, Float[np.ndarray, " nu"]]:
@@ -197,7 +202,9 @@ def from_mjcf(
             **{block: None for block in model.without},
         },
     )
-    model.check()
+    if not model.is_checked:
+        model.check()
+        model.keep_start()
     return made
 
 
@@ -222,7 +229,16 @@ class _Model:
             self.mujoco.mj_resetDataKeyframe(m, data, 0)
         self.start_control = data.ctrl.copy()
         self.rows = np.arange(self._count())
-        self._place(data)
+        sources = b"".join(Path(file).read_bytes() for file in (__file__, trees.__file__))
+        digest = hashlib.sha256(sources + self.text.encode()).hexdigest()[:32]
+        #: Where the start is kept once all numbers have been compared.
+        self._place_of_start = CACHE / "models" / digest
+        if (start := kept(self._place_of_start)) is not None:
+            found = json.loads(start)
+            self.start = np.array(found["q"]), np.array(found["v"])
+            self.rows, self.redundant = np.array(found["rows"], dtype=int), found["redundant"]
+        else:
+            self._place(data)
 
     # ---- facts
     @property
@@ -317,33 +333,33 @@ class _Model:
         """Parts of the model that a scene cannot have, with what they are and where."""
         m, has = self.m, self._some
         if pair := self._contact():
-            yield "contacts", f"the model has contacts ({pair})"
+            yield "contacts", f"contacts ({pair})"
         if where := has("JOINT", m.jnt_limited):
-            yield "limits", f"the model has limits of joints ({where})"
+            yield "limits", f"limits of joints ({where})"
         if where := has("JOINT", m.dof_frictionloss, m.dof_jntid):
-            yield "friction_loss", f"the model has frictionloss (joint {where})"
+            yield "friction_loss", f"frictionloss (joint {where})"
         if m.ntendon:
-            yield "tendons", f"the model has tendons ({self._called('TENDON', 0)})"
+            yield "tendons", f"tendons ({self._called('TENDON', 0)})"
         if m.nflex:
-            yield "flexes", f"the model has flexes ({self._called('FLEX', 0)})"
+            yield "flexes", f"flexes ({self._called('FLEX', 0)})"
         if m.opt.density or m.opt.viscosity:
-            yield "fluid", "the model has forces of a fluid (density or viscosity)"
+            yield "fluid", "forces of a fluid (density or viscosity)"
         if where := has("JOINT", m.jnt_springyield):
-            yield "plasticity", f"the model has springs that yield (joint {where})"
+            yield "plasticity", f"springs that yield (joint {where})"
         if where := self._odd_spring():
-            yield "ball_springs", f"the model has springs of ball or free joints ({where})"
+            yield "ball_springs", f"springs of ball or free joints ({where})"
         if where := self._odd_actuator():
             yield (
                 "actuators",
-                f"the model has an actuator that is no affine force of a joint ({where})",
+                f"an actuator that is no affine force of a joint ({where})",
             )
         if where := self._odd_equality():
             yield (
                 "equalities",
-                f"the model has an equality other than connect, weld, joint ({where})",
+                f"an equality other than connect, weld, joint ({where})",
             )
         if m.nplugin:
-            yield "plugins", "the model has plugins of MuJoCo"
+            yield "plugins", "plugins of MuJoCo"
 
     def _some(self, kind: str, values: np.ndarray, owner: np.ndarray | None = None) -> str:
         """The name of the first object with a value, or nothing."""
@@ -659,6 +675,18 @@ class _Model:
     def _shaken(self, rng: np.random.Generator, q: np.ndarray) -> np.ndarray:
         w = rng.normal(size=self.m.nv)
         return np.asarray(self.moved(jnp.asarray(q), jnp.asarray(w), turned))
+
+    @property
+    def is_checked(self) -> bool:
+        """Whether the numbers of this model were compared before."""
+        return kept(self._place_of_start) is not None
+
+    def keep_start(self) -> None:
+        """Keep the start of a model whose numbers were compared, if the disk takes it."""
+        q, v = (part.tolist() for part in self.start)
+        found = {"q": q, "v": v, "rows": self.rows.tolist(), "redundant": int(self.redundant)}
+        with suppress(OSError):
+            keep(self._place_of_start, json.dumps(found).encode())
 
     # ---- oracle
     def check(self) -> None:

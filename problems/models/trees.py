@@ -207,7 +207,10 @@ class Tree:
         total = at.moving * (hanging @ force) + at.turning * (hanging @ torque)
         return total.sum(axis=1)
 
+    def centres(self, q: Float[Array, " nq"]) -> Float[Array, "n 3"]:
+        """Return the centres of mass, in m."""
+        return self._bodies(self.poses(q))[0]
+
     def weight_energy(self, q: Float[Array, " nq"]) -> Float[Array, ""]:
         """Return the potential energy of the weights, in J."""
-        centres, _ = self._bodies(self.poses(q))
-        return -jnp.sum((self.mass * (1 - self.weightless)) * (centres @ self.gravity))
+        return -jnp.sum((self.mass * (1 - self.weightless)) * (self.centres(q) @ self.gravity))
