@@ -187,7 +187,6 @@ def from_mjcf(
         frozen=True,
         namespace={
             "__doc__": model.summary,
-            "__module__": caller,
             "name": name,
             "model": model,
             "interval": interval,
@@ -202,6 +201,7 @@ def from_mjcf(
             **{block: None for block in model.without},
         },
     )
+    made.__module__ = caller  # newer Pythons set that of this call
     if not model.is_checked:
         model.check()
         model.keep_start()
