@@ -1,4 +1,4 @@
-"""What a prepared run gives: rows, a status and work counts."""
+"""Prepared runs and their results: rows, a status and work counts."""
 
 from __future__ import annotations
 

@@ -199,7 +199,7 @@ def _in_turns(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 @dataclass
 class Verdict:
-    """What a race has shown, in words and numbers; ``harder`` is the next digit's demand, and
+    """Result of a race, in words and numbers; ``harder`` is the next digit's demand, and
     ``told`` the candidate that was told last to the person who waits."""
 
     race: Race

@@ -216,7 +216,7 @@ def _choice(words: str) -> Any:
 
 # ---- reading -----------------------------------------------------------------------------
 class _Model:
-    """What the equations need of a model of MuJoCo, which is called ``m``."""
+    """Numbers and functions of a model of MuJoCo, which is called ``m``, for equations of motion."""
 
     def __init__(self, m: Any, name: str) -> None:
         self.m, self.name, self.mujoco = m, name, load_mujoco()
