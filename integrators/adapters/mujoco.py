@@ -16,7 +16,8 @@ from integrators.native.endings import Ending
 from integrators.resolutions import Steps
 from problems.engines.agreement import check_agreement
 from problems.engines.mujoco_models import LOOPS, MUJOCO_MODELS, hard_acceleration, mujoco_model
-from problems.models.mjcf import MujocoScene, load_mujoco
+from problems.models.mjcf import MujocoScene
+from problems.models.mjcf_objects import load_mujoco
 from problems.system import MechatronicSystem
 
 #: Coordinates beyond are a solution that blows up; MuJoCo goes on with them.

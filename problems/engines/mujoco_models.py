@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from problems.models.mjcf import MujocoScene, load_mujoco
+from problems.models.mjcf import MujocoScene
+from problems.models.mjcf_objects import load_mujoco
 from problems.runtime import Float, jnp
 from problems.scenes.chain import Chain
 from problems.scenes.heavy_top import HeavyTop

@@ -17,7 +17,7 @@ POLICIES = ("hit", "interpolate", "ignore")
 
 
 def policy(scene: SceneRecord | None) -> str:
-    """Errors of runs on a scene by what they do at samples; nothing if no controller is sampled."""
+    """The policy of a scene's runs at samples; nothing if no controller is sampled."""
     own = scene.parameters if scene else ()
     found = next((p["value"] for p in own if p["name"] == "sampling"), "")
     return found if found in POLICIES else ""

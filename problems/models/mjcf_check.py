@@ -1,0 +1,165 @@
+"""Start of a model of MuJoCo, and a comparison of its equations with MuJoCo's own numbers."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from problems.initial_values import CONSISTENCY_TOLERANCE
+from problems.models.mjcf_model import Model
+from problems.models.mjcf_objects import load_mujoco
+from problems.models.mjcf_parts import without
+from problems.rotations import turned
+from problems.runtime import CACHE, Array, Float, jax, jnp
+from problems.spec import SpecError
+from problems.whole_files import keep, kept
+
+#: Largest difference from MuJoCo's numbers, relative to the largest of them, and the number of
+#: random states at which they are compared.
+SAME, STATES = 1e-11, 4
+#: Largest change of a coordinate, in m or rad, by which a start is moved onto the equalities.
+FAR = 0.1
+
+
+class Start(NamedTuple):
+    """A consistent start: q ``(nq,)``, v ``(nv,)``, numbers of the equations that say something,
+    and how many of these depend on the others."""
+
+    q: list[float]
+    v: list[float]
+    rows: list[int]
+    redundant: int
+
+
+def checked_start(model: Model, digest: str) -> Start:
+    """Return the start of a model whose numbers are those of MuJoCo.
+
+    What was compared is kept, by the ``digest`` of the model, the versions and these sources.
+
+    Raises
+    ------
+    SpecError
+        If no start near that of the model satisfies the equalities, or MuJoCo computes other
+        numbers.
+    """
+    sources = sorted(Path(__file__).parent.glob("*.py"))
+    parts = [digest, load_mujoco().__version__, *(file.read_text("utf-8") for file in sources)]
+    place = CACHE / "models" / hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
+    if (known := kept(place)) is not None:
+        return Start(*json.loads(known))
+    start = _start(model)
+    compare(model, np.array(start.q))
+    with suppress(OSError):
+        keep(place, json.dumps(start).encode())
+    return start
+
+
+def reset(m: Any) -> Any:
+    """Return MuJoCo's data of a model at its first keyframe, else at qpos0 at rest."""
+    mujoco = load_mujoco()
+    data = mujoco.MjData(m)
+    if m.nkey:
+        mujoco.mj_resetDataKeyframe(m, data, 0)
+    return data
+
+
+def _start(model: Model) -> Start:
+    """The start of the model, moved to the nearest place that satisfies its equalities."""
+    data, rng = reset(model.m), np.random.default_rng(1)
+    q, v, rows, redundant = data.qpos.copy(), data.qvel.copy(), np.arange(len(model.rows)), 0
+    for at_q, _ in model.balls:
+        q[at_q : at_q + 4] /= np.linalg.norm(q[at_q : at_q + 4])
+    if len(rows):
+        residual, jacobian = _linear(model)
+        # An equation that moves with nothing, as of a plane loop across its plane, says nothing.
+        sizes = [np.abs(jacobian(_shaken(model, rng, q))).max(1) for _ in range(3)]
+        rows = np.flatnonzero(np.max(sizes, axis=0) > 1e-10 * np.max(sizes))
+        asked = q
+        for _ in range(30):
+            gap, by = np.asarray(residual(q))[rows], np.asarray(jacobian(q))[rows]
+            step = -np.linalg.lstsq(by, gap, rcond=1e-10)[0]
+            q = np.asarray(model.moved(jnp.asarray(q), jnp.asarray(step), turned))
+            if np.abs(step).max() < 1e-15:
+                break
+        worst, far = np.abs(residual(q)).max(), np.abs(q - asked).max()
+        if worst > CONSISTENCY_TOLERANCE:
+            raise SpecError(
+                f"The equalities cannot be satisfied near the start; the nearest position violates "
+                f"them by {worst:.2g} (m or rad)."
+            )
+        if far > FAR:
+            raise SpecError(
+                f"The start violates the equalities; the nearest position that satisfies them is "
+                f"{far:.2g} away in qpos (m or rad). Give a keyframe that does."
+            )
+        by = np.asarray(jacobian(q))[rows]
+        v = v - np.linalg.lstsq(by, by @ v, rcond=1e-10)[0]
+        redundant = len(rows) - int(np.linalg.matrix_rank(by, tol=1e-9))
+    return Start(q.tolist(), v.tolist(), rows.tolist(), redundant)
+
+
+def _linear(model: Model) -> tuple[Callable, Callable]:
+    """Compiled equalities, and their derivatives along velocities ``(nl, nv)``."""
+
+    def along(q: Array) -> Array:
+        def moved(w: Array) -> Array:
+            return model.equalities(model.moved(q, w, turned))
+
+        return jax.jacfwd(moved)(jnp.zeros(model.m.nv))
+
+    return jax.jit(model.equalities), jax.jit(along)
+
+
+def _shaken(model: Model, rng: np.random.Generator, q: np.ndarray) -> np.ndarray:
+    w = jnp.asarray(rng.normal(size=model.m.nv))
+    return np.asarray(model.moved(jnp.asarray(q), w, turned))
+
+
+def compare(model: Model, q: Float[np.ndarray, " nq"]) -> None:
+    """Compare with MuJoCo's own numbers at random states around q.
+
+    Raises
+    ------
+    SpecError
+        If one of them is another: the model has something that was not read.
+    """
+    m, mujoco, rng = without(model.m), load_mujoco(), np.random.default_rng(2)
+    control = reset(m).ctrl.copy()
+
+    @jax.jit
+    def ours(q: Array, v: Array) -> dict[str, Array]:
+        return {
+            "mass matrix": model.mass(q),
+            "forces": model.passive(q, v) - model.tree.bias(q, v),
+            "forces of actuators": model.actuators(q, v, control),
+            "equalities": model.equalities(q),
+        }
+
+    for _ in range(STATES):
+        data, mass = mujoco.MjData(m), np.zeros((m.nv, m.nv))
+        data.qpos[:], data.qvel[:] = _shaken(model, rng, q), rng.normal(size=m.nv)
+        data.ctrl[:] = control
+        mujoco.mj_forward(m, data)
+        mujoco.mj_fullM(m, data, mass)
+        forces = data.qfrc_passive - data.qfrc_bias
+        largest = max(np.abs([forces, data.qfrc_actuator]).max(), 1e-300)
+        theirs = {
+            "mass matrix": (mass, np.abs(mass).max()),
+            "forces": (forces, largest),
+            "forces of actuators": (data.qfrc_actuator, largest),
+            "equalities": (data.efc_pos, 1.0),
+        }
+        found = ours(data.qpos.copy(), data.qvel.copy())
+        for name, (given, size) in theirs.items():
+            gap = np.abs(np.asarray(found[name]) - given).max(initial=0.0)
+            if not gap <= SAME * size:
+                raise SpecError(
+                    f"MuJoCo computes other {name}; the largest difference is {gap / size:.1e} of "
+                    f"the largest entry. The model has something that is not read."
+                )
