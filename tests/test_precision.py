@@ -400,7 +400,7 @@ def test_the_command_prints_tables_json_and_csv(stepbench):
         (["newmark", "newmark"], "named twice"),
         (["nomark"], "newmark"),
         (["newmark", "--t-end", "-1"], "after the start"),
-        ([], "METHOD"),
+        ([], "INTEGRATOR"),
     ],
 )
 @pytest.mark.usefixtures("without_processes")

@@ -12,7 +12,8 @@ from planted import planted
 
 from bench.results.demands import demand
 from bench.results.records import UNSUPPORTED
-from bench.running.rating import Candidate, Race
+from bench.running.race import Race
+from bench.running.rating import Candidate
 from integrators.resolutions import Steps
 
 LIMIT = 1e-3
@@ -128,16 +129,16 @@ def test_a_file_with_one_scene_gets_its_verdict_and_again_at_once(stepbench, tmp
     out = tmp_path / "out"
     asked = "recommend", file, "--error", "q:1e-4", "--cost", "operations", "--out", out, "--json"
     told = json.loads(stepbench(*asked, "--budget", "40").stdout)
-    assert told["problem"] == "own_mass"
     assert told == json.loads((out / "recommendation.json").read_text())
-    first, *others = told["methods"]
+    first, *others = told["ratings"]
+    assert first["problem"] == "own_mass"
     assert first["error"] <= 1e-4
     assert all(first["operations"] <= other["operations"] for other in others)
     assert f"ake {first['integrator']} with {first['resolution']}" in told["sentences"][0]
     assert (out / "report.html").exists() is False  # --json writes no page
     again = stepbench(*asked, "--budget", "40")
     assert "ake " in again.stdout
-    assert json.loads(again.stdout)["methods"][0]["operations"] <= first["operations"]
+    assert json.loads(again.stdout)["ratings"][0]["operations"] <= first["operations"]
 
 
 @pytest.mark.long

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import click
-import msgspec
 
 from bench.commands import completion, options
-from bench.commands.studies import of_each, once_each, print_json
+from bench.commands.studies import of_each, once_each, print_json, with_names
 from bench.plugins.facts import MethodFacts
 from problems.spec import SpecError
 
@@ -16,9 +15,7 @@ _HALVINGS = 6
 
 @click.command()
 @click.argument("problem", metavar="SCENE", shell_complete=completion.scenes)
-@click.argument(
-    "names", nargs=-1, required=True, metavar="METHOD...", shell_complete=completion.integrators
-)
+@with_names
 @click.option(
     "--steps", callback=options.numbers, metavar="H1,H2,...",
     help="Steps in s; the scene's nominal one and six halvings if not given.",
@@ -74,7 +71,7 @@ def precision(
     results, faults = of_each(methods, measured)
     runs = [run for result in results for run in result]
     if runs and form == "json":
-        print_json({"runs": msgspec.to_builtins(runs), "summary": precision_sentences(runs)})
+        print_json({"runs": runs, "summary": precision_sentences(runs)})
     elif runs and form == "csv":
         click.echo(csv_export([csv_row(run) for run in runs]), nl=False)
     elif runs:

@@ -122,7 +122,7 @@ def rate_(
         machine = store.environments()
         tables = overviews(store.plan(), store.records())
         texts = _write_points(candidates, store)
-    ratings = [_rating(c, asked, texts) for c in candidates for asked in c.demands]
+    ratings = [rating_of(c, asked, texts) for c in candidates for asked in c.demands]
     text = json.dumps({"machine": msgspec.to_builtins(machine), "ratings": ratings}, indent=2)
     put(out / FILE, text)
     if as_json:
@@ -175,8 +175,11 @@ def demands_on(
     return [demand(text) for text in texts]
 
 
-def _rating(candidate: Candidate, asked: Demand, texts: Mapping[str, str]) -> dict[str, Any]:
-    """Return the rating of a method on a scene, for a file that can be sent."""
+def rating_of(
+    candidate: Candidate, asked: Demand, texts: Mapping[str, str] | None = None
+) -> dict[str, Any]:
+    """Return the rating of a method on a scene, for a file that can be sent; ``texts`` are the
+    files of points by the keys of runs."""
     best = candidate.best(asked)
     run = best or candidate.nearest(asked)
     return {
@@ -195,7 +198,7 @@ def _rating(candidate: Candidate, asked: Demand, texts: Mapping[str, str]) -> di
         "energy_drift": run.energy_drift,
         "constraint": run.constraint,
         "runs": len(candidate.runs),
-        "points": texts.get(best.key, "") if best else "",
+        "points": (texts or {}).get(best.key, "") if best else "",
     }
 
 

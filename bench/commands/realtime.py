@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from contextlib import suppress
 
 import click
-import msgspec
 
 from bench.commands import completion, options
-from bench.plugins.facts import SceneFacts
+from bench.commands.studies import of_each, once_each, print_json, with_names
+from bench.plugins.facts import MethodFacts, SceneFacts
 from problems.spec import SpecError
 
 #: A number of Hz or kHz, with or without the unit.
@@ -32,9 +31,7 @@ def rate_of(context: click.Context, parameter: click.Parameter, text: str) -> fl
 
 @click.command("realtime")
 @click.argument("problem", metavar="SCENE", shell_complete=completion.scenes)
-@click.argument(
-    "names", nargs=-1, required=True, metavar="METHOD...", shell_complete=completion.integrators
-)
+@with_names
 @click.option(
     "--rate",
     required=True,
@@ -80,25 +77,21 @@ def realtime_(
       stepbench realtime pendulum half_explicit_euler stormer_verlet --rate 1000 --duration 1 --json
     """
     registry = options.usable_registry(plugins)
-    scene = registry.problem(problem, **settings)
-    methods = {method.spec: method for method in map(registry.integrator, names)}
+    scene, methods = registry.problem(problem, **settings), once_each(registry, names)
     steps = _steps(scene, rate, duration)
     from bench.commands.terminal import show
     from bench.results.realtime import RealTimeRun, realtime_sentence, realtime_tables
     from bench.running.realtime import realtime_job
 
-    runs: list[RealTimeRun] = []
-    faults: list[str] = []
-    for method in methods.values():
+    def measured(method: MethodFacts) -> list[RealTimeRun]:
         task = scene.spec, method.spec, rate, steps, iterations
         sources = scene.sources | method.sources
-        try:
-            runs += options.guarded(method.spec, realtime_job, sources, budget, *task)
-        except SpecError as error:
-            faults.append(str(error))
+        return options.guarded(method.spec, realtime_job, sources, budget, *task)
+
+    results, faults = of_each(methods, measured)
+    runs = [run for result in results for run in result]
     if runs and as_json:
-        found = {"runs": msgspec.to_builtins(runs), "summary": realtime_sentence(runs)}
-        click.echo(json.dumps(found, indent=2, allow_nan=False))
+        print_json({"runs": runs, "summary": realtime_sentence(runs)})
     elif runs:
         show(*realtime_tables(runs), realtime_sentence(runs))
     faults += [f"{run.name}: {run.status}: {run.message}" for run in runs if run.status != "ok"]

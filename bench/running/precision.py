@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bench.results.precision import PrecisionRun
-from bench.running.realtime import errors_of, stepping
+from bench.running.realtime import MOST_STEPS, errors_of, stepping
 from bench.running.worker import Worker
 from integrators.contract import Trajectory
 from integrators.native.lone_steps import LoneStep
@@ -14,9 +14,6 @@ from integrators.native.step_method import NativeMethod
 from integrators.resolutions import Steps
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
-
-#: Most steps of a run: its states are kept, and numbers of steps are exact in 32-bit floats.
-MOST_STEPS = 1_000_000
 
 
 def precision_job(

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
 
 import msgspec
 
@@ -83,87 +80,6 @@ class Candidate:
         return (run.cost("operations") or 0.0) if run and run.status == "ok" else 0.0
 
 
-class Race:
-    """A search for the cheapest of many candidates in a limited time.
-
-    A candidate is dropped if a run of it that is too coarse takes more operations, by a margin,
-    than a good run of another one, or if its own convergence promises far more.
-
-    Parameters
-    ----------
-    candidates
-        Candidates of one scene, with the same first demand, in the order of their beginning.
-    margin
-        Quotient of operations up to which a dearer candidate stays.
-    end
-        Time of `time.monotonic` in s at which no further run begins.
-    """
-
-    #: Runs that are asked for together, and of these first runs of candidates.
-    TOGETHER, FIRST = 8, 5
-    #: A promise of so many times the operations that are allowed drops a candidate.
-    FAR = 4.0
-    #: A good run may take so many times the operations of a bad one in the end.
-    SETTLED = 1.1
-    #: Operations go with this power of the error until two runs show one.
-    STEPS, TOLERANCES = -1 / 2, -1 / 5
-
-    def __init__(self, candidates: Sequence[Candidate], margin: float, end: float) -> None:
-        self.candidates, self.margin, self.end = candidates, margin, end
-        self.asked = candidates[0].demands[0]
-
-    @property
-    def leader(self) -> Candidate | None:
-        """The candidate whose good run takes the fewest operations."""
-        good = [c for c in self.candidates if c.best(self.asked)]
-        return min(good, key=self.operations, default=None)
-
-    def operations(self, candidate: Candidate) -> float:
-        """Return the operations of a candidate's good run, infinite if there is none."""
-        run = candidate.best(self.asked)
-        return (run.cost("operations") if run else None) or math.inf
-
-    def promised(self, candidate: Candidate) -> float:
-        """Return the operations that the convergence of a candidate promises for a good run; it is
-        infinite for methods whose operations are not known."""
-        known = [
-            (cost, self.asked.of(run))
-            for _, run in sorted(candidate.runs.items(), reverse=True)
-            if (cost := run.cost("operations")) and 0 < self.asked.of(run) < math.inf
-        ]
-        if candidate.best(self.asked) or not known:
-            return self.operations(candidate)
-        power = self.STEPS if candidate.method.controls == "step" else self.TOLERANCES
-        (cost, error), *others = reversed(known)
-        if others and others[0][0] < cost and error < others[0][1]:
-            power = math.log(cost / others[0][0]) / math.log(error / others[0][1])
-        return cost * (self.asked.limit / error) ** power
-
-    def is_dropped(self, candidate: Candidate) -> bool:
-        """Whether another candidate is cheaper whatever the next runs of this one give."""
-        if (leader := self.leader) in (None, candidate):
-            return False
-        bound = self.margin * self.operations(leader)
-        far = self.FAR * bound < self.promised(candidate) < math.inf
-        return far or candidate.least(self.asked) > bound
-
-    def is_settled(self, candidate: Candidate) -> bool:
-        """Whether finer searches would hardly change a candidate's operations."""
-        least = candidate.least(self.asked)
-        return 0 < self.operations(candidate) <= self.SETTLED * least
-
-    def next(self) -> list[Cell]:
-        """Return the cells to be run next: first runs in their order, and others, the most
-        promising before all."""
-        if time.monotonic() >= self.end:
-            return []
-        stay = [c for c in self.candidates if not (self.is_dropped(c) or self.is_settled(c))]
-        begun = sorted((c for c in stay if c.runs), key=self.promised)
-        first = [cell for c in stay if not c.runs and (cell := c.next())]
-        more = islice((cell for c in begun if (cell := c.next())), self.TOGETHER)
-        return [*first[: self.FIRST], *more][: self.TOGETHER]
-
-
 @dataclass(frozen=True)
 class Search:
     """Searches of candidates for the coarsest resolution that meets each of their demands.
@@ -184,14 +100,26 @@ class Search:
     registry: Inventory
     runner: Runner
 
-    def run(self, race: Race | None = None, after_round: Callable[[], None] = lambda: None) -> None:
-        """Search, all candidates or those that stay in a race; ``after_round`` is called when they
-        have got new runs."""
+    def run(
+        self,
+        next_cells: Callable[[], list[Cell]] | None = None,
+        after_round: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Search until no cells are left to run.
 
-        def every() -> list[Cell]:
+        Parameters
+        ----------
+        next_cells
+            Chooses the cells to be run next (see `bench.running.race.Race`); by default the next
+            one of each candidate.
+        after_round
+            Called when candidates have got new runs.
+        """
+
+        def of_all() -> list[Cell]:
             return [cell for c in self.candidates if (cell := c.next())]
 
-        while cells := (race.next if race else every)():
+        while cells := (next_cells or of_all)():
             measure_suite(self._restricted(cells), self.store, self.registry, self.runner)
             self._take()
             after_round()

@@ -1,0 +1,170 @@
+"""Verdict of a race: the cheapest method for a scene, what the next digit costs, who failed."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from bench.results.demands import NOT_MET, Demand
+from bench.results.records import Record
+from bench.results.table import NO_VALUE, Table, number
+from bench.running.race import Race
+from bench.running.rating import Candidate
+
+#: Costs up to this quotient are a tie. So are operations while seconds are what counts: times per
+#: operation differ by it among methods.
+TIE, SPREAD = 1.1, 3.0
+#: Most methods that are timed, and that are asked for the next digit.
+MOST_TIMED, MOST_ASKED = 8, 3
+
+
+@dataclass
+class Verdict:
+    """Result of a race, in sentences and a table.
+
+    Parameters
+    ----------
+    ranked_by
+        The cost by which methods are ranked: "seconds" or "operations".
+    harder
+        The demand of the next digit, once it is asked for.
+    """
+
+    race: Race
+    ranked_by: str
+    harder: Demand | None = None
+
+    @property
+    def asked(self) -> Demand:
+        """The demand of the race."""
+        return self.race.asked
+
+    def cost(self, run: Record) -> float:
+        """Return the cost of a run, infinite if it is not known."""
+        return run.cost(self.ranked_by) or math.inf
+
+    def best(self, candidate: Candidate) -> Record:
+        """Return the good run of a candidate that has one."""
+        run = candidate.best(self.asked)
+        assert run is not None
+        return run
+
+    @property
+    def order(self) -> list[Candidate]:
+        """Candidates with a good run within the margin of operations, the cheapest first."""
+        leader = self.race.leader
+        if leader is None:
+            return []
+        bound = self.race.margin * self.race.operations(leader)
+        good = [c for c in self.race.candidates if c.best(self.asked)]
+        near = [c for c in good if self.race.operations(c) <= bound or c is leader]
+        return sorted(near, key=lambda c: (self.cost(self.best(c)), self.race.operations(c)))
+
+    @property
+    def first(self) -> str:
+        """The sentence on the cheapest run."""
+        run, every = self.best(self.order[0]), self.race.candidates
+        tried = sum(1 for c in every if c.runs)
+        take = "Take" if tried == len(every) else f"Of {tried} tried, take"
+        return (
+            f"{take} {run.integrator} with {run.resolution}: {self.asked.title} "
+            f"{self.asked.of(run):.1e} for {self._costs(run)}."
+        )
+
+    def sentences(self) -> list[str]:
+        """Return the verdict in three sentences."""
+        order = self.order
+        if not order:
+            return [self._nearest(), self._others()]
+        first = self.first
+        least = self.cost(self.best(order[0]))
+        ties = [c for c in order[1:] if self.cost(self.best(c)) <= TIE * least < math.inf]
+        if ties:
+            names = ", ".join(c.method.spec for c in ties)
+            first += f" A tie ({self.ranked_by} within {TIE - 1:.0%}): {names}."
+        return [first, *self._next_digit(order), self._others()]
+
+    def table(self) -> Table:
+        """Return the table of the cheapest candidates, or of those that come nearest."""
+        rows = []
+        for c in self.order or self._by_error()[:MOST_TIMED]:
+            run = c.best(self.asked) or c.nearest(self.asked)
+            figures = run.h or run.rtol, self.asked.error(run), run.seconds, run.cost("operations")
+            rows.append([run.integrator, *map(number, figures), self._next_cost(c), _failure(c)])
+        costs = "time [s]", "operations", "next digit"
+        head = ["integrator", "h [s] or rtol", "error", *costs, "fails"]
+        note = "fails: the smallest step or tolerance at which a run did not reach the end."
+        title = f"{self.race.candidates[0].scene.spec}: {self.asked}"
+        return Table(title, head, rows, note=note)
+
+    # ---- parts -------------------------------------------------------------------------
+    def _costs(self, run: Record) -> str:
+        seconds = f"{number(run.seconds)} s, " if run.seconds else ""
+        return f"{seconds}{number(run.cost('operations'))} operations"
+
+    def _finer(self, candidate: Candidate) -> float | None:
+        """The operations for the next digit; None if nobody asked, infinite if it is not met."""
+        if self.harder is None or self.harder not in candidate.demands:
+            return None
+        run = candidate.best(self.harder)
+        return (run.cost("operations") if run else None) or math.inf
+
+    def _next_cost(self, candidate: Candidate) -> str:
+        """The operations of the next digit over those of this one."""
+        more, now = self._finer(candidate), self.race.operations(candidate)
+        if more is None:
+            return NO_VALUE
+        return f"x {more / now:.1f}" if max(more, now) < math.inf else NOT_MET
+
+    def _next_digit(self, order: Sequence[Candidate]) -> Iterator[str]:
+        factor = self._next_cost(order[0])
+        if factor == NOT_MET:
+            yield f"{self.harder}: no such run was found in the time that was left."
+        elif factor != NO_VALUE:
+            cheapest = min(order[:MOST_ASKED], key=lambda c: self._finer(c) or math.inf)
+            other = "" if cheapest is order[0] else f"; {cheapest.method.spec} takes the fewest"
+            yield f"The next digit ({self.harder}) takes {factor[2:]} times the operations{other}."
+
+    def _by_error(self) -> list[Candidate]:
+        """Candidates that were tried, the nearest to the demand first."""
+        tried = [c for c in self.race.candidates if c.runs and not c.refusal]
+        return sorted(tried, key=lambda c: self.asked.of(c.nearest(self.asked)))
+
+    def _nearest(self) -> str:
+        run = next((c.nearest(self.asked) for c in self._by_error()), None)
+        if run is None or math.isinf(self.asked.of(run)):
+            return "No run has reached the end."
+        return (
+            f"Nothing reaches {self.asked}; the nearest is {run.integrator} with "
+            f"{run.resolution}: {self.asked.of(run):.1e}."
+        )
+
+    def _others(self) -> str:
+        """How many candidates did what, and the number of runs."""
+        every = self.race.candidates
+        counts = Counter(map(self._fate, every))
+        told = ", ".join(f"{count} {fate}" for fate, count in counts.items())
+        runs = sum(len(c.runs) for c in every if not c.refusal)
+        return f"Of {len(every)} methods and forms: {told}; {runs} runs."
+
+    def _fate(self, c: Candidate) -> str:
+        if not c.runs:
+            return "untried"
+        if c.refusal:
+            return "not for this scene"
+        if c.best(self.asked):
+            return "reached it"
+        if self.race.is_dropped(c):
+            return "dropped as dearer"
+        return "unfinished" if c.next() else "never reached it"
+
+
+def _failure(candidate: Candidate) -> str:
+    """The finest size at which a candidate fails, and how."""
+    failed = {size: run.status for size, run in candidate.runs.items() if run.status != "ok"}
+    if not failed or candidate.refusal:
+        return NO_VALUE
+    size = min(failed)
+    return f"{failed[size]} at {number(size)}"
