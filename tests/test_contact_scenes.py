@@ -1,0 +1,117 @@
+"""A mass against a stop, and sliding that ends by rolling: scenes with closed forms."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from test_contact import order, run, stepped
+
+from bench.running.errors import event_errors
+from integrators.adapters.ida import IDA
+from integrators.methods.half_explicit import PHEM56
+from integrators.methods.moreau_jean import MoreauJean
+from integrators.methods.radau_iia import RadauIIA
+from integrators.resolutions import Steps, Tolerances
+from problems import State, parameter
+from problems.phases import falls
+from problems.reference import Reference
+from problems.scenes.impact_stop import ImpactStop
+from problems.scenes.sliding_rolling import SlidingRolling
+
+
+# ---- a mass against a stop -------------------------------------------------------------------
+def impacts_of_stop(scene, t_end):
+    """Times of impact and velocities before them, from closed pieces and bracketed roots."""
+    w, force, omega = np.sqrt(scene.k / scene.m), scene.amplitude, scene.omega
+    part = force / (scene.k - scene.m * omega**2)
+    t0, q0, v0, found = 0.0, 0.1, 0.0, []
+    while True:
+        a = q0 - scene.rest - part * np.cos(omega * t0)
+        b = (v0 + part * omega * np.sin(omega * t0)) / w
+
+        def q(t, a=a, b=b, t0=t0):
+            free = a * np.cos(w * (t - t0)) + b * np.sin(w * (t - t0))
+            return scene.rest + part * np.cos(omega * t) + free
+
+        grid = np.linspace(t0, t_end, 4001)[1:]
+        below = np.flatnonzero(q(grid) < 0)
+        if not len(below):
+            return np.array(found)
+        k = below[0]
+        t1 = brentq(q, grid[k - 1], grid[k], xtol=1e-15, rtol=1e-14)
+        turned = w * (b * np.cos(w * (t1 - t0)) - a * np.sin(w * (t1 - t0)))
+        v = turned - part * omega * np.sin(omega * t1)
+        found.append((t1, v))
+        t0, q0, v0 = t1, 0.0, -scene.restitution * v
+
+
+def test_the_reference_of_the_stop_has_the_impacts_of_closed_pieces():
+    exact = impacts_of_stop(ImpactStop(), 4.0)
+    reference = Reference(ImpactStop(), 4.0)
+    assert len(exact) == 5
+    assert reference.events[:, 0] == pytest.approx(exact[:, 0], abs=1e-13)
+    before = reference(reference.events[:, 0], np.arange(5))["v"][:, 0]
+    assert before == pytest.approx(exact[:, 1], abs=1e-12)
+
+
+def test_a_gap_that_an_impact_left_just_closed_has_not_closed_again():
+    t, gap = np.arange(4.0), np.array([-2.0, -1.0, 5.0, -3.0])[:, None]
+    rates = np.array([1.0, 1.0, 0.0, -8.0])[:, None]
+    assert [fall.row for fall in falls(t, gap, rates)] == [3]
+    back = np.array([-2.0, -1.0])[:, None], np.array([1.0, -1.0])[:, None]  # a short flight
+    assert [fall.row for fall in falls(t[:2], *back)] == [1]
+
+
+@dataclass(frozen=True)
+class _Far(ImpactStop):
+    """At its impacts IDA leaves gaps of some 1e-9 m, and then begins with very short steps."""
+
+    omega: float = parameter(4.0, "rad/s", "frequency of the force")
+
+    def initial_state(self):
+        return State(q=np.array([0.2]), v=np.zeros(1))
+
+
+@pytest.mark.long
+def test_ida_passes_impacts_that_it_locates_by_its_tolerance():
+    found = run(IDA(), _Far(), Tolerances(1e-8))
+    assert found.status == "ok"
+    assert found.events[:, 0] == pytest.approx(Reference(_Far(), 4.0).events[:, 0], abs=1e-5)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("method", "tolerance"), [(PHEM56(), Tolerances(1e-10)), (RadauIIA(), Tolerances(1e-9))]
+)
+def test_methods_of_two_families_find_the_impacts_of_the_stop(method, tolerance):
+    exact = impacts_of_stop(ImpactStop(), 4.0)
+    found = run(method, ImpactStop(), tolerance)
+    assert found.events[:, 0] == pytest.approx(exact[:, 0], abs=1e-9)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("theta", [0.5, 1.0])
+def test_the_stop_has_order_one_through_impacts(theta):
+    sizes, errors = stepped(ImpactStop(), 4.0, 0.005, 2.5e-4, 16, theta=theta)
+    assert [order(sizes, e) for e in errors.T] == pytest.approx([1, 1, 1], abs=0.2)
+
+
+# ---- sliding, then rolling -----------------------------------------------------------------------
+@pytest.mark.parametrize(("k", "part"), [(0.4, 2 / 7), (0.5, 1 / 3)])
+def test_a_ball_and_a_disc_roll_from_their_known_times_on(k, part):
+    scene = SlidingRolling(k=k)
+    rolls = part * 2.0 / (0.2 * 9.81)
+    reference = Reference(scene, 1.0)
+    assert reference.events == pytest.approx(np.array([[rolls, 1]]), abs=1e-13)
+    speed = 2.0 / (1 + k)
+    assert speed == pytest.approx({0.4: 10 / 7, 0.5: 4 / 3}[k], abs=1e-14)
+    assert reference(np.array([1.0]))["v"][0] == pytest.approx([speed, 0, 10 * speed], abs=1e-12)
+    for h in (0.01, 0.001):
+        found = run(MoreauJean(), scene, Steps(h))
+        slip = found.v[:, 0] - 0.1 * found.v[:, 2]
+        first = found.t[np.argmax(np.abs(slip) < 1e-9)]
+        assert rolls - 1e-12 <= first <= rolls + h
+        assert found.v[-1] == pytest.approx([speed, 0, 10 * speed], abs=1e-6)
+        assert not len(found.phase)
+        assert event_errors(found, reference) == {}
