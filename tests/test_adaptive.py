@@ -257,12 +257,11 @@ def test_new_tolerances_and_schemes_compile_nothing():
     scene = Pendulum()
     first = GeneralizedAlphaAdaptive().prepare(scene, 3.0, Tolerances(1e-3))
     assert first.measure().status == "ok"
-    compilations = first.kernel.compiled._cache_size()
     for rho_inf, rtol, t_end in ((0.3, 1e-5, 3.0), (0.9, 1e-4, 2.0)):
         run = GeneralizedAlphaAdaptive(rho_inf=rho_inf).prepare(scene, t_end, Tolerances(rtol))
         assert run.kernel is first.kernel
         run.measure()
-    assert first.kernel.compiled._cache_size() == compilations
+    assert first.kernel.compiled._cache_size() == 1
 
 
 def test_the_accelerations_scale_is_their_largest_value_so_far():

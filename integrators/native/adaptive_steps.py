@@ -65,7 +65,8 @@ class AdaptiveRun(LoopRun):
         t0 = scene.interval[0]
         self._span = Span(t0, float(t_end), resolution.rtol, resolution.atol, max_steps)
         super().__init__(kernel, program, numbers, noted, scene, self._span)
-        self.end_only = jnp.full(self._slots, EVERY_STEP), jnp.asarray(1)
+        # Of the types that `measure` gives: others would be compiled again.
+        self.end_only = jnp.asarray(np.full(self._slots, EVERY_STEP)), jnp.asarray(1)
         # A loop over no time compiles the kernel and costs nothing else.
         nothing = self.kernel.form.pack(*self._parts, self._span._replace(t_end=t0))
         jax.block_until_ready(self.kernel(nothing, *self.end_only))
@@ -74,7 +75,7 @@ class AdaptiveRun(LoopRun):
         width, windows, last, end = width_of(self._scene.sizes), [], np.zeros(0), np.zeros(0)
         first, times, full = 1, EVERY_STEP, True
         while full:  # each call begins at the start again, and keeps the next rows
-            wanted = jnp.arange(first, first + self._slots), jnp.asarray(times)
+            wanted = jnp.asarray(np.arange(first, first + self._slots)), jnp.asarray(times)
             window, last, end = map(np.asarray, self.kernel(self.arguments, *wanted))
             before, times = times, row_times(int(end[2]), width)
             if times == before:

@@ -63,6 +63,9 @@ class MujocoScene(MechatronicSystem):
     def mass(self, q: Array) -> Array:
         return self.model.mass(q)
 
+    def mass_product(self, q: Array, a: Array) -> Array:
+        return self.model.mass_product(q, a)
+
     def force(self, q: Array, v: Array, t: Array) -> Array:
         model = self.model
         control = jnp.array([getattr(self, name) for name in self.controls])

@@ -136,6 +136,7 @@ def compare(model: Model, q: Float[np.ndarray, " nq"]) -> None:
     def ours(q: Array, v: Array) -> dict[str, Array]:
         return {
             "mass matrix": model.mass(q),
+            "products of it": model.mass_product(q, v),
             "forces": model.passive(q, v) - model.tree.bias(q, v),
             "forces of actuators": model.actuators(q, v, control),
             "equalities": model.equalities(q),
@@ -151,6 +152,7 @@ def compare(model: Model, q: Float[np.ndarray, " nq"]) -> None:
         largest = max(np.abs([forces, data.qfrc_actuator]).max(), 1e-300)
         theirs = {
             "mass matrix": (mass, np.abs(mass).max()),
+            "products of it": (mass @ data.qvel, np.abs(mass).max()),
             "forces": (forces, largest),
             "forces of actuators": (data.qfrc_actuator, largest),
             "equalities": (data.efc_pos, 1.0),

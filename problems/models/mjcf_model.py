@@ -32,6 +32,10 @@ class Model:
         """Return M(q) with the armatures."""
         return self.tree.mass_matrix(q) + np.diag(self.m.dof_armature)
 
+    def mass_product(self, q: Array, a: Array) -> Float[Array, " nv"]:
+        """Return M(q) a with the armatures, with fewer operations."""
+        return self.tree.mass_product(q, a) + self.m.dof_armature * a
+
     def moved(
         self, q: Array, w: Array, turn: Callable[[Array, Array], Array]
     ) -> Float[Array, " nq"]:

@@ -181,6 +181,26 @@ class Tree:
         lower = upper * products
         return lower + (1 - np.eye(self.nv)) * lower.T
 
+    def mass_product(
+        self, q: Float[Array, " nq"], a: Float[Array, " nv"]
+    ) -> Float[Array, " nv"]:
+        """Return M(q) a, in N (or N m), with fewer operations than by M."""
+        at = self.poses(q)
+        centres, inertias = self._bodies(at)
+        above = self._above[:, self._of]
+        angular = above @ (a[:, None] * at.turning)
+        rise = above @ (a[:, None] * at.moving) + jnp.cross(angular, centres)
+        spin = jnp.einsum("nij,nj->ni", inertias, angular)
+        return self._on_joints(at, centres, self.mass[:, None] * rise, spin)
+
+    def _on_joints(self, at: Poses, centres: Array, force: Array, spin: Array) -> Array:
+        """The forces of joints ``(nv,)`` that balance forces at the centres, and moments about
+        them: ``(n, 3)`` each."""
+        hanging = self._above.T[self._of]
+        moment = spin + jnp.cross(centres, force)
+        total = at.moving * (hanging @ force) + at.turning * (hanging @ moment)
+        return total.sum(axis=1)
+
     def bias(self, q: Float[Array, " nq"], v: Float[Array, " nv"]) -> Float[Array, " nv"]:
         """Return the gyroscopic forces and weights, in N (or N m), on the side of M a."""
         at = self.poses(q)
@@ -197,15 +217,9 @@ class Tree:
         rise = linear + jnp.cross(angular, centres) + jnp.cross(w, speed)
         weight = (1 - self.weightless)[:, None] * self.gravity
         force = self.mass[:, None] * (rise - weight)
-        spin = jnp.einsum("nij,nj->ni", inertias, w)
-        torque = (
-            jnp.einsum("nij,nj->ni", inertias, angular)
-            + jnp.cross(w, spin)
-            + jnp.cross(centres, force)
-        )
-        hanging = self._above.T[self._of]
-        total = at.moving * (hanging @ force) + at.turning * (hanging @ torque)
-        return total.sum(axis=1)
+        turning = jnp.einsum("nij,nj->ni", inertias, w)
+        spin = jnp.einsum("nij,nj->ni", inertias, angular) + jnp.cross(w, turning)
+        return self._on_joints(at, centres, force, spin)
 
     def centres(self, q: Float[Array, " nq"]) -> Float[Array, "n 3"]:
         """Return the centres of mass, in m."""
