@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from bench.plugins.registry import SUFFIXES
 from bench.results.demands import demand
 from bench.results.store import Store
 from bench.running.inventory import Inventory
+from bench.running.plan import Cell
 from bench.running.race import Race
 from bench.running.rating import Candidate, Search
 from bench.running.runner import Runner
@@ -31,8 +33,8 @@ from problems.whole_files import put
 
 #: File of a recommendation in its folder.
 FILE = "recommendation.json"
-#: Parts of the budget after which the search, and that for the next digit, end.
-_SEARCH, _NEXT = 0.8, 0.95
+#: Parts of the budget after which the search, that for the next digit, and timing end, by the cost.
+_PARTS = {"seconds": (0.55, 0.65, 0.95), "operations": (0.75, 0.85, 0.95)}
 
 
 @click.command("recommend")
@@ -101,16 +103,16 @@ def recommend_(
     methods = dict.fromkeys(cell.integrator for cell in suite.cells.values())
     candidates = [Candidate(scene, registry.integrator(m), end, demands) for m in methods]
     margin = SPREAD if cost == "seconds" else TIE
-    race = Race(_in_turns(candidates), margin, start + _SEARCH * budget)
+    search_end, next_end, over = (start + part * budget for part in _PARTS[cost])
+    race = Race(_in_turns(candidates), margin, search_end)
     verdict, told = Verdict(race, cost), None
     from bench.commands.terminal import RunProgress, show
 
-    # Processes are ended with all that they do when the time is over.
-    over = start + _NEXT * budget
+    until = next_end  # processes are ended with all that they do then
     with (
         RunProgress(lines=False) as progress,
         Runner(
-            jobs, Limits(budget / 4, suite.memory_gib), progress, lambda: time.monotonic() < over
+            jobs, Limits(budget / 4, suite.memory_gib), progress, lambda: time.monotonic() < until
         ) as runner,
         Store(out, create=True, fresh=fresh) as store,
     ):
@@ -128,14 +130,25 @@ def recommend_(
                     progress.note(f"{time.monotonic() - start:.0f} s: {verdict.first}")
                 told = order[0]
 
-        search.run(race.next, tell)
-        runner.end_workers()
+        runner.draft = True
         harder = demand(f"{demands[0].text.rpartition(':')[0]}:{demands[0].limit / 10:g}")
-        for candidate in verdict.order[:MOST_ASKED]:
-            candidate.demands = [*demands, harder]
-        if asked := verdict.order[:MOST_ASKED]:
-            search.run(Race(asked, math.inf, over).next)
-            runner.end_workers()
+        asked: list[Candidate] = []
+
+        def choose() -> list[Cell]:
+            """Runs of the race, and then of its winners for the next digit."""
+            if cells := race.next():
+                return cells
+            if not asked:
+                asked.extend(verdict.order[:MOST_ASKED])
+                for candidate in asked:
+                    candidate.demands = [*demands, harder]
+            return Race(asked, math.inf, next_end).next() if asked else []
+
+        runner.draft = True
+        search.run(choose, tell)
+        runner.end_workers()
+        runner.draft, until = False, over
+        if asked:
             verdict.harder = harder
             tied = [r for c in verdict.order[:MOST_TIMED] if (r := c.best(demands[0]))]
             search.take_times(tied)
@@ -186,11 +199,16 @@ def _methods(registry: Inventory, scene: SceneFacts) -> list[str]:
 
 
 def _in_turns(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Order candidates: one of each family before the second of any, high orders first."""
-    seen: dict[str, int] = {}
+    """Order candidates: high orders first, but one of each family before the second of any."""
+
+    def order(c: Candidate) -> float:
+        """The highest order; a method that chooses its order as it goes may reach five."""
+        return max(c.method.orders.values(), default=2 if c.method.controls == "step" else 5)
+
+    strongest = sorted(candidates, key=order, reverse=True)
+    turns: Counter[str] = Counter()
     keys = []
-    for k, c in enumerate(candidates):
-        turn = seen[c.method.family] = seen.get(c.method.family, -1) + 1
-        # A method that chooses its order as it goes may reach five.
-        keys.append((turn, -max(c.method.orders.values(), default=5), k))
-    return [candidates[k] for *_, k in sorted(keys)]
+    for k, c in enumerate(strongest):
+        keys.append((turns[c.method.family], k))
+        turns[c.method.family] += 1
+    return [strongest[k] for _, k in sorted(keys)]

@@ -16,7 +16,7 @@ from bench.running.plan import Cell, Suite
 from bench.running.profiles import FIGURES
 from bench.running.runner import Runner
 from bench.running.search import Sizes
-from bench.running.session import measure_suite, time_suite
+from bench.running.session import measure_suite, missing_cells, time_suite
 
 
 @dataclass
@@ -102,33 +102,42 @@ class Search:
 
     def run(
         self,
-        next_cells: Callable[[], list[Cell]] | None = None,
-        after_round: Callable[[], None] = lambda: None,
+        choose: Callable[[], list[Cell]] | None = None,
+        after_run: Callable[[], None] = lambda: None,
     ) -> None:
         """Search until no cells are left to run.
 
         Parameters
         ----------
-        next_cells
-            Chooses the cells to be run next (see `bench.running.race.Race`); by default the next
-            one of each candidate.
-        after_round
+        choose
+            Chooses the cells that are worth a run now, the best first (see
+            `bench.running.race.Race`); by default the next one of each candidate.
+        after_run
             Called when candidates have got new runs.
         """
 
         def of_all() -> list[Cell]:
             return [cell for c in self.candidates if (cell := c.next())]
 
-        while cells := (next_cells or of_all)():
-            measure_suite(self._restricted(cells), self.store, self.registry, self.runner)
+        def further() -> list[Cell]:
             self._take()
-            after_round()
+            after_run()
+            while cells := (choose or of_all)():
+                suite = self._restricted(cells)
+                if missing := missing_cells(suite, self.store, self.registry):
+                    self.store.save_plan(suite.plan)
+                    return missing
+                self._take()
+            return []
+
+        measure_suite(self._restricted(()), self.store, self.registry, self.runner, further)
+        self._take()
 
     def take_times(self, runs: Iterable[Record]) -> None:
         """Take the times of runs, and of no others."""
-        timed = {run.key for run in runs}
-        cells = (cell for c in self.candidates for cell in c.cells.values() if cell.key in timed)
-        time_suite(self._restricted(cells), self.store, self.registry, self.runner)
+        cells = {cell.key: cell for c in self.candidates for cell in c.cells.values()}
+        suite = self._restricted(cells[run.key] for run in runs)
+        time_suite(suite, self.store, self.registry, self.runner)
         self._take()
 
     def _take(self) -> None:

@@ -41,6 +41,8 @@ class Task:
     sources
         Plugins from outside that it needs. Workers load nothing else, so that no plugin can
         change the numbers of others.
+    programs
+        Names the compiled programs that it needs; tasks of the same programs share them.
     """
 
     job: Callable[..., Any]
@@ -48,11 +50,14 @@ class Task:
     label: str = ""
     scene: str | None = None
     sources: Sources = frozenset()
+    programs: str = ""
 
 
-def measure_task(cell: Cell, sources: Sources, errors: bool = True) -> Task:
+def measure_task(
+    cell: Cell, sources: Sources, errors: bool = True, programs: str = ""
+) -> Task:
     """Make the task that measures a cell; its answer is a `CellResult`."""
-    return Task(Worker.measure, (cell, errors), cell.key, cell.problem, sources)
+    return Task(Worker.measure, (cell, errors), cell.key, cell.problem, sources, programs)
 
 
 def time_task(cell: Cell, sources: Sources) -> Task:
@@ -66,14 +71,15 @@ def scene_task(problem: str, t_end: float, sources: Sources) -> Task:
 
 
 class _WorkerProcess(GuardedProcess):
-    """A worker process with the task in work, the rest of its group, and the scenes it has had."""
+    """A worker process with the task in work, the rest of its group, and the scenes and programs
+    that it has had."""
 
-    def __init__(self, sources: Sources, limits: Limits) -> None:
-        super().__init__(start_worker, (sources,), limits)
+    def __init__(self, sources: Sources, limits: Limits, draft: bool) -> None:
+        super().__init__(start_worker, (sources, False, draft), limits)
         self.sources = sources
         self.group: deque[Task] = deque()
         self.task: Task | None = None
-        self.scenes: set[str | None] = set()
+        self.had: set[tuple] = set()
 
     @property
     def busy(self) -> bool:
@@ -93,7 +99,14 @@ class Runner:
         Told which task is in work, and what tasks print.
     wanted
         Whether anybody waits for the answers still; else ``run`` ends.
+
+    Attributes
+    ----------
+    draft
+        Whether new processes compile without optimisation: sooner, for runs that are not timed.
     """
+
+    draft = False
 
     def __init__(
         self,
@@ -122,14 +135,33 @@ class Runner:
 
     def run(self, groups: Iterable[list[Task]]) -> Iterator[tuple[Task, Any]]:
         """Yield every task with its answer, or NoAnswer, as they finish; a group stays together."""
+        return self.run_offered(groups, list)
+
+    def run_offered(
+        self, groups: Iterable[list[Task]], offers: Callable[[], list[list[Task]]]
+    ) -> Iterator[tuple[Task, Any]]:
+        """Yield the tasks of some groups with their answers, and then of those that are offered.
+
+        ``offers`` is called whenever a process is free, and gives all groups that are worth their
+        work now, the best first. Those that are not begun are forgotten.
+        """
         queue = deque(deque(group) for group in groups if group)
-        while (queue or self._busy()) and self._wanted():
+        while self._wanted():
             self._feed(queue)
+            if not queue and self._busy() < self._jobs:
+                self._feed(deque(map(deque, offers())))
+            if not self._busy():
+                return
             wait_for_any(worker for worker in self.workers if worker.task)
             for worker in list(self.workers):
                 task = worker.task
                 if task and (answer := self._take(worker)) is not None:
                     yield task, answer
+
+    @property
+    def begun(self) -> set[str]:
+        """Labels of the tasks that processes have begun, or will do next."""
+        return {task.label for w in self.workers for task in (w.task, *w.group) if task}
 
     def time(
         self, tasks: list[Task], samples: int, have: Mapping[str, Mapping[int, float]]
@@ -150,6 +182,8 @@ class Runner:
                 key = task.label
                 if number in have.get(key, ()) or spent[key] > TIMING_SECONDS:
                     continue
+                if not self._wanted():
+                    return
                 worker = self._timekeeper(task)
                 answer = worker.ask(task.job, *task.arguments)
                 failed = isinstance(answer, NoAnswer)
@@ -168,7 +202,7 @@ class Runner:
         for worker in idle[: max(0, len(idle) - _MOST_IDLE + 1)]:
             worker.end()
             self.workers.remove(worker)
-        worker = _WorkerProcess(sources, self._limits)
+        worker = _WorkerProcess(sources, self._limits, self.draft)
         self.workers.append(worker)
         return worker
 
@@ -201,17 +235,21 @@ class Runner:
         self.progress.working(words if phase in (REFERENCE, WAITING) else label)
 
     def _next(self, queue: deque[deque[Task]], worker: _WorkerProcess) -> deque[Task]:
-        """The first group of a scene that the worker has had, else of one that no other has: else
-        it would compile the scene's functions again, and may wait for its reference."""
-        others = set().union(*(w.scenes for w in self.workers if w is not worker))
+        """The first group whose programs, or else whose scene, the worker has had, else one that
+        no other has: else it would compile them again, and may wait for the scene's reference."""
+        others = set().union(*(w.had for w in self.workers if w is not worker))
         fit = [k for k, group in enumerate(queue) if group[0].sources == worker.sources]
         if not fit:
             return deque()
-        scenes = [group[0].scene for group in queue]
-        best = min(fit, key=lambda k: (scenes[k] not in worker.scenes, scenes[k] in others))
+
+        def strangeness(k: int) -> list[bool]:
+            needs = _needs(queue[k][0])
+            return [known for need in needs for known in (need not in worker.had, need in others)]
+
+        best = min(fit, key=strangeness)
         group = queue[best]
         del queue[best]
-        worker.scenes.add(scenes[best])
+        worker.had.update(_needs(group[0]))
         return group
 
     def _busy(self) -> int:
@@ -241,3 +279,8 @@ class Runner:
             self.workers.remove(worker)
             if worker.group:
                 self._spawn(worker.sources).group = worker.group
+
+
+def _needs(task: Task) -> list[tuple]:
+    """The programs and the scene of a task."""
+    return [(task.scene, task.programs), (task.scene,)]

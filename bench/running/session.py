@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from bench.guard.limits import Limits
 from bench.guard.process import NoAnswer
@@ -62,16 +62,27 @@ def missing_scenes(suite: Suite, store: Store, registry: Inventory) -> list[tupl
     return sorted(filter(is_missing, {(s.problem, s.t_end) for s in suite.plan.studies}))
 
 
-def measure_suite(suite: Suite, store: Store, registry: Inventory, runner: Runner) -> int:
+def measure_suite(
+    suite: Suite,
+    store: Store,
+    registry: Inventory,
+    runner: Runner,
+    further: Callable[[], list[Cell]] | None = None,
+) -> int:
     """Measure every cell and describe every scene that the store lacks; return how many cells.
 
     Each result is stored before the next is asked for; calling again goes on where it stopped.
+
+    Parameters
+    ----------
+    further
+        Called whenever a process is free, gives all cells that are worth a run now, the best first.
     """
     cells, scenes = missing_cells(suite, store, registry), missing_scenes(suite, store, registry)
     store.save_plan(suite.plan)
     store.forget_spoilt_samples()
     number = 0
-    if cells or _samples_due(suite, store.records()):
+    if cells or further or _samples_due(suite, store.records()):
         number = store.save_environment(environment())
 
     def keep(cell: Cell, answer: CellResult | NoAnswer) -> None:
@@ -81,15 +92,21 @@ def measure_suite(suite: Suite, store: Store, registry: Inventory, runner: Runne
         store.save(record, rows)
         runner.progress.found(_in_words(record))
 
-    sound, count = [], len(cells)
-    for cell in cells:
-        if fault := registry.prospect(cell.problem).fault:  # each run would hang or die, too
-            keep(cell, NoAnswer(status="crashed", message=fault))
-        else:
-            sound.append(cell)
-    cells = sound
+    def sound(cells: list[Cell]) -> list[Cell]:
+        """Those that are worth a try; others would hang or die, too."""
+        for cell in cells:
+            if fault := registry.prospect(cell.problem).fault:
+                keep(cell, NoAnswer(status="crashed", message=fault))
+        return [cell for cell in cells if not registry.prospect(cell.problem).fault]
+
+    def offers() -> list[list[Task]]:
+        begun = runner.begun
+        cells = [cell for cell in further() if cell.key not in begun] if further else []
+        return _groups(sound(cells), [], registry)
+
+    count, cells = len(cells), sound(cells)
     scenes = [scene for scene in scenes if not registry.prospect(scene[0]).fault]
-    if cells or scenes:
+    if cells or scenes or further:
         groups = _groups(cells, scenes, registry)
         # So that no worker is left alone with the longest group in the end.
         groups.sort(key=lambda group: registry.prospect(group[0].scene or "").weight, reverse=True)
@@ -97,7 +114,8 @@ def measure_suite(suite: Suite, store: Store, registry: Inventory, runner: Runne
         counted = Worker.measure if cells else Worker.scene
         progress = runner.progress
         progress.phase("measuring" if cells else "describing scenes", len(cells) or len(scenes))
-        for task, answer in runner.run(groups):
+        answers = runner.run_offered(groups, offers) if further else runner.run(groups)
+        for task, answer in answers:
             if task.job is Worker.scene:
                 if record := _described(task, answer, progress):
                     record.budget_s, record.memory_gib = suite.plan.budget_s, suite.memory_gib
@@ -232,6 +250,7 @@ def _groups(
         groups[problem, t_end] = [scene_task(problem, t_end, registry.problem(problem).sources)]
     for cell in cells:
         sources = cell.sources(registry)
-        key = cell.problem, registry.integrator(cell.integrator).affinity, sources
-        groups.setdefault(key, []).append(measure_task(cell, sources))
+        programs = registry.integrator(cell.integrator).affinity
+        task = measure_task(cell, sources, programs=programs)
+        groups.setdefault((cell.problem, programs, sources), []).append(task)
     return list(groups.values())
