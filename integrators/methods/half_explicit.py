@@ -7,9 +7,10 @@ resolve the fastest vibration.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
 
 from integrators.contract import WIDER, option
 from integrators.native.own_values import EndMethod, EndState, FreeSteps, moved_onto_constraints
@@ -144,10 +145,20 @@ _B_EMBEDDED = (
 )  # fmt: skip
 
 
-def _change(h: Time, weights: Sequence[float], rates: Sequence[Array]) -> Array:
-    """Return h sum of weights times rates; a weight may stand for a rate to come."""
-    pairs = zip(weights, rates, strict=False)
-    return h * sum((w * rate for w, rate in pairs if w), 0.0 * rates[0])
+_STAGES = 7
+#: Stages 2 to 7: number, and rows of weights with their places.
+_ROWS = (
+    np.arange(1, _STAGES),
+    np.array([(*row, *[0.0] * (_STAGES - len(row))) for row in (*_A, _B)]),
+    np.array((*_C, 1.0)),
+    np.array([(*row, *[0.0] * (_STAGES - len(row))) for row in _A_AHEAD]),
+    np.array(_C_AHEAD),
+)
+
+
+def _change(h: Time, weights: Any, rates: Array) -> Array:
+    """Return h sum of weights times rates."""
+    return h * sum((w * rate for w, rate in zip(weights, rates, strict=True)), 0.0 * rates[0])
 
 
 def _projected(scene: MechatronicSystem, z: Variables, w: Array, work: StepWork) -> Array:
@@ -219,26 +230,31 @@ class PHEM56(FreeSteps, HalfExplicit):
     def step(
         self, scene: MechatronicSystem, state: EndState, t: Time, h: Time, work: StepWork
     ) -> EndState:
-        z, xdot, t0 = state.z, state.xdot, t - h
-        q, v, x = z.q, z.v, z.x
-        of_q, of_v, of_x = [q_rate(scene, q, v)], [z.a], [xdot]
-        for a, c, ahead, c_ahead in zip((*_A, _B), (*_C, 1.0), _A_AHEAD, _C_AHEAD, strict=True):
+        now, t0 = state.z, t - h
+
+        def one(so_far: tuple, row: Any) -> tuple[tuple, None]:
+            """A stage, from the one before and the rates of all."""
+            z, _, of_q, of_v, of_x = so_far
+            k, a, c, ahead, c_ahead = row
             z = z._replace(
-                q=q + _change(h, a, of_q),
-                v=v + _change(h, a, of_v),
-                x=x + _change(h, a, of_x),
+                q=now.q + _change(h, a, of_q),
+                v=now.v + _change(h, a, of_v),
+                x=now.x + _change(h, a, of_x),
                 t=t0 + c * h,
             )
-            of_q.append(q_rate(scene, z.q, z.v))
+            of_q = of_q.at[k].set(q_rate(scene, z.q, z.v))
             there = Ahead(
-                q + _change(h, ahead, of_q),
-                v + _change(h, ahead, of_v),
-                h * ahead[-1],
+                now.q + _change(h, ahead, of_q),
+                now.v + _change(h, ahead, of_v),
+                h * ahead[k],
                 t0 + c_ahead * h,
             )
             z, xdot = stage(scene, z, there, work)
-            of_v.append(z.a)
-            of_x.append(xdot)
+            return (z, xdot, of_q, of_v.at[k].set(z.a), of_x.at[k].set(xdot)), None
+
+        first = q_rate(scene, now.q, now.v), now.a, state.xdot
+        rates = (jnp.zeros((_STAGES, *rate.shape)).at[0].set(rate) for rate in first)
+        (z, xdot, of_q, of_v, of_x), _ = work.scan(one, (now, state.xdot, *rates), _ROWS)
         z = z._replace(t=t)
         if self.projection == "positions" and scene.sizes.nl:
             z = moved_onto_constraints(scene, z, work)

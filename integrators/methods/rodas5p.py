@@ -18,8 +18,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
+
+import numpy as np
 
 from integrators.contract import option
 from integrators.native import small_matrices
@@ -37,7 +38,7 @@ from problems import formulations
 from problems.constraints import constraint_acceleration, constraint_velocity, pulled
 from problems.dependence import output_takes
 from problems.kinematics import advance
-from problems.layouts import stage_layout
+from problems.layouts import Layout, stage_layout
 from problems.runtime import Array, jax, jnp
 from problems.system import MechatronicSystem
 from problems.variables import Variables
@@ -86,6 +87,19 @@ _OF_TIME = (
     0.21193756319429014, -0.42387512638858027, -0.3384627126235924, 1.8046452872882734,
     2.325825639765069, 0.0, 0.0, 0.0,
 )  # fmt: skip
+
+
+def _filled(rows: Sequence[Sequence[float]]) -> np.ndarray:
+    """Rows of weights with zeros for the stages to come."""
+    return np.array([(*row, *[0.0] * (len(_PLACES) - len(row))) for row in rows])
+
+
+#: Stages 2 to 8: number, rows of weights, place and weight of the derivative by time.
+_ROWS = (
+    np.arange(1, len(_PLACES)), _filled(_A[1:-1]), _filled(_C_OVER_H[1:]), np.array(_PLACES[1:]),
+    np.array(_OF_TIME[1:]),
+)  # fmt: skip
+_END = _filled(_A[-1:])[0]
 
 
 @dataclass(frozen=True)
@@ -139,6 +153,15 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
         z, g = state.z._replace(t=t - h), _GAMMA * h
         layout = stage_layout(scene.sizes)
         still = jnp.zeros(scene.sizes.nx)
+        n = scene.sizes
+        groups = Layout(q=n.nv, v=n.nv, a=n.nv, lam=n.nl, x=n.nx, y=n.ny)
+
+        def named(change: Array) -> Variables:
+            return Variables(*groups.split(change), 0.0 * t)
+
+        def summed(weights: Array, changes: Array) -> Variables:
+            """The sum of weights times changes, which are rows."""
+            return named(sum(w * row for w, row in zip(weights, changes, strict=True)))
 
         def rows(z: Variables, rate: Array) -> Array:
             """Residuals of a, lam, the rate of x, and y."""
@@ -155,35 +178,40 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
 
         solution = work.factorised(moved, jnp.zeros(layout.size))
         residual, along, _ = small_matrices.linearised(lambda z: rows(z, still), z)
-        changes: list[Variables] = []
 
-        def ahead(s: int, t: Time, changes: list[Variables]) -> Variables:
+        def ahead(weights: Array, t: Time, changes: Array) -> Variables:
             """The values at the place of a stage."""
-            parts = (w * change.q for w, change in zip(_A[s], changes, strict=True))
-            return _plus(z, _A[s], changes)._replace(q=advance(scene, z.q, *parts), t=t)
+            change = summed(weights, changes)
+            there = jax.tree.map(jnp.add, z, change)
+            return there._replace(q=advance(scene, z.q, change.q), t=t)
 
-        def begun(s: int, changes: list[Variables]) -> tuple[Variables, Array]:
-            """The changes of a stage as far as they are known, and the residual that is left."""
-            there = ahead(s, z.t + _PLACES[s] * h, changes)
-            weights = [c / h for c in _C_OVER_H[s]]
-            known = _plus(jax.tree.map(jnp.zeros_like, z), weights, changes)
+        def solved(base: Variables, r: Array) -> Array:
+            """The changes of a stage, from those that are known and the residual that is left."""
+            a, lam, _, rate, y = layout.split(-solution(r + along(base)))
+            q, v = base.q + g**2 * a, base.v + g * a
+            return jnp.concatenate([q, v, a, lam, base.x + g * rate, y])
+
+        def one(changes: Array, row: Any) -> tuple[Array, None]:
+            """A stage, from the changes of those before."""
+            s, weights, over_h, place, of_time = row
+            there = ahead(weights, z.t + place * h, changes)
+            known = summed(over_h / h, changes)
             v = g * (there.a + known.v)
             base = Variables(
                 g * (there.v + known.q + v), v, 0.0 * z.a, 0.0 * z.lam, g * known.x, 0.0 * z.y,
-                _OF_TIME[s] * h,
+                of_time * h,
             )  # fmt: skip
-            return base, (rows(there, still) if s else residual) + along(base)
+            return changes.at[s].set(solved(base, rows(there, still))), None
 
-        for s in range(len(_PLACES)):
-            # Each by itself: XLA would compute what a stage hands on anew for all that follow.
-            stage = partial(begun, s)
-            base, r = small_matrices.unfused(stage, changes) if s else stage(changes)
-            a, lam, _, rate, y = layout.split(-solution(r))
-            changes.append(
-                Variables(base.q + g**2 * a, base.v + g * a, a, lam, base.x + g * rate, y, 0.0 * t)
-            )
+        v = g * z.a
+        base = Variables(
+            g * (z.v + v), v, 0.0 * z.a, 0.0 * z.lam, 0.0 * z.x, 0.0 * z.y, _OF_TIME[0] * h
+        )
+        first = solved(base, residual)
+        changes = jnp.zeros((len(_PLACES), len(first))).at[0].set(first)
+        changes, _ = work.scan(one, changes, _ROWS)
         work.count(residuals=len(_PLACES))
-        end, last = ahead(-1, t, changes), changes[-1]
+        end, last = ahead(_END, t, changes), named(changes[-1])
         if self.projects(scene):
             end = moved_onto_constraints(scene, end, work)
         xdot = scene.state_rate(end) if scene.sizes.nx else still
@@ -200,10 +228,3 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
             row = row + 2 * rates.alpha * constraint_velocity(scene, z.q, z.v, z.t)
             row = pulled(scene, row, rates.beta**2, z.q, z.t)
         return row
-
-
-def _plus(z: Variables, weights: Sequence, changes: list[Variables]) -> Variables:
-    """z + sum of weights times changes."""
-    for weight, change in zip(weights, changes, strict=True):
-        z = jax.tree.map(lambda a, b, w=weight: a + w * b, z, change)
-    return z
