@@ -189,7 +189,7 @@ class _Counter(Follower[int]):
         self._steps: list[_Counted] = []
         self._seen: dict[Any, int] = {}
         #: Turns of the loops that are being followed, or their names; None if nobody knows them.
-        self._turns: tuple[int | str | None, ...] = ()
+        self._turns: tuple[float | str | None, ...] = ()
         #: Names of the loops and branches whose turns a run counts, and how many have each.
         self.names: dict[str, int] = defaultdict(int)
 
@@ -231,17 +231,20 @@ class _Counter(Follower[int]):
     def _branch(
         self, step: Step, given: list[int], values: dict[int, int], scope: str
     ) -> list[int]:
-        """The results of the dearest branch; of all, if a run counts their turns."""
+        """The results of the dearest of two branches; of all, if a run counts their turns, or if
+        they are more, which are taken one after the other, by the number of a stage."""
         outside, name = self._turns, self._new_turns(scope)
-        self._turns = (*outside, name) if name else outside
+        turns = name or (1 / len(step.bodies) if len(step.bodies) > 2 else "")
+        self._turns = (*outside, turns) if turns else outside
         found: list[tuple[float, list[int]]] = []
+        seen = self._seen
         for body in step.bodies:
-            first = len(self._steps)
+            first, self._seen = len(self._steps), seen.copy()  # each computes all that it needs
             results = self.run(body, [], values, scope)
             size = sum(cost.operations for cost in self.total(results, first))
             found.append((size, results))
-        self._turns = outside
-        taken = found if name else [max(found, key=lambda one: one[0])]
+        self._turns, self._seen = outside, seen
+        taken = found if turns else [max(found, key=lambda one: one[0])]
         rows = (results for _, results in taken)
         return [self.new([*given, *some]) for some in zip(*rows, strict=True)]
 
@@ -273,7 +276,7 @@ class _Counter(Follower[int]):
         self.names[name] += 1
         return name
 
-    def _cost(self, step: Step, scope: str, loops: tuple[int | str | None, ...]) -> Cost | None:
+    def _cost(self, step: Step, scope: str, loops: tuple[float | str | None, ...]) -> Cost | None:
         """Operations of a step in loops; None if there are none."""
         # JAX 0.12 drops the name of equations within a custom root, but not that of its loop.
         outside, equations, within = scope.partition(EQUATIONS if EQUATIONS in scope else INDEX1)

@@ -167,19 +167,13 @@ def phem56_by_hand(work: Any, scene: MechatronicSystem) -> float:
     """Six stages, each with linear equations for a and lam; Dormand & Prince's row 7 is the end."""
     p, alpha = PendulumByHand, AlphaByHand
 
-    def sums(weights: int, number: int) -> int:
-        # h sum w r + q of two entries: a product and a sum for each w but zeros, begun at 0 r.
-        return 2 * (2 * weights + 2 * number + 1)
-
-    # Places of stages 2, 4, 5 and 6; 3 and 7 are at the points ahead of 2 and 6, of which 6 leave
-    # out b_2 = 0.
-    of_q = sums((1 + 3 + 4 + 5) + (2 + 3 + 4 + 5 + 5 + 7), 4 + 6)
-    # As many places as points, before the stage's own a. The first term of stage 3's place is that
-    # of point 2, and four terms of the end are those of point 6.
-    of_v = sums((1 + 2 + 3 + 4 + 5 + 5) + (1 + 2 + 3 + 4 + 4 + 6) - (1 + 4), 6 + 6)
-    # M and g have the same entries in all stages; v + A h a is in the rate of Phi, per A h.
-    residual = (p.dynamics - p.mass - p.force) + 4 + p.velocity + 1
+    # h sum w r + q and v, four entries: a product and a sum for each w but zeros, begun at 0 r.
+    of_places = 4 * (2 * (1 + 2 + 3 + 4 + 5 + 5) + 6 * 3)
+    of_points = 4 * (2 * (2 + 3 + 4 + 5 + 5 + 7) + 6 * 3)
+    # All stages are turns of a loop; v + A h a is in the rate of Phi, per A h.
+    residual = p.dynamics + 4 + p.velocity + 1
     # M a, the pull of a unit, which needs no half, their sum, A h a, and the rate of Phi.
     column = p.product + (2 + 2) + 2 + 2 + p.velocity + 1
-    stage = 1 + residual + 3 * column + alpha.factorisation + alpha.solve + 3
-    return work.steps * (CLOCK + p.mass + p.force + of_q + of_v + 6 * stage)
+    clock = 2 + 1  # the place, and A h
+    stage = clock + residual + 3 * column + alpha.factorisation + alpha.solve + 3
+    return work.steps * (CLOCK + of_places + of_points + 6 * stage)

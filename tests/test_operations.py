@@ -40,7 +40,7 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha, Newmark
 from integrators.methods.kr_alpha import KRAlpha
 from integrators.methods.lobatto_iiia_iiib import LobattoPair
 from integrators.methods.rodas5p import Rodas5P
-from integrators.native import constant_steps
+from integrators.native import constant_steps, small_matrices
 from integrators.native.kernel import Form, loop_costs
 from integrators.native.step_program import _at_rest
 from integrators.program_costs import NotCounted, costs_of, dense, sparse
@@ -383,3 +383,18 @@ def test_every_scene_has_operations_that_are_known(name):
     rate = sorted_out(ode.packed_rate(scene.template()).costs)
     assert rate.algebra + rate.algebra_per_turn > 0
     assert bool(rate.algebra_per_turn) == bool(scene.sizes.ny or scene.has("coupled_force"))
+
+
+def test_branches_by_the_number_of_a_stage_are_taken_one_after_the_other():
+    rows = ((2.0,), (2.0, 3.0), (0.0, 5.0, 7.0))
+
+    def stages(values):
+        def one(total, k):
+            return total + small_matrices.weighted(rows, k, values), None
+
+        return jax.lax.scan(one, jnp.zeros(4), jnp.arange(3))[0]
+
+    values = jnp.arange(12.0).reshape(3, 4)
+    np.testing.assert_allclose(stages(values), 4 * values[0] + 8 * values[1] + 7 * values[2])
+    # Five weights, the zeros left out: a product and a sum each; three beginnings and totals.
+    assert operations(stages, values).arithmetic == 4 * (2 * 5 + 3 + 3)

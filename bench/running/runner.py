@@ -53,9 +53,7 @@ class Task:
     programs: str = ""
 
 
-def measure_task(
-    cell: Cell, sources: Sources, errors: bool = True, programs: str = ""
-) -> Task:
+def measure_task(cell: Cell, sources: Sources, errors: bool = True, programs: str = "") -> Task:
     """Make the task that measures a cell; its answer is a `CellResult`."""
     return Task(Worker.measure, (cell, errors), cell.key, cell.problem, sources, programs)
 

@@ -7,12 +7,14 @@ resolve the fastest vibration.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
 from integrators.contract import WIDER, option
+from integrators.native import small_matrices
 from integrators.native.own_values import EndMethod, EndState, FreeSteps, moved_onto_constraints
 from integrators.native.step_method import NewtonSettings, StepMethod, linear_solver_option
 from integrators.native.step_records import Scalar, Time
@@ -21,8 +23,8 @@ from problems import formulations
 from problems.constraints import constraint_change, constraint_force, constraint_velocity
 from problems.dependence import output_takes
 from problems.kinematics import advance, q_rate
-from problems.layouts import algebraic_layout
-from problems.runtime import Array, jnp
+from problems.layouts import Layout, algebraic_layout
+from problems.runtime import Array, Int, jnp
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 
@@ -145,20 +147,14 @@ _B_EMBEDDED = (
 )  # fmt: skip
 
 
-_STAGES = 7
-#: Stages 2 to 7: number, and rows of weights with their places.
-_ROWS = (
-    np.arange(1, _STAGES),
-    np.array([(*row, *[0.0] * (_STAGES - len(row))) for row in (*_A, _B)]),
-    np.array((*_C, 1.0)),
-    np.array([(*row, *[0.0] * (_STAGES - len(row))) for row in _A_AHEAD]),
+_OF_ERROR = [late - b for late, b in zip(_B_EMBEDDED, (*_B, 0.0), strict=True)]
+#: Stages 2 to 7: number, place, and weight of the own rate and place of the constraint.
+_STAGES = (
+    np.arange(len(_C_AHEAD)), np.array((*_C, 1.0)), np.array([row[-1] for row in _A_AHEAD]),
     np.array(_C_AHEAD),
-)
+)  # fmt: skip
 
-
-def _change(h: Time, weights: Any, rates: Array) -> Array:
-    """Return h sum of weights times rates."""
-    return h * sum((w * rate for w, rate in zip(weights, rates, strict=True)), 0.0 * rates[0])
+Rows: TypeAlias = Sequence[Sequence[float]]
 
 
 def _projected(scene: MechatronicSystem, z: Variables, w: Array, work: StepWork) -> Array:
@@ -230,39 +226,37 @@ class PHEM56(FreeSteps, HalfExplicit):
     def step(
         self, scene: MechatronicSystem, state: EndState, t: Time, h: Time, work: StepWork
     ) -> EndState:
-        now, t0 = state.z, t - h
+        now, t0, n = state.z, t - h, scene.sizes
+        groups = Layout(q=n.nq, v=n.nv, x=n.nx)
 
-        def one(so_far: tuple, row: Any) -> tuple[tuple, None]:
-            """A stage, from the one before and the rates of all."""
-            z, _, of_q, of_v, of_x = so_far
-            k, a, c, ahead, c_ahead = row
-            z = z._replace(
-                q=now.q + _change(h, a, of_q),
-                v=now.v + _change(h, a, of_v),
-                x=now.x + _change(h, a, of_x),
-                t=t0 + c * h,
-            )
-            of_q = of_q.at[k].set(q_rate(scene, z.q, z.v))
-            there = Ahead(
-                now.q + _change(h, ahead, of_q),
-                now.v + _change(h, ahead, of_v),
-                h * ahead[k],
-                t0 + c_ahead * h,
-            )
+        def change(weights: Rows, k: Int[Array, ""], rates: Array) -> list[Array]:
+            """The changes of q, v and x by the rates so far."""
+            return groups.split(h * small_matrices.weighted(weights, k, rates))
+
+        def one(before: tuple, row: tuple) -> tuple[tuple, None]:
+            """A stage, from the one before and the rates so far."""
+            z, _, rates = before
+            k, c, slope, c_ahead = row
+            of_q, of_v, of_x = change((*_A, _B), k, rates)
+            z = z._replace(q=now.q + of_q, v=now.v + of_v, x=now.x + of_x, t=t0 + c * h)
+            rates = rates.at[k + 1, groups.q].set(q_rate(scene, z.q, z.v))
+            of_q, of_v, _ = change(_A_AHEAD, k, rates)
+            there = Ahead(now.q + of_q, now.v + of_v, h * slope, t0 + c_ahead * h)
             z, xdot = stage(scene, z, there, work)
-            return (z, xdot, of_q, of_v.at[k].set(z.a), of_x.at[k].set(xdot)), None
+            rates = rates.at[k + 1, groups.q.stop :].set(jnp.concatenate([z.a, xdot]))
+            return (z, xdot, rates), None
 
-        first = q_rate(scene, now.q, now.v), now.a, state.xdot
-        rates = (jnp.zeros((_STAGES, *rate.shape)).at[0].set(rate) for rate in first)
-        (z, xdot, of_q, of_v, of_x), _ = work.scan(one, (now, state.xdot, *rates), _ROWS)
+        first = jnp.concatenate([q_rate(scene, now.q, now.v), now.a, state.xdot])
+        rates = jnp.zeros((len(_B_EMBEDDED), groups.size)).at[0].set(first)
+        (z, xdot, rates), _ = work.scan(one, (now, state.xdot, rates), _STAGES)
         z = z._replace(t=t)
         if self.projection == "positions" and scene.sizes.nl:
             z = moved_onto_constraints(scene, z, work)
         errors = state.errors
         if self.steps == "adaptive":
-            weights = [late - b for late, b in zip(_B_EMBEDDED, (*_B, 0.0), strict=True)]
             # Beginning at zero: products of their own would be contracted with what follows.
-            e_q, e_v, e_x = (0.0 * r[0] + _change(h, weights, r) for r in (of_q, of_v, of_x))
+            error = small_matrices.weighted([_OF_ERROR], np.int32(0), rates)
+            e_q, e_v, e_x = groups.split(h * error)
             if scene.sizes.nl:
                 e_v = _projected(scene, z, e_v, work)
             errors = e_q, e_v, e_x

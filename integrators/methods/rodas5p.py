@@ -16,7 +16,6 @@ The unknowns that are left are the changes of a, lam and y, and k_x / g less kno
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -39,7 +38,7 @@ from problems.constraints import constraint_acceleration, constraint_velocity, p
 from problems.dependence import output_takes
 from problems.kinematics import advance
 from problems.layouts import Layout, stage_layout
-from problems.runtime import Array, jax, jnp
+from problems.runtime import Array, Int, jax, jnp
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 
@@ -89,17 +88,8 @@ _OF_TIME = (
 )  # fmt: skip
 
 
-def _filled(rows: Sequence[Sequence[float]]) -> np.ndarray:
-    """Rows of weights with zeros for the stages to come."""
-    return np.array([(*row, *[0.0] * (len(_PLACES) - len(row))) for row in rows])
-
-
-#: Stages 2 to 8: number, rows of weights, place and weight of the derivative by time.
-_ROWS = (
-    np.arange(1, len(_PLACES)), _filled(_A[1:-1]), _filled(_C_OVER_H[1:]), np.array(_PLACES[1:]),
-    np.array(_OF_TIME[1:]),
-)  # fmt: skip
-_END = _filled(_A[-1:])[0]
+#: Stages 2 to 8: number, place and weight of the derivative by time.
+_ROWS = np.arange(1, len(_PLACES)), np.array(_PLACES[1:]), np.array(_OF_TIME[1:])
 
 
 @dataclass(frozen=True)
@@ -154,14 +144,13 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
         layout = stage_layout(scene.sizes)
         still = jnp.zeros(scene.sizes.nx)
         n = scene.sizes
-        groups = Layout(q=n.nv, v=n.nv, a=n.nv, lam=n.nl, x=n.nx, y=n.ny)
+        states = Layout(q=n.nv, v=n.nv, x=n.nx)
+        groups = Layout(states=states.size, a=n.nv, lam=n.nl, y=n.ny)
 
         def named(change: Array) -> Variables:
-            return Variables(*groups.split(change), 0.0 * t)
-
-        def summed(weights: Array, changes: Array) -> Variables:
-            """The sum of weights times changes, which are rows."""
-            return named(sum(w * row for w, row in zip(weights, changes, strict=True)))
+            change, a, lam, y = groups.split(change)
+            q, v, x = states.split(change)
+            return Variables(q, v, a, lam, x, y, 0.0 * t)
 
         def rows(z: Variables, rate: Array) -> Array:
             """Residuals of a, lam, the rate of x, and y."""
@@ -179,9 +168,9 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
         solution = work.factorised(moved, jnp.zeros(layout.size))
         residual, along, _ = small_matrices.linearised(lambda z: rows(z, still), z)
 
-        def ahead(weights: Array, t: Time, changes: Array) -> Variables:
+        def ahead(s: Int[Array, ""], t: Time, changes: Array) -> Variables:
             """The values at the place of a stage."""
-            change = summed(weights, changes)
+            change = named(small_matrices.weighted(_A, s, changes))
             there = jax.tree.map(jnp.add, z, change)
             return there._replace(q=advance(scene, z.q, change.q), t=t)
 
@@ -189,16 +178,17 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
             """The changes of a stage, from those that are known and the residual that is left."""
             a, lam, _, rate, y = layout.split(-solution(r + along(base)))
             q, v = base.q + g**2 * a, base.v + g * a
-            return jnp.concatenate([q, v, a, lam, base.x + g * rate, y])
+            return jnp.concatenate([q, v, base.x + g * rate, a, lam, y])
 
         def one(changes: Array, row: Any) -> tuple[Array, None]:
             """A stage, from the changes of those before."""
-            s, weights, over_h, place, of_time = row
-            there = ahead(weights, z.t + place * h, changes)
-            known = summed(over_h / h, changes)
-            v = g * (there.a + known.v)
+            s, place, of_time = row
+            there = ahead(s, z.t + place * h, changes)
+            known = small_matrices.weighted(_C_OVER_H, s, changes[:, : states.size]) / h
+            of_q, of_v, of_x = states.split(known)
+            v = g * (there.a + of_v)
             base = Variables(
-                g * (there.v + known.q + v), v, 0.0 * z.a, 0.0 * z.lam, g * known.x, 0.0 * z.y,
+                g * (there.v + of_q + v), v, 0.0 * z.a, 0.0 * z.lam, g * of_x, 0.0 * z.y,
                 of_time * h,
             )  # fmt: skip
             return changes.at[s].set(solved(base, rows(there, still))), None
@@ -211,7 +201,7 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
         changes = jnp.zeros((len(_PLACES), len(first))).at[0].set(first)
         changes, _ = work.scan(one, changes, _ROWS)
         work.count(residuals=len(_PLACES))
-        end, last = ahead(_END, t, changes), named(changes[-1])
+        end, last = ahead(len(_PLACES), t, changes), named(changes[-1])
         if self.projects(scene):
             end = moved_onto_constraints(scene, end, work)
         xdot = scene.state_rate(end) if scene.sizes.nx else still

@@ -16,7 +16,7 @@ from typing import Any
 from integrators.native.equations import bound, evaluated, is_program, with_constants
 from problems import runtime
 from problems.named_equations import part
-from problems.runtime import Array, Float, jax, jnp
+from problems.runtime import Array, Float, Int, jax, jnp
 
 #: Largest size of a matrix for these functions; the libraries are faster with larger ones.
 MOST = 32
@@ -71,6 +71,19 @@ def product(a: Float[Array, "m n"], b: Float[Array, " n"]) -> Float[Array, " m"]
     if len(b) > MOST:
         return a @ b
     return reduce(add, (a[:, k] * b[k] for k in range(len(b))))
+
+
+def weighted(
+    weights: Sequence[Sequence[float]], k: Int[Array, ""], values: Float[Array, "m n"]
+) -> Float[Array, " n"]:
+    """Sum of the rows of an array, by the k-th row of weights, for loops over k; nothing is
+    computed with weights that are zero."""
+
+    def by(row: Sequence[float], values: Array) -> Array:
+        terms = [w * value for w, value in zip(row, values, strict=False) if w]
+        return sum(terms, 0.0 * values[0])
+
+    return jax.lax.switch(k, [partial(by, row) for row in weights], values)
 
 
 def _by_elimination(a: Float[Array, "n n"]) -> Float[Array, "n n"]:

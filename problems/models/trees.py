@@ -181,9 +181,7 @@ class Tree:
         lower = upper * products
         return lower + (1 - np.eye(self.nv)) * lower.T
 
-    def mass_product(
-        self, q: Float[Array, " nq"], a: Float[Array, " nv"]
-    ) -> Float[Array, " nv"]:
+    def mass_product(self, q: Float[Array, " nq"], a: Float[Array, " nv"]) -> Float[Array, " nv"]:
         """Return M(q) a, in N (or N m), with fewer operations than by M."""
         at = self.poses(q)
         centres, inertias = self._bodies(at)
