@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 from planted import planted
 
-from bench.results.demands import demand
+from bench.results.demands import Demand, demand
 from bench.results.records import UNSUPPORTED
 from bench.running.race import Race
 from bench.running.rating import Candidate
@@ -41,9 +41,9 @@ class Power:
         return self.per_step * (self.error / LIMIT) ** (1 / self.order)
 
 
-def raced(methods: list[Power], margin: float = 1.1) -> Race:
+def raced(methods: list[Power], margin: float = 1.1, asked: Demand | None = None) -> Race:
     """Run a race to its end."""
-    race = Race([m.candidate for m in methods], margin, math.inf)
+    race = Race([m.candidate for m in methods], margin, math.inf, asked)
     while cells := race.next():
         for cell in cells:
             (method,) = (m for m in methods if m.candidate.method.spec == cell.integrator)
@@ -78,6 +78,17 @@ def test_the_winner_does_not_hang_on_the_order_of_the_start():
         return raced([methods[k] for k in order]).leader.method.name
 
     assert {named(order) for order in ((0, 1, 2), (2, 1, 0), (1, 0, 2))} == {named((0, 1, 2))}
+
+
+def test_the_next_digit_is_a_race_of_its_own():
+    methods = [Power("a", 2, 5.0, 7.0), Power("b", 3, 2.0, 11.0)]
+    race, harder = raced(methods), demand(f"q:{LIMIT / 10}")
+    for method in methods:
+        assert method.candidate.best(harder) is None
+        method.candidate.demands = [*method.candidate.demands, harder]
+    raced(methods, asked=harder)
+    best = race.leader.best(harder)
+    assert harder.of(best) <= LIMIT / 10 < harder.of(race.leader.best(race.asked))
 
 
 def test_no_run_begins_when_the_time_is_over_and_none_of_who_refuses():

@@ -130,7 +130,6 @@ def recommend_(
                     progress.note(f"{time.monotonic() - start:.0f} s: {verdict.first}")
                 told = order[0]
 
-        runner.draft = True
         harder = demand(f"{demands[0].text.rpartition(':')[0]}:{demands[0].limit / 10:g}")
         asked: list[Candidate] = []
 
@@ -142,7 +141,7 @@ def recommend_(
                 asked.extend(verdict.order[:MOST_ASKED])
                 for candidate in asked:
                     candidate.demands = [*demands, harder]
-            return Race(asked, math.inf, next_end).next() if asked else []
+            return Race(asked, math.inf, next_end, harder).next() if asked else []
 
         runner.draft = True
         search.run(choose, tell)

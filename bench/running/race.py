@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from itertools import islice
 
+from bench.results.demands import Demand
 from bench.running.plan import Cell
 from bench.running.rating import Candidate
 
@@ -25,6 +26,8 @@ class Race:
         Quotient of operations up to which a dearer candidate stays.
     end
         Time of `time.monotonic` in s at which no further run begins.
+    asked
+        Their demand that counts; by default the first.
     """
 
     #: Runs that are asked for together, and of these first runs of candidates.
@@ -36,9 +39,15 @@ class Race:
     #: Operations go with this power of the error until two runs show one.
     STEPS, TOLERANCES = -1 / 2, -1 / 5
 
-    def __init__(self, candidates: Sequence[Candidate], margin: float, end: float) -> None:
+    def __init__(
+        self,
+        candidates: Sequence[Candidate],
+        margin: float,
+        end: float,
+        asked: Demand | None = None,
+    ) -> None:
         self.candidates, self.margin, self.end = candidates, margin, end
-        self.asked = candidates[0].demands[0]
+        self.asked = asked or candidates[0].demands[0]
 
     @property
     def leader(self) -> Candidate | None:

@@ -255,7 +255,7 @@ class PHEM56(FreeSteps, HalfExplicit):
         errors = state.errors
         if self.steps == "adaptive":
             # Beginning at zero: products of their own would be contracted with what follows.
-            error = small_matrices.weighted([_OF_ERROR], np.int32(0), rates)
+            error = small_matrices.weighted([_OF_ERROR], 0, rates)
             e_q, e_v, e_x = groups.split(h * error)
             if scene.sizes.nl:
                 e_v = _projected(scene, z, e_v, work)

@@ -168,7 +168,7 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
         solution = work.factorised(moved, jnp.zeros(layout.size))
         residual, along, _ = small_matrices.linearised(lambda z: rows(z, still), z)
 
-        def ahead(s: Int[Array, ""], t: Time, changes: Array) -> Variables:
+        def ahead(s: Int[Array, ""] | int, t: Time, changes: Array) -> Variables:
             """The values at the place of a stage."""
             change = named(small_matrices.weighted(_A, s, changes))
             there = jax.tree.map(jnp.add, z, change)

@@ -74,7 +74,7 @@ def product(a: Float[Array, "m n"], b: Float[Array, " n"]) -> Float[Array, " m"]
 
 
 def weighted(
-    weights: Sequence[Sequence[float]], k: Int[Array, ""], values: Float[Array, "m n"]
+    weights: Sequence[Sequence[float]], k: Int[Array, ""] | int, values: Float[Array, "m n"]
 ) -> Float[Array, " n"]:
     """Sum of the rows of an array, by the k-th row of weights, for loops over k; nothing is
     computed with weights that are zero."""

@@ -191,7 +191,7 @@ class Tree:
         spin = jnp.einsum("nij,nj->ni", inertias, angular)
         return self._on_joints(at, centres, self.mass[:, None] * rise, spin)
 
-    def _on_joints(self, at: Poses, centres: Array, force: Array, spin: Array) -> Array:
+    def _on_joints(self, at: Poses, centres: Array, force: Any, spin: Array) -> Array:
         """The forces of joints ``(nv,)`` that balance forces at the centres, and moments about
         them: ``(n, 3)`` each."""
         hanging = self._above.T[self._of]
