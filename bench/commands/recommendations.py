@@ -34,7 +34,7 @@ from problems.whole_files import put
 #: File of a recommendation in its folder.
 FILE = "recommendation.json"
 #: Parts of the budget after which the search, that for the next digit, and timing end, by the cost.
-_PARTS = {"seconds": (0.55, 0.65, 0.95), "operations": (0.75, 0.85, 0.95)}
+_PARTS = {"seconds": (0.55, 0.65, 0.9), "operations": (0.75, 0.85, 0.9)}
 
 
 @click.command("recommend")
