@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from test_contact import order, run, stepped
 
@@ -13,10 +14,12 @@ from integrators.methods.half_explicit import PHEM56
 from integrators.methods.moreau_jean import MoreauJean
 from integrators.methods.radau_iia import RadauIIA
 from integrators.resolutions import Steps, Tolerances
-from problems import State, parameter
+from problems import State, jnp, parameter
 from problems.phases import falls
 from problems.reference import Reference
 from problems.scenes.impact_stop import ImpactStop
+from problems.scenes.painleve_rod import PainleveRod
+from problems.scenes.quarter_car import QuarterCar, QuarterCarStop
 from problems.scenes.sliding_rolling import SlidingRolling
 
 
@@ -115,3 +118,49 @@ def test_a_ball_and_a_disc_roll_from_their_known_times_on(k, part):
         assert found.v[-1] == pytest.approx([speed, 0, 10 * speed], abs=1e-6)
         assert not len(found.phase)
         assert event_errors(found, reference) == {}
+
+
+# ---- an elastic stop, and a rod on rough ground -----------------------------------------------
+@dataclass(frozen=True)
+class KinkedStop(QuarterCarStop):
+    """The same stop by a force with a kink, without events."""
+
+    events = None
+    jump = None
+
+    def force(self, q, v, t):
+        stop = self.k_stop * jnp.maximum(-self.room(q), 0.0)
+        return QuarterCar.force(self, q, v, t) + jnp.stack([stop, -stop])
+
+
+def test_the_elastic_stop_of_a_quarter_car_is_that_of_a_kink():
+    times = np.linspace(0.0, 1.5, 301)
+    stop = Reference(QuarterCarStop(), 1.5)
+    kinked = run(RadauIIA(), KinkedStop(), Tolerances(1e-9), 1.5)
+    assert len(stop.events) == 2
+    q = stop(kinked.t)["q"]
+    np.testing.assert_allclose(kinked.q, q, atol=1e-7)
+    # Without the stop the suspension is pressed 8 mm further.
+    free = Reference(QuarterCar(bump=0.1), 1.5)(times)["q"]
+    assert (free @ [1.0, -1.0]).min() < (stop(times)["q"] @ [1.0, -1.0]).min() - 5e-3
+
+
+def test_a_rod_slides_on_rough_ground_as_its_reduced_equations_say():
+    scene = PainleveRod()
+
+    def rates(t, y):
+        _, phi, speed, w = y
+        sin, cos = np.sin(phi), np.cos(phi)
+        normal = (scene.g - sin * w**2) / (1 + 3 * cos * (cos - scene.mu * sin))
+        return speed, w, -scene.mu * normal, 3 * normal * (scene.mu * sin - cos)
+
+    start = 0.0, scene.phi0, scene.speed, 0.0
+    end = solve_ivp(rates, (0.0, 0.8), start, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    found = Reference(scene, 0.8)(np.array([0.8]))
+    q, v = found["q"][0], found["v"][0]
+    np.testing.assert_allclose([q[0], q[2], v[0], v[2]], end, rtol=1e-9)
+    np.testing.assert_allclose([q[2], v[2]], [0.74256498, 2.44951002], atol=1e-8)
+    normal = (scene.g - np.sin(q[2]) * v[2] ** 2) / (
+        1 + 3 * np.cos(q[2]) * (np.cos(q[2]) - scene.mu * np.sin(q[2]))
+    )
+    np.testing.assert_allclose(-found["lam"][0], normal, rtol=1e-9)

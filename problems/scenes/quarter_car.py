@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import State, Variables, drawing, jax, jnp, parameter
+from problems import State, Variables, drawing, held, jax, jnp, parameter
 from problems.scenes.damper import SemiActiveDamper
 
 #: Waves of the rough road: cycles per m, and phases that were drawn once. Their amplitudes fall
@@ -111,3 +111,36 @@ class QuarterCar(SemiActiveDamper):
         cylinder = np.array([[0.18, wheel], [0.18, middle]])
         rod = np.array([[0.18, middle - 0.1], [0.18, body]])
         return [rim, box, spring, cylinder, rod]
+
+
+@dataclass(frozen=True)
+class QuarterCarStop(QuarterCar):
+    """The quarter car on a bump so high that its suspension strikes an elastic stop.
+
+    Tests an event without a jump in the loop: the force of the stop sets in with a kink, at times
+    that the motion decides. Methods that restart there keep their order; those that step over it
+    lose it. Left out: the damping of the stop, and lift-off of the tyre.
+    """
+
+    interval = (0.0, 1.5)
+    tags = ("mechatronic", "events", "stiff controller states", "vehicle")
+    difficulties = ("the suspension's stiffness is tenfold from one instant to the next",)
+
+    bump: float = parameter(0.1, "m", "height of the bump")
+    travel: float = parameter(0.04, "m", "compression at which the stop is reached", low=0.0)
+    k_stop: float = parameter(2.4e5, "N/m", "stiffness of the stop", low=0.0)
+    touches: float = held(0.0, "1", "1: the stop is pressed")
+
+    def room(self, q: jax.Array) -> jax.Array:
+        """Way to the stop in m, scalar; negative where it is pressed."""
+        return self.travel + q[0] - q[1]
+
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
+        stop = -self.touches * self.k_stop * self.room(q)
+        return super().force(q, v, t) + jnp.stack([stop, -stop])
+
+    def events(self, z: Variables) -> jax.Array:
+        return (jnp.where(self.touches > 0, -1.0, 1.0) * self.room(z.q))[None]
+
+    def jump(self, z: Variables, event: int) -> dict[str, jax.Array]:
+        return {"touches": 1.0 - self.touches}
