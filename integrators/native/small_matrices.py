@@ -39,8 +39,17 @@ def inverse(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
             return jnp.linalg.inv(a), True
         return _side_by_side(a, jnp.broadcast_to(jnp.eye(a.shape[1]), a.shape)), True
 
-    with part("factorisations"):
+    @jax.custom_jvp  # eliminations have no derivative in reverse
+    def inverted(a: Array) -> Array:
         return alone(a)
+
+    @inverted.defjvp
+    def _(at: tuple[Array], change: tuple[Array]) -> tuple[Array, Array]:
+        found = inverted(*at)
+        return found, -found @ change[0] @ found
+
+    with part("factorisations"):
+        return inverted(a)
 
 
 def solve(a: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -62,7 +71,10 @@ def solve(a: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
         many = _side_by_side if a.shape[1] <= MOST_OF_MANY else jnp.linalg.solve
         return many(a, b[:, :, None])[:, :, 0], True
 
-    return alone(a, b)
+    # An elimination has no derivative in reverse; a linear system has.
+    return jax.lax.custom_linear_solve(
+        partial(product, a), b, lambda _, b: alone(a, b), lambda _, b: alone(a.T, b)
+    )
 
 
 def product(a: Float[Array, "m n"], b: Float[Array, " n"]) -> Float[Array, " m"]:
