@@ -1,4 +1,4 @@
-# Written by `python -m problems.models.examples.derived`; do not edit.
+# Written by `python -m problems.models.examples.derived`, SymPy 1.14.0.
 """The scene sympy_cart_links, written by `problems.from_sympy`."""
 
 from dataclasses import dataclass

@@ -16,7 +16,7 @@ from sympy.physics.mechanics.models import n_link_pendulum_on_cart
 
 from problems import from_sympy
 
-_HEAD = "# Written by `python -m problems.models.examples.derived`; do not edit.\n"
+_HEAD = f"# Written by `python -m problems.models.examples.derived`, SymPy {sm.__version__}.\n"
 _GRAVITY = 9.81
 
 
