@@ -90,6 +90,7 @@ def four_bar(name):
 @cache
 def accelerations(scene):
     """A compiled function of q and v."""
+    assert scene.sizes.nq == scene.sizes.nv  # found before, as it computes the start
     return jax.jit(lambda q, v: complete(scene, q, v, jnp.zeros(0), jnp.zeros(()))[0].a)
 
 
