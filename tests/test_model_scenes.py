@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import reference
+from helpers import reference, scene_or_skip
 
 from bench.plugins.registry import Registry
 from bench.running.inventory import Inventory
@@ -81,12 +81,6 @@ ABSOLUTE = np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 HALF_TURN = np.array([0.0, 0.0, np.pi])
 
 
-def four_bar(name):
-    if name in OF_MUJOCO:
-        pytest.importorskip("mujoco")
-    return Registry().problem(name)
-
-
 @cache
 def accelerations(scene):
     """A compiled function of q and v."""
@@ -97,7 +91,7 @@ def accelerations(scene):
 @pytest.mark.parametrize("name", ["mjcf_four_bar", "sympy_four_bar"])
 @pytest.mark.parametrize("at", [(1.0, 1.0), (0.3, -2.0), (2.5, 3.0), (-1.2, 0.0)])
 def test_accelerations_of_a_loop_are_those_of_a_scene_by_hand(name, at):
-    scene, (q, v) = four_bar(name), state(*at)[:2]
+    scene, (q, v) = scene_or_skip(name), state(*at)[:2]
     angles, rates, wanted = turning(q, v, accelerations(Joints())(q, v))
     if name in OF_MUJOCO:
         q, v = (np.linalg.solve(ABSOLUTE, u) for u in (angles + HALF_TURN, rates))
@@ -111,7 +105,7 @@ def test_accelerations_of_a_loop_are_those_of_a_scene_by_hand(name, at):
 
 @pytest.mark.parametrize("name", ["mjcf_four_bar", "sympy_four_bar"])
 def test_a_loop_starts_as_the_scene_by_hand(name):
-    start, (q, v) = four_bar(name).initial_state(), state(1.0, 1.0)[:2]
+    start, (q, v) = scene_or_skip(name).initial_state(), state(1.0, 1.0)[:2]
     angles, rates, _ = turning(q, v, v)
     if name in OF_MUJOCO:
         assert ABSOLUTE @ start.q == pytest.approx(angles + HALF_TURN, rel=1e-15)
@@ -124,7 +118,7 @@ def test_a_loop_starts_as_the_scene_by_hand(name):
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["mjcf_four_bar", "sympy_four_bar"])
 def test_the_motion_of_a_loop_is_that_of_the_scene_by_hand(name):
-    scene, t = four_bar(name), np.linspace(0, 2, 41)
+    scene, t = scene_or_skip(name), np.linspace(0, 2, 41)
     found, own = reference(scene, 2.0)(t), reference(Joints(), 2.0)(t)
     each = zip(own["q"], own["v"], own["a"], strict=True)
     crank = np.array([[group[0] for group in turning(*row)] for row in each])
@@ -157,7 +151,7 @@ def test_the_text_is_that_of_the_sympy_model(name):
     ],
 )
 def test_each_is_a_scene_with_a_picture(name, sizes):
-    scene = four_bar(name)
+    scene = scene_or_skip(name)
     assert scene.sizes[:3] == sizes
     lines = scene.draw(np.asarray(scene.initial_state().q))
     assert all(line.shape[1:] == (2,) and np.isfinite(line).all() for line in map(np.array, lines))
@@ -167,7 +161,7 @@ def test_each_is_a_scene_with_a_picture(name, sizes):
 # ---- the engine on them --------------------------------------------------------------------
 @pytest.mark.parametrize("name", ["mjcf_arm", "mjcf_quadruped"])
 def test_mujoco_takes_its_own_model_with_every_integrator(name):
-    scene = four_bar(name)
+    scene = scene_or_skip(name)
     for integrator in ("euler", "discrete"):
         method = Registry().integrator(f"mujoco[integrator={integrator}]")
         assert method.why_not(scene) is None
@@ -176,7 +170,7 @@ def test_mujoco_takes_its_own_model_with_every_integrator(name):
 
 @pytest.mark.long
 def test_a_free_base_moves_as_in_mujoco():
-    scene = four_bar("mjcf_quadruped")
+    scene = scene_or_skip("mjcf_quadruped")
     own = Registry().integrator("dopri8").prepare(scene, 0.1, Tolerances(1e-9)).measure()
     engine = Registry().integrator("mujoco[integrator=rk4]")
     other = engine.prepare(scene, 0.1, Steps(2e-4)).measure()
