@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from bench.plugins.registry import Registry
 from integrators import Integrator, Steps
 from problems import MechatronicSystem
 from problems.reference import Reference
@@ -17,6 +18,14 @@ def long(*parameters: object) -> list:
     """Parameters (tuples for several names) that only the long tests take."""
     each = (p if isinstance(p, tuple) else (p,) for p in parameters)
     return [pytest.param(*values, marks=pytest.mark.long) for values in each]
+
+
+def scene_or_skip(name: str) -> MechatronicSystem:
+    """A built-in scene at its default parameters, if the library that it needs is there."""
+    registry = Registry([])
+    if "pip install" in (reason := registry.problems[name].reason):
+        pytest.skip(reason)
+    return registry.problem(name)
 
 
 @cache

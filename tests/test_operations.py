@@ -23,7 +23,7 @@ from hand_counts import (
     semi_implicit_euler_by_hand,
     sorted_out,
 )
-from helpers import long
+from helpers import long, scene_or_skip
 
 from bench.plugins.registry import Registry
 from bench.results.quantities import PARTS
@@ -375,7 +375,7 @@ def test_so_are_those_in_a_time_loop_of_our_own():
 @pytest.mark.long
 @pytest.mark.parametrize("name", Registry([]).problems)
 def test_every_scene_has_operations_that_are_known(name):
-    scene = Registry([]).problem(name)
+    scene = scene_or_skip(name)
     found = turns_of(GeneralizedAlpha(linear_solver="dense"), scene)
     key = scene.template(), "stabilised_index2"
     assert min(found["steps"], found["newton0"]) > 20

@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib.metadata import entry_points
 
 import pytest
+from helpers import scene_or_skip
 
 from bench.guard.limits import Limits
 from bench.plugins.registry import Registry
@@ -43,7 +44,7 @@ def runner():
 def test_no_default_run_ends_well_and_is_wrong_without_a_note(runner, inventory, name, problem):
     """Default options, and the scene's own step or the default tolerance."""
     registry = Registry()
-    method, scene = registry.integrator(name), registry.problem(problem)
+    method, scene = registry.integrator(name), scene_or_skip(problem)
     if reason := method.why_not(scene):
         pytest.skip(reason)
     resolution = resolution_of(scene, method, None, None, None, None)

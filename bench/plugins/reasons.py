@@ -23,6 +23,10 @@ class PluginError(SpecError):
     """A plugin that cannot be read or used; the message says why."""
 
 
+class Unavailable(PluginError):
+    """A plugin of this project that needs a library that is not installed, or is broken."""
+
+
 def explain(error: BaseException) -> str:
     """Return one sentence on an exception, with the innermost line of code that is no library's."""
     text = text_of(error).strip()

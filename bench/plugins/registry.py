@@ -22,7 +22,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from bench.plugins.reasons import PluginError, explain
+from bench.plugins.reasons import PluginError, Unavailable, explain, why
 from integrators.contract import Integrator
 from problems import spec
 from problems.plain_text import said
@@ -62,7 +62,7 @@ class Plugin:
                 cls = self.load()
             reason = _fault(self.kind, self.name, cls)
         except BaseException as error:
-            return None, explain(error)
+            return None, why(error)
         return (None if reason else cls), reason
 
     @property
@@ -175,7 +175,7 @@ class Registry:
             raise PluginError(f"There is no {word} {name!r}; {spec.suggest(name, usable)}.")
         plugin = plugins[name]
         if plugin.cls is None:
-            raise PluginError(f"The {word} {name!r} is unavailable: {plugin.reason}")
+            raise Unavailable(f"The {word} {name!r} is unavailable: {plugin.reason}")
         twice = next((key for key in more if key in options), None)
         if twice:
             raise SpecError(f"{twice!r} is given in {text!r} and again by itself; give it once.")

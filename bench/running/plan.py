@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench.plugins.facts import MethodFacts, SceneFacts, Sources
+from bench.plugins.reasons import Unavailable
 from bench.plugins.registry import files_of
 from bench.results.quantities import NORMS
 from bench.results.records import IntegratorFacts, Plan, Record, Study
@@ -222,7 +223,7 @@ def _usable(names: Sequence[str], facts_of: Callable[[str], object], lost: list[
         try:
             facts_of(text)
             usable.append(text)
-        except PluginFailed as error:
+        except (PluginFailed, Unavailable) as error:
             lost.append(str(error))
     return usable
 

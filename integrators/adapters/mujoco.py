@@ -46,6 +46,7 @@ class Mujoco(Engine):
     calls: ClassVar[str] = "it computes trees of bodies of general kind, in C"
     formulation = "joint_coordinates"
     drift = "soft"
+    takes = ("kinematics",)
     source: ClassVar[str] = "Todorov, Erez & Tassa (2012), MuJoCo, doi:10.1109/IROS.2012.6386109"
 
     integrator: str = option(
@@ -83,8 +84,6 @@ class _MujocoRun(EngineRun):
         self._stated = mujoco_model(scene, q, v)
         self._model = model = self._stated.model
         model.opt.timestep = (self.t[-1] - self.t[0]) / self.steps
-        kind = f"mjINT_{method.integrator.upper()}"
-        model.opt.integrator = getattr(self._mujoco.mjtIntegrator, kind)
         model.eq_solref[:] = method.loop_steps * model.opt.timestep, 1.0
         model.eq_solimp[:, :2] = 0.9999  # the hardest
         self._data = self._mujoco.MjData(model)
@@ -93,6 +92,9 @@ class _MujocoRun(EngineRun):
             q, v = self._stated.motion(self._data.qpos[None], self._data.qvel[None])
             a = self._stated.acceleration(hard_acceleration(model, self._data))
             check_agreement("MuJoCo", scene, self.start, q=q[0], v=v[0], a=a)
+        # From here on: discrete takes forces at the end of a step, also for the acceleration.
+        kind = f"mjINT_{method.integrator.upper()}"
+        model.opt.integrator = getattr(self._mujoco.mjtIntegrator, kind)
 
     @contextlib.contextmanager
     def _without_warnings(self) -> Iterator[None]:

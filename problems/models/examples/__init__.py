@@ -1,0 +1,1 @@
+"""Models of MuJoCo and SymPy that are built in as scenes."""

@@ -1,0 +1,25 @@
+"""The walking machine of `quadruped.xml` as a scene; needs the extra ``mujoco``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from problems.models.mjcf import from_mjcf
+
+
+class MjcfQuadruped(
+    from_mjcf(
+        Path(__file__).with_suffix(".xml"),
+        name="mjcf_quadruped",
+        interval=(0.0, 0.5),
+        nominal_step=0.005,
+    )
+):
+    """A quadruped from a file of MuJoCo in free flight: its trunk tumbles, servos draw up its legs.
+
+    Tests a free base: position and quaternion, whose velocities are not their derivatives
+    (`kinematics`), before twelve hinges with springs, dampers and servos. Left out: the ground.
+    """
+
+    tags = ("multibody", "spatial", "rotation", "controlled", "smooth", "model")
+    source = "data: made up for this scene; equations: MuJoCo's compiled model of quadruped.xml"
