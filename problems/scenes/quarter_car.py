@@ -142,5 +142,5 @@ class QuarterCarStop(QuarterCar):
     def events(self, z: Variables) -> jax.Array:
         return (jnp.where(self.touches > 0, -1.0, 1.0) * self.room(z.q))[None]
 
-    def jump(self, z: Variables, event: int) -> dict[str, jax.Array]:
+    def jump(self, z: Variables, event: int) -> dict[str, float]:
         return {"touches": 1.0 - self.touches}
