@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from problems.models.mjcf import from_mjcf
 
 
@@ -23,3 +25,7 @@ class MjcfQuadruped(
 
     tags = ("multibody", "spatial", "rotation", "controlled", "smooth", "model")
     source = "data: made up for this scene; equations: MuJoCo's compiled model of quadruped.xml"
+
+    def draw(self, q: np.ndarray) -> list[np.ndarray]:
+        """The trunk's hips and legs, without the way from the origin to the free base."""
+        return super().draw(q)[4:]
