@@ -138,8 +138,8 @@ class RunProgress(progress.Progress):
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
-    def phase(self, name: str, total: int) -> None:
-        """Begin a phase of this many steps."""
+    def phase(self, name: str, total: int | None) -> None:
+        """Begin a phase of this many steps, or of an unknown number."""
         for earlier in self._bar.task_ids:
             self._bar.remove_task(earlier)
         self._bar.add_task("", total=total, phase=name)
@@ -172,5 +172,7 @@ class RunProgress(progress.Progress):
     def _say(self) -> None:
         self._spoken = time.monotonic()
         for task in self._bar.tasks:
-            if self._lines and task.total and not self._console.is_terminal:
-                self._console.print(f"{task.fields['phase']}: {task.completed:g} of {task.total:g}")
+            phase, total = task.fields["phase"], task.total
+            if self._lines and phase and total != 0 and not self._console.is_terminal:
+                of = f" of {total:g}" if total else " runs"
+                self._console.print(f"{phase}: {task.completed:g}{of}")

@@ -11,8 +11,8 @@ class Progress:
     def __init__(self) -> None:
         self._printed: set[str] = set()
 
-    def phase(self, name: str, total: int) -> None:
-        """Say that a phase begins, with its number of steps."""
+    def phase(self, name: str, total: int | None) -> None:
+        """Say that a phase begins, with its number of steps if it is known."""
 
     def working(self, text: str) -> None:
         """Say that this is in work."""

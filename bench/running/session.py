@@ -111,9 +111,10 @@ def measure_suite(
         # So that no worker is left alone with the longest group in the end.
         groups.sort(key=lambda group: registry.prospect(group[0].scene or "").weight, reverse=True)
         # Scenes are counted if there is nothing else to do: people ask for cells.
-        counted = Worker.measure if cells else Worker.scene
+        counted = Worker.measure if cells or further else Worker.scene
         progress = runner.progress
-        progress.phase("measuring" if cells else "describing scenes", len(cells) or len(scenes))
+        name = "searching" if further else "measuring" if cells else "describing scenes"
+        progress.phase(name, None if further else len(cells) or len(scenes))
         answers = runner.run_offered(groups, offers) if further else runner.run(groups)
         for task, answer in answers:
             if task.job is Worker.scene:
