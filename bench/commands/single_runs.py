@@ -14,7 +14,7 @@ from bench.commands import completion, options, sweeps
 from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.results.orders import order_summary
 from bench.results.published import published_table
-from bench.results.quantities import NORMS
+from bench.results.quantities import IMPACTS, NORMS
 from bench.results.records import UNSUPPORTED, Record, Rows
 from bench.results.table import NO_VALUE, Table, formatted
 from bench.running.plan import DEFAULT_HALVINGS, Cell, resolution_of
@@ -175,7 +175,9 @@ def _facts(record: Record) -> list[str]:
     lines += [f"note: {note}" for note in record.notes]
     if record.events:
         number, expected, time = (record.events[k] for k in ("events", "expected", "time"))
-        lines.append(f"events: {number:g} of {expected:g}, their times off by at most {time:.3g} s")
+        found = f"events: {number:g} of {expected:g}, their times off by at most {time:.3g} s"
+        more = [f"{k} {record.events[k]:.1e}" for k in IMPACTS if k in record.events]
+        lines.append(f"{found}; relative errors: {', '.join(more)}" if more else found)
     if record.history_error is not None:
         lines.append(f"error of the named points, IFToMM's rule: {record.history_error:.3g}")
     if record.energy_drift is not None:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.results.quantities import GROUPS, NORMS, VIOLATIONS, error_note, whole
+from bench.results.quantities import GROUPS, IMPACTS, NORMS, VIOLATIONS, error_note, whole
 from integrators.contract import Trajectory
 from problems.compiled import compiled
+from problems.phases import after
 from problems.reference import Reference
-from problems.runtime import Float
+from problems.runtime import Float, jnp
+from problems.system import MechatronicSystem
+from problems.variables import State, Variables
 from problems.witnesses import named_points
 
 #: "settled" is the last part of the interval, where the start transient has died out.
@@ -26,6 +29,8 @@ ROUNDING = 1e-15
 THRESHOLD = 1e-3
 #: Times at which the sizes of constraints are taken.
 _SIZED_AT = 65
+#: Impacts whose impulses and energies are compared.
+MOST_IMPACTS = 100
 
 
 class ErrorTable(NamedTuple):
@@ -183,15 +188,58 @@ def event_errors(trajectory: Trajectory, reference: Reference) -> dict[str, floa
     -------
     dict
         "events" and "expected" are their numbers up to the end; "time" is the largest difference in
-        s between the times of those that both have. Empty if neither has any, or the run knows none
-        because it steps over them.
+        s between the times of those that both have. Where velocities jump, "impulse" and "energy"
+        are the largest errors of M (v+ - v-) and of the kinetic energy that it takes, relative to
+        the largest values, of the first `MOST_IMPACTS`. Empty if neither has any events, or the run
+        knows none because it steps over them.
     """
     own, known = trajectory.events, reference.events
     if not (len(own) or len(known)) or not len(trajectory.phase):
         return {}
     both = min(len(own), len(known))
     off = np.abs(own[:both, 0] - known[:both, 0])
-    return {"events": len(own), "expected": len(known), "time": float(off.max(initial=0.0))}
+    found = {"events": len(own), "expected": len(known), "time": float(off.max(initial=0.0))}
+    return found | _impact_errors(trajectory, reference, min(both, MOST_IMPACTS))
+
+
+def _impact_errors(run: Trajectory, reference: Reference, count: int) -> dict[str, float]:
+    """Compare what the first events do to velocities; empty if these do not jump."""
+    ends = np.flatnonzero(np.diff(run.phase))  # last rows of phases
+    at = np.searchsorted(run.t[ends], times := run.events[:count, 0])
+    # Events at one instant share a row: what each does alone is not told by it.
+    kept = np.flatnonzero((at < len(ends)) & (np.diff(at, prepend=-1) > 0))
+    kept = kept[run.t[ends[at[kept]]] == times[kept]]
+    if not len(kept):
+        return {}
+    times, rows = reference.events[kept, 0], ends[at[kept]]
+    exact = reference(times, run.phase[rows])
+    own = {name: getattr(run, name)[rows] for name in exact}
+    pairs = [
+        [
+            _impact(reference.scene, t, {name: part[k] for name, part in values.items()}, event)
+            for values, t in ((own, run.t[rows[k]]), (exact, times[k]))
+        ]
+        for k, event in enumerate(reference.events[kept, 1].astype(int))
+    ]
+    errors = {}
+    for at, name in enumerate(IMPACTS):
+        largest = max((float(np.abs(true[at]).max()) for _, true in pairs), default=0.0)
+        if largest:
+            gaps = (float(np.abs(mine[at] - true[at]).max()) for mine, true in pairs)
+            errors[name] = max(gaps) / largest
+    return errors
+
+
+def _impact(
+    scene: MechatronicSystem, t: float, values: Mapping[str, np.ndarray], event: int
+) -> tuple[Float[np.ndarray, " nv"], float]:
+    """The impulse M (v+ - v-) of an event at values before it, and the energy that it takes."""
+    groups: Any = {name: values[name] for name in Variables._fields[:-1]}
+    z = Variables(**groups, t=np.asarray(t))
+    held = dict(zip(scene.held_values(), values["xd"], strict=True))
+    phase = scene.phase(float(t), State(z.q, z.v, z.x), held)
+    v, mass = after(phase, z, event).start().v, np.asarray(phase.mass(jnp.asarray(z.q)))
+    return mass @ (v - z.v), float(z.v @ mass @ z.v - v @ mass @ v) / 2
 
 
 def constraint_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import NORM, NORMS, quantity
+from bench.results.quantities import IMPACTS, NORM, NORMS, quantity
 from bench.results.records import Record, SceneRecord
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, number
@@ -42,6 +42,11 @@ def events_table(series: Sequence[Series]) -> Table | None:
                 "finest run": run.resolution,
                 "events found": f"{events['events']:g} of {events['expected']:g}",
                 "times off in s": number(events["time"]),
+                **{
+                    f"error of {name}": number(events.get(name))
+                    for name in IMPACTS
+                    if any(name in r.events for own in series for r in own.ok)
+                },
                 "steps": _count(run, "steps"),
                 "steps to locate": _count(run, "rejected"),
                 "runs": s.statuses,
@@ -49,8 +54,9 @@ def events_table(series: Sequence[Series]) -> Table | None:
             }
         )
     note = (
-        "Times off: the largest difference from the time of the same event in the reference. Steps "
-        "to locate: those that only look for the time of an event, and rejected ones."
+        "Times off: the largest difference from the time of the same event in the reference. Error "
+        "of impulse and energy, which an impact gives and takes: relative to the largest. Steps to "
+        "locate: those that only look for the time of an event, and rejected ones."
     )
     return Table.from_dicts("Events", rows, note=note) if rows else None
 
