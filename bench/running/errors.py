@@ -14,7 +14,7 @@ from integrators.contract import Trajectory
 from problems.compiled import compiled
 from problems.phases import after
 from problems.reference import Reference
-from problems.runtime import Float, jnp
+from problems.runtime import Float
 from problems.system import MechatronicSystem
 from problems.variables import State, Variables
 from problems.witnesses import named_points
@@ -231,15 +231,14 @@ def _impact_errors(run: Trajectory, reference: Reference, count: int) -> dict[st
 
 
 def _impact(
-    scene: MechatronicSystem, t: float, values: Mapping[str, np.ndarray], event: int
+    scene: MechatronicSystem, t: Any, values: Mapping[str, Any], event: int
 ) -> tuple[Float[np.ndarray, " nv"], float]:
     """The impulse M (v+ - v-) of an event at values before it, and the energy that it takes."""
-    groups: Any = {name: values[name] for name in Variables._fields[:-1]}
-    z = Variables(**groups, t=np.asarray(t))
+    z = Variables(**{name: values[name] for name in Variables._fields[:-1]}, t=t)
     held = dict(zip(scene.held_values(), values["xd"], strict=True))
-    phase = scene.phase(float(t), State(z.q, z.v, z.x), held)
-    v, mass = after(phase, z, event).start().v, np.asarray(phase.mass(jnp.asarray(z.q)))
-    return mass @ (v - z.v), float(z.v @ mass @ z.v - v @ mass @ v) / 2
+    phase = scene.phase(float(t), State(values["q"], v := values["v"], values["x"]), held)
+    later, mass = after(phase, z, event).start().v, np.asarray(phase.mass(z.q))
+    return mass @ (later - v), float(v @ mass @ v - later @ mass @ later) / 2
 
 
 def constraint_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:
