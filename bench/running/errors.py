@@ -213,19 +213,19 @@ def _impact_errors(run: Trajectory, reference: Reference, count: int) -> dict[st
         return {}
     times, rows = reference.events[kept, 0], ends[at[kept]]
     exact = reference(times, run.phase[rows])
-    own = {name: getattr(run, name)[rows] for name in exact}
+    found = {name: getattr(run, name)[rows] for name in exact}
     pairs = [
         [
-            _impact(reference.scene, t, {name: part[k] for name, part in values.items()}, event)
-            for values, t in ((own, run.t[rows[k]]), (exact, times[k]))
+            _impact(reference.scene, t, {name: own[k] for name, own in values.items()}, event)
+            for values, t in ((found, run.t[rows[k]]), (exact, times[k]))
         ]
         for k, event in enumerate(reference.events[kept, 1].astype(int))
     ]
     errors = {}
-    for at, name in enumerate(IMPACTS):
-        largest = max((float(np.abs(true[at]).max()) for _, true in pairs), default=0.0)
+    for part, name in enumerate(IMPACTS):
+        largest = max(float(np.abs(true[part]).max()) for _, true in pairs)
         if largest:
-            gaps = (float(np.abs(mine[at] - true[at]).max()) for mine, true in pairs)
+            gaps = (float(np.abs(mine[part] - true[part]).max()) for mine, true in pairs)
             errors[name] = max(gaps) / largest
     return errors
 
