@@ -96,8 +96,8 @@ def _compiled(template: MechatronicSystem) -> Compiled:
             constraint_acceleration(s, q, v, a, t),
         )
 
-    def alone(name: str, function: Callable) -> Callable:
-        return exported(function, (name, template))
+    def alone(name: str, function: Callable, draft: bool = False) -> Callable:
+        return exported(function, (name, template), draft=draft)
 
     def over_rows(name: str, function: Callable) -> Callable:
         return _over_rows(function, (name, template))
@@ -106,7 +106,7 @@ def _compiled(template: MechatronicSystem) -> Compiled:
         return alone(f"jump {event}", lambda p, z: at(p).jump(z, event))
 
     return Compiled(
-        start=alone("start", lambda p, q, v, x, t: with_rates(at(p), q, v, x, t)),
+        start=alone("start", lambda p, q, v, x, t: with_rates(at(p), q, v, x, t), draft=True),
         ode=alone("ode", lambda p, t, s: ode_rate(at(p), t, s)),
         rates=alone("rates", jax.vmap(rate, (None, 0, 0))),
         complete=over_rows("complete", lambda p, q, v, x, t: complete(at(p), q, v, x, t)),
@@ -144,14 +144,16 @@ def _over_rows(function: Callable, about: tuple) -> Callable:
     def rows_at_once(p: Mapping, rows: tuple[Array, ...]) -> Any:
         return jax.vmap(lambda *row: function(p, *row))(*rows)
 
-    block = exported(rows_at_once, about)
+    large, small = exported(rows_at_once, about), exported(rows_at_once, about, draft=True)
 
     def call(p: Mapping, *rows: np.ndarray) -> Any:
         count, parts, first = len(rows[0]), [], 0
         width = sum(np.size(r) for r in rows) // max(count, 1)
         most = max(1, _MOST_NUMBERS // max(width, 1))
         while first < count:
-            size = min(most, _LARGE_BLOCK if count - first > 4 * _ROW_BLOCK else _ROW_BLOCK)
+            many = count - first > 4 * _ROW_BLOCK
+            size, block = (_LARGE_BLOCK, large) if many else (_ROW_BLOCK, small)
+            size = min(most, size)
             chosen = np.minimum(np.arange(first, first + size), count - 1)
             parts.append(block(p, tuple(np.asarray(r)[chosen] for r in rows)))
             first += size

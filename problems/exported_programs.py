@@ -27,7 +27,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from problems.runtime import CACHE, jax, jnp, users_settings
+from problems.runtime import CACHE, few_calls, jax, jnp, users_settings
 from problems.whole_files import keep, kept
 
 T = TypeVar("T")
@@ -64,6 +64,7 @@ def exported(
     function: Callable,
     about: Sequence[Any] | Callable[[], Sequence[Any]],
     calls: Sequence[str] = (),
+    draft: bool = False,
 ) -> Callable:
     """Return the compiled function ``jax.jit(function)``, read from a file if there is one.
 
@@ -76,9 +77,15 @@ def exported(
         this when the program is traced.
     calls
         Names under which the program calls functions of this process.
+    draft
+        Whether to compile without optimisation, for what is called a few times.
     """
+
+    def compiled(program: Callable) -> Callable:
+        return jax.jit(program, compiler_options=few_calls() if draft else {})
+
     if not _used:
-        return jax.jit(function)
+        return compiled(function)
 
     def program(*arguments: Any) -> Any:
         from jax import export
@@ -96,7 +103,7 @@ def exported(
         except Exception:
             return function(*arguments)
 
-    return jax.jit(program)
+    return compiled(program)
 
 
 def found_once(find: Callable[[], T], about: Sequence[Any], kind: type[T]) -> T:

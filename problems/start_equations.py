@@ -106,7 +106,7 @@ def _rows(template: MechatronicSystem) -> Callable:
         scene = template.with_parameters(p)
         return jax.jacfwd(lambda w: constraint_change(scene, q, jnp.asarray(t), w))(still)
 
-    return exported(rows, ("rows of the constraints", template))
+    return exported(rows, ("rows of the constraints", template), draft=True)
 
 
 # ---- Newton's method -------------------------------------------------------------------

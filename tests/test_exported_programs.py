@@ -21,6 +21,7 @@ from problems import exported_programs, jnp
 from problems.compiled import _compiled
 from problems.exported_programs import exported, found_once
 from problems.initial_values import consistent_start
+from problems.runtime import few_calls
 from problems.scenes.pendulum import Pendulum
 from problems.whole_files import keep, kept
 
@@ -57,6 +58,18 @@ def test_a_program_is_read_instead_of_traced_and_gives_the_same_form(folder):
         exported(never, lambda: about)({"k": 2.0}, np.arange(4.0))
     with pytest.raises(AssertionError, match="again"):  # another value of what decides it
         exported(never, ("sine and cosine", Pendulum(length=2.0)))({"k": 2.0}, np.arange(3.0))
+
+
+def test_a_draft_is_compiled_without_optimisation_from_the_same_file(folder, monkeypatch):
+    asked = []
+    monkeypatch.setattr(exported_programs, "few_calls", lambda: asked.append(1) or few_calls())
+    x = np.linspace(0.0, 2.0, 9)
+    exported(lambda x: jnp.sin(x) / (1 + x), ("a sine",))(x)
+    assert few_calls()
+    assert not asked
+    draft = exported(never, ("a sine",), draft=True)(x)
+    assert asked
+    assert np.allclose(draft, np.sin(x) / (1 + x), rtol=1e-15, atol=1e-16)
 
 
 def test_numbers_that_tracing_finds_are_found_once(folder):

@@ -47,7 +47,7 @@ def _jacobians(template: MechatronicSystem) -> Any:
         return jax.jacfwd(lambda s: ode_rate(template.with_parameters(p), t, s))(s)
 
     many = jax.vmap(one, in_axes=(None, 0, 0))
-    return exported(many, ("jacobians", template))
+    return exported(many, ("jacobians", template), draft=True)
 
 
 def rates(scene: MechatronicSystem, reference: Reference) -> dict[str, float] | None:

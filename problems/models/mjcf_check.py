@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +17,7 @@ from problems.models.mjcf_model import Model
 from problems.models.mjcf_objects import load_mujoco
 from problems.models.mjcf_parts import without
 from problems.rotations import turned
-from problems.runtime import CACHE, Array, Float, jax, jnp
+from problems.runtime import CACHE, Array, Float, few_calls, jax, jnp
 from problems.spec import SpecError
 from problems.whole_files import keep, kept
 
@@ -113,7 +114,8 @@ def _linear(model: Model) -> tuple[Callable, Callable]:
 
         return jax.jacfwd(moved)(jnp.zeros(model.m.nv))
 
-    return jax.jit(model.equalities), jax.jit(along)
+    once = partial(jax.jit, compiler_options=few_calls())
+    return once(model.equalities), once(along)
 
 
 def _shaken(model: Model, rng: np.random.Generator, q: np.ndarray) -> np.ndarray:
@@ -132,7 +134,7 @@ def compare(model: Model, q: Float[np.ndarray, " nq"]) -> None:
     m, mujoco, rng = without(model.m), load_mujoco(), np.random.default_rng(2)
     control = reset(m).ctrl.copy()
 
-    @jax.jit
+    @partial(jax.jit, compiler_options=few_calls())
     def ours(q: Array, v: Array) -> dict[str, Array]:
         return {
             "mass matrix": model.mass(q),
