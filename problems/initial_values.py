@@ -101,10 +101,11 @@ def _check_constraints(scene: MechatronicSystem, state: State, t: float) -> None
     ):
         violation, scale = np.abs(residual).max(initial=0.0), max(1.0, np.abs(values).max())
         if not violation <= CONSISTENCY_TOLERANCE * scale:
+            equation = scene.components("lam")[int(np.argmax(np.abs(residual)))].name
             raise InconsistentStart(
                 f"The initial {group} of {scene.spec} violates the constraints at {level} "
-                f"level by {violation:.3e} (allowed: {CONSISTENCY_TOLERANCE * scale:.0e}); "
-                f"correct the scene's initial_state or its parameters."
+                f"level by {violation:.3e} (allowed: {CONSISTENCY_TOLERANCE * scale:.0e}), the "
+                f"most in equation {equation}; correct the scene's initial_state or its parameters."
             )
 
 

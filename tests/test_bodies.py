@@ -233,10 +233,10 @@ def variant(**blocks):
 
 def test_starts_that_cannot_be_are_refused():
     wild = Body("rod", 1.0, (0.1, 0.1, 0.1), velocity=(1.0, 0.0, 0.0))
-    with pytest.raises(InconsistentStart, match="at velocity level"):
+    with pytest.raises(InconsistentStart, match=r"at velocity level .* equation ground-rod x;"):
         consistent_start(variant(bodies=lambda self: (wild,)))
     skew = Universal(GROUND, "rod", np.zeros(3), AXIS, AXIS + SQUARE)
-    with pytest.raises(InconsistentStart, match="at position level"):
+    with pytest.raises(InconsistentStart, match=r"at position level .* equation ground-rod "):
         consistent_start(variant(joints=lambda self: (skew,)))
 
 

@@ -10,8 +10,11 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+from small_stores import a_record
 
 from bench.commands.main import main
+from bench.commands.single_runs import _end_values
+from bench.results.records import Rows
 from problems.reference import Reference
 from problems.scenes.spring_mass import SpringMass
 
@@ -262,3 +265,15 @@ def test_help_and_list_do_not_wait_for_heavy_libraries():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_table_of_many_components_has_those_with_the_largest_errors():
+    errors = [0.0, 3e-3, *[1e-3 + 1e-6 * k for k in range(18)]]
+    record = a_record(components={"q": {"max": errors}}, points={})
+    rows = Rows(t=[0.0], values={"q": [[float(k) for k in range(20)]], "v": [[1.0]]})
+    table = _end_values(record, rows, {"q": [f"q{k}" for k in range(20)], "v": ["v0"]})
+    assert [row[1] for row in table.rows] == ["q1", *(f"q{k}" for k in range(12, 20)), "v0"]
+    assert [row[2] for row in table.rows] == ["1", *(str(k) for k in range(12, 20)), "1"]
+    assert "9 components of a group" in table.note
+    few = Rows(t=[0.0], values={"q": [[0.5] * 9]})
+    assert not _end_values(a_record(points={}), few, {"q": [f"q{k}" for k in range(9)]}).note

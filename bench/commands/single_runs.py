@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 import msgspec
+import numpy as np
 
 from bench.commands import completion, options, sweeps
 from bench.plugins.facts import MethodFacts, SceneFacts
@@ -20,6 +21,9 @@ from bench.results.table import NO_VALUE, Table, formatted
 from bench.running.plan import DEFAULT_HALVINGS, Cell, resolution_of
 from integrators.resolutions import Steps
 from problems.spec import SpecError
+
+#: Components of a group that a table has at most: those of a planar mechanism of three bodies.
+_SHOWN = 9
 
 
 @click.command("solve")
@@ -138,19 +142,31 @@ def _solution(record: Record, rows: Rows) -> dict[str, Any]:
 
 
 def _end_values(record: Record, rows: Rows, names: Mapping[str, Sequence[str]]) -> Table:
-    """The values at the end with their errors; ``names`` are those of components by group."""
-    cells = []
+    """The values at the end with their errors; ``names`` are those of components by group.
+
+    Of a group with many components it has those with the largest errors.
+    """
+    cells, left_out = [], False
     for group, values in rows.values.items():
         errors = record.components.get(group, {})
-        for i, (name, value) in enumerate(zip(names[group], values[-1], strict=True)):
+        largest = [-(error or 0.0) for error in errors.get("max", [0.0] * len(values[-1]))]
+        shown = sorted(np.argsort(largest, kind="stable")[:_SHOWN])
+        left_out |= len(shown) < len(largest)
+        for i in shown:
             own = (formatted(errors[norm][i] if norm in errors else None, ".2e") for norm in NORMS)
-            cells.append([group, name, f"{value:.10g}", *own])
+            cells.append([group, names[group][i], f"{values[-1][i]:.10g}", *own])
     end = f"at t={rows.t[-1]:.6g} s" if rows.t else "at the end"
-    for name, place in record.points.items():
-        for axis, value in zip("xyz", place, strict=False):
-            cells.append([name, f"{axis} [m]", f"{value:.10g}", *(NO_VALUE for _ in NORMS)])
+    places = [
+        [name, f"{axis} [m]", f"{value:.10g}", *(NO_VALUE for _ in NORMS)]
+        for name, place in record.points.items()
+        for axis, value in zip("xyz", place, strict=False)
+    ]
+    cells += places[: 3 * _SHOWN]
+    left_out |= len(places) > 3 * _SHOWN
     title = f"{record.integrator} on {record.problem}, {record.resolution}: {record.status}"
-    return Table(title, ["group", "component", end, *NORMS], cells)
+    note = f"The {_SHOWN} components of a group with the largest errors; --json has all."
+    head = ["group", "component", end, *NORMS]
+    return Table(title, head, cells, note=note if left_out else "")
 
 
 def _facts(record: Record) -> list[str]:
