@@ -58,6 +58,10 @@ MIXED = model(
     '<motor joint="h" gear="3" forcerange="-2 2"/></actuator>'
     '<keyframe><key qpos=".1 .2 .3 1 0 0 .2 0 2 1 1 0 .3 0 .4" ctrl="0.3 0.1"/></keyframe>',
 )  # fmt: skip
+#: The same in a wind.
+IMMERSED = MIXED.replace(
+    "<option ", '<option density="30" viscosity="0.7" wind="1 -2 0.5" ', 1
+)  # fmt: skip
 #: A plane four-bar: the connect has a row without meaning.
 LOOP = model(
     rod(
@@ -89,7 +93,8 @@ def made(tmp_path, text: str, name: str = "robot", **more):
 
 
 @pytest.mark.parametrize(
-    ("text", "nq", "nv", "nl"), [(MIXED, 15, 13, 0), (LOOP, 3, 3, 2), *long((WELD, 14, 12, 7))]
+    ("text", "nq", "nv", "nl"),
+    [(IMMERSED, 15, 13, 0), (LOOP, 3, 3, 2), *long((MIXED, 15, 13, 0), (WELD, 14, 12, 7))],
 )
 def test_numbers_are_those_of_mujoco(tmp_path, text, nq, nv, nl):
     # `from_mjcf` compares at random states, and refuses a model that differs.
@@ -100,6 +105,14 @@ def test_numbers_are_those_of_mujoco(tmp_path, text, nq, nv, nl):
     if nl:
         start = jnp.asarray(scene.initial_state().q)
         assert np.abs(scene.constraint(start, jnp.zeros(()))).max() < 1e-12
+
+
+def test_a_fluid_is_that_of_mujoco_or_the_model_is_refused(tmp_path):
+    cls = made(tmp_path, IMMERSED)
+    assert cls.energy is None
+    cls.model._fluid._turning_square *= 1 + 1e-6
+    with pytest.raises(SpecError, match="MuJoCo computes other"):
+        compare(cls.model, np.array(cls.at_start.q))
 
 
 @pytest.mark.parametrize("wrong", ["mass", *long("gravity", "place")])
@@ -255,7 +268,10 @@ def test_a_model_that_is_no_scene_is_one_sentence(tmp_path, text, words):
             '<tendon><fixed name="cable"><joint joint="j" coef="1"/></fixed></tendon>',
             r"tendons \('cable'\)",
         ),
-        ('<option density="1.2"/>', "forces of a fluid"),
+        (
+            '<option density="1.2"/><default><geom fluidshape="ellipsoid"/></default>',
+            r"forces of a fluid on an ellipsoid \(geom",
+        ),
     ],
 )
 def test_parts_that_equations_lack_are_named(tmp_path, part, words):

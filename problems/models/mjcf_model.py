@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from problems.models.mjcf_fluid import Fluid, ellipsoid, is_immersed
 from problems.models.mjcf_objects import called, is_off, matrix_of, numbers
 from problems.models.mjcf_parts import affine_actuators, rigid_equalities
 from problems.models.mjcf_tree import branches
@@ -21,12 +22,15 @@ class Model:
     def __init__(self, m: Any) -> None:
         self.m = m
         self.tree, self.balls, self._link_of, self.named = branches(m)
+        immersed = is_immersed(m) and ellipsoid(m) is None
+        self._fluid = Fluid(m, self.tree, self._link_of) if immersed else None
 
     @property
     def dissipates(self) -> bool:
-        """Whether the energy changes: there are dampers or actuators."""
+        """Whether the energy changes: there are dampers, a fluid or actuators."""
         m = self.m
-        return bool(m.dof_damping.any() or m.dof_dampingpoly.any() or len(affine_actuators(m)))
+        damped = m.dof_damping.any() or m.dof_dampingpoly.any()
+        return bool(damped or self._fluid or len(affine_actuators(m)))
 
     def mass(self, q: Float[Array, " nq"]) -> Float[Array, "nv nv"]:
         """Return M(q) with the armatures."""
@@ -60,7 +64,7 @@ class Model:
         return at, m.jnt_dofadr[own], m.qpos_spring[at], stiff * (not is_off(m, "SPRING"))
 
     def passive(self, q: Array, v: Array) -> Array:
-        """Return the forces of springs and dampers, in N (or N m)."""
+        """Return the forces of springs, dampers and a fluid, in N (or N m)."""
         at_q, at_v, rest, stiff = self._springs
         m, force = self.m, jnp.zeros(self.m.nv)
         damping = np.column_stack([m.dof_damping, m.dof_dampingpoly]) * (not is_off(m, "DAMPER"))
@@ -69,7 +73,7 @@ class Model:
         if len(at_q):
             way = q[at_q] - rest
             force = force.at[at_v].add(-way * _polynomial(stiff, way))
-        return force
+        return force + self._fluid.force(q, v) if self._fluid else force
 
     def spring_energy(self, q: Array) -> Any:
         """Return the energy of the springs in J."""

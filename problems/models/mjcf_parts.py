@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from problems.models.mjcf_fluid import ellipsoid
 from problems.models.mjcf_objects import called, is_off, numbers
 from problems.runtime import Int
 from problems.spec import SpecError
@@ -36,8 +37,8 @@ def _lacking(m: Any) -> Iterator[tuple[str, str]]:
         yield "friction_loss", f"frictionloss ({where})"
     if m.ntendon:
         yield "tendons", f"tendons ({called(m, 'TENDON', 0)!r})"
-    if m.opt.density or m.opt.viscosity:
-        yield "fluid", "forces of a fluid (density or viscosity)"
+    if (geom := ellipsoid(m)) is not None:
+        yield "fluid", f"forces of a fluid on an ellipsoid (geom {called(m, 'GEOM', geom)!r})"
     if where := _first(m, "JOINT", m.jnt_springyield):
         yield "plasticity", f"springs that yield ({where})"
     if where := _first(m, "JOINT", _ball_springs(m)):
@@ -63,7 +64,8 @@ def without(m: Any) -> Any:
     """Return a copy of a model that has what a scene states, and nothing else."""
     m, off = copy.copy(m), numbers("mjtDisableBit")
     m.opt.disableflags |= off.mjDSBL_CONTACT | off.mjDSBL_LIMIT | off.mjDSBL_FRICTIONLOSS
-    m.opt.density = m.opt.viscosity = 0.0
+    if ellipsoid(m) is not None:
+        m.opt.density = m.opt.viscosity = 0.0
     for values in (m.jnt_springyield, m.tendon_stiffness, m.tendon_damping, m.tendon_armature):
         values[:] = 0.0
     springs, lost = _ball_springs(m), ~_is_affine(m)

@@ -184,18 +184,22 @@ class Tree:
     def mass_product(self, q: Float[Array, " nq"], a: Float[Array, " nv"]) -> Float[Array, " nv"]:
         """Return M(q) a, in N (or N m), with fewer operations than by M."""
         at = self.poses(q)
-        centres, inertias = self._bodies(at)
-        above = self._above[:, self._of]
-        angular = above @ (a[:, None] * at.turning)
-        rise = above @ (a[:, None] * at.moving) + jnp.cross(angular, centres)
-        spin = jnp.einsum("nij,nj->ni", inertias, angular)
-        return self._on_joints(at, centres, self.mass[:, None] * rise, spin)
+        rise, angular = self.speeds(at, a)
+        spin = jnp.einsum("nij,nj->ni", self._bodies(at)[1], angular)
+        return self.on_joints(at, self.mass[:, None] * rise, spin)
 
-    def _on_joints(self, at: Poses, centres: Array, force: Any, spin: Array) -> Array:
-        """The forces of joints ``(nv,)`` that balance forces at the centres, and moments about
-        them: ``(n, 3)`` each."""
+    def speeds(self, at: Poses, v: Float[Array, " nv"]) -> tuple[Array, Array]:
+        """Return the velocities of the centres of mass, and angular velocities: ``(n, 3)`` each."""
+        above = self._above[:, self._of]
+        angular = above @ (v[:, None] * at.turning)
+        speed = above @ (v[:, None] * at.moving) + jnp.cross(angular, self._bodies(at)[0])
+        return speed, angular
+
+    def on_joints(self, at: Poses, force: Any, spin: Array) -> Float[Array, " nv"]:
+        """Return the forces of joints that balance forces at the centres, and moments about them:
+        ``(n, 3)`` each."""
         hanging = self._above.T[self._of]
-        moment = spin + jnp.cross(centres, force)
+        moment = spin + jnp.cross(self._bodies(at)[0], force)
         total = at.moving * (hanging @ force) + at.turning * (hanging @ moment)
         return total.sum(axis=1)
 
@@ -217,7 +221,7 @@ class Tree:
         force = self.mass[:, None] * (rise - weight)
         turning = jnp.einsum("nij,nj->ni", inertias, w)
         spin = jnp.einsum("nij,nj->ni", inertias, angular) + jnp.cross(w, turning)
-        return self._on_joints(at, centres, force, spin)
+        return self.on_joints(at, force, spin)
 
     def centres(self, q: Float[Array, " nq"]) -> Float[Array, "n 3"]:
         """Return the centres of mass, in m."""
