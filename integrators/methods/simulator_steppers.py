@@ -25,12 +25,10 @@ from integrators.native.own_values import OwnValues
 from integrators.native.step_method import NewtonSettings, StepMethod, linear_solver_option
 from integrators.native.step_records import Reading, Time
 from integrators.native.step_work import StepWork
-from problems import lagrange
 from problems.constraints import constraint_force, constraint_velocity, pulled
 from problems.formulations import Start, control_residuals, inertia
 from problems.kinematics import advance
 from problems.layouts import stage_layout
-from problems.named_equations import equation
 from problems.runtime import Array, jax, jnp
 from problems.system import MechatronicSystem
 from problems.variables import Variables
@@ -143,20 +141,17 @@ class ImplicitFast(SimulatorStepper):
     )
 
     def applied(self, scene: MechatronicSystem, now: Variables, h: Time) -> _Force:
-        def of_mass(v: Array) -> Array:
-            """Gyroscopic and Coriolis forces."""
-            return lagrange.force(
-                lambda q, v: v @ inertia(scene, q, v) / 2, lambda q: jnp.zeros(()), now.q, v
-            )
-
         force, along = jax.linearize(lambda v: scene.force(now.q, v, now.t), now.v)
-        _, along_of_mass = jax.linearize(equation(of_mass), now.v)
+        back = jax.linear_transpose(along, now.v)
 
-        def damping(a: Array) -> Array:
-            return along(a) - along_of_mass(a)
+        def of_mass(a: Array) -> Array:
+            """-dM/dt a: the symmetric part of the derivative of gyroscopic and Coriolis forces.
 
-        back = jax.linear_transpose(damping, now.v)
-        return lambda a: force + h / 2 * (damping(a) + back(a)[0])
+            By v, they change by -dM/dt - C + C^T, with C = d(M v)/dq.
+            """
+            return -jax.jvp(lambda q: inertia(scene, q, a), (now.q,), (now.v,))[1]
+
+        return lambda a: force + h * ((along(a) + back(a)[0]) / 2 - of_mass(a))
 
 
 @dataclass(frozen=True)
