@@ -33,8 +33,12 @@ def inventory() -> Inventory:
 
 @pytest.fixture(scope="module")
 def runner():
-    """A worker process with a budget: some methods need minutes at the default tolerance."""
+    """A worker process with a budget: some methods need minutes at the default tolerance.
+
+    Its programs run once, and are compiled without optimisation.
+    """
     with Runner(1, Limits(60.0, 8.0)) as runner:
+        runner.draft = True
         yield runner
 
 
@@ -59,4 +63,5 @@ def test_no_default_run_ends_well_and_is_wrong_without_a_note(runner, inventory,
     if error > WRONG:
         assert f" q {error:.2g}" in record.notes[-1]
         if method.controls == "tolerance":
-            assert (name, problem) in MISSES, record.notes
+            branches = "singular" in scene.tags  # a step over such a position may take either
+            assert branches or (name, problem) in MISSES, record.notes
