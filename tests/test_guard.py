@@ -240,7 +240,7 @@ def test_who_loads_for_too_long_is_not_told_to_take_larger_steps(monkeypatch, us
     clock, within = Clock(monkeypatch), Limits(3.0, advice="take larger steps")
     found = clock.run(Meter(within), 700, **use)
     assert found is not None
-    assert found.reason.endswith("; take what waits or computes out of its top level")
+    assert found.reason.endswith("top level, or bodies out of its model")
 
 
 def test_a_machine_that_lets_nothing_run_interrupts(monkeypatch):

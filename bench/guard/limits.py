@@ -35,7 +35,7 @@ _LESS_MEMORY = (
     "memory_gib"
 )
 #: Neither do they change how long a plugin loads.
-_LOADS_AT_ONCE = "take what waits or computes out of its top level"
+_LOADS_AT_ONCE = "take what waits or computes out of its top level, or bodies out of its model"
 
 
 @dataclass(frozen=True)
