@@ -1,0 +1,62 @@
+"""Measurements beside the cells of a suite: fixed budgets per step, precisions, derivatives."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from bench.results.gradients import Gradients
+from bench.results.precision import PrecisionRun
+from bench.results.realtime import RealTimeRun
+from bench.results.records import Name
+
+#: Kinds of measurements, as suites and `Measurement` name them.
+KINDS = ("realtime", "precision", "gradient")
+
+
+class Measurement(msgspec.Struct, kw_only=True, frozen=True):
+    """What an entry of a suite measured of one method, in the field of its ``kind``.
+
+    ``about`` names scene and settings: measurements that share it can be compared. ``title`` and
+    ``note`` are the entry's words. If ``status`` is not "ok" there is no answer, and ``message``
+    says why. ``stopped`` is the phase in which a budget ran out, as in
+    `bench.results.records.Record`.
+    """
+
+    kind: Annotated[str, Meta(pattern=f"^({'|'.join(KINDS)})$")]
+    about: Name
+    problem: Name
+    integrator: Name
+    title: Name = ""
+    note: Name = ""
+    status: Name = "ok"
+    message: str = ""
+    fingerprint: str = ""
+    realtime: list[RealTimeRun] = []
+    precision: list[PrecisionRun] = []
+    gradient: Gradients | None = None
+    stopped: str = ""
+    budget_s: float | None = None
+    memory_gib: float | None = None
+
+    @property
+    def key(self) -> str:
+        """Return the key in the store: kind, scene, settings and integrator."""
+        return measurement_key(self.kind, self.about, self.integrator)
+
+
+def measurement_key(kind: str, about: str, integrator: str) -> str:
+    """Return the key of a measurement in the store."""
+    return f"{kind} | {about} | {integrator}"
+
+
+def without_answer(
+    measurement: Measurement, status: str, message: str, stopped: str = ""
+) -> Measurement:
+    """Return the measurement of a method that gave no answer, with the reason."""
+    return msgspec.structs.replace(
+        measurement, status=status, message=message, stopped=stopped,
+        realtime=[], precision=[], gradient=None,
+    )  # fmt: skip
