@@ -205,12 +205,13 @@ def _beside(
 ) -> Iterator[Asked]:
     """Check what is measured beside the cells; plugins without facts are lost, not refused."""
     for entry in profile.entries:
-        names = _usable(entry.integrators, registry.integrator, lost)
-        if entry.integrators and not (names and _usable([entry.problem], registry.problem, lost)):
-            continue
-        if mine and mine not in map(registry.integrator, names):
-            names.append(mine.spec)
         try:
+            names = _usable(entry.integrators, registry.integrator, lost)
+            there = _usable([entry.problem], registry.problem, lost)
+            if not there or (entry.integrators and not names):
+                continue
+            if mine and mine not in map(registry.integrator, names):
+                names.append(mine.spec)
             yield replace(entry, integrators=names).asked(registry)
         except SpecError as error:
             raise SpecError(f"[[{entry.kind}]] of {entry.problem}: {error}") from None
