@@ -96,7 +96,7 @@ def test_entries_become_the_arguments_of_jobs(tmp_path):
         ("duration = 0.5", "duration = 1e3", "of at most"),
         ("duration = 0.5", "duration = 0.01", "from 2 to 1000000 steps"),
         ("duration = 0.5", "iterations = 0", "iterations=0 is not allowed; give 1 to 1000"),
-        ('"newmark", "bdf2"', '"newmark", "bdf3"', "[[realtime]] of oscillator: There is no integrator 'bdf3'"),
+        ('"newmark", "bdf2"', '"newmark", "bdf3"', "of oscillator: There is no integrator 'bdf3'"),
         ('"newmark", "bdf2"', '"newmark", "newmark"', "is named twice"),
         ('"newmark", "bdf2"', "", "No integrator is named for oscillator"),
         ('problem = "pendulum"', 'problem = "pendulm"', "[[gradient]] of pendulm: "),
@@ -361,7 +361,15 @@ def test_the_pages_have_the_numbers_of_the_store(folder):
     assert ["single", "0.01", "0.0001", "1.26", "ok"] in errors
     assert "in single rounding takes over in" in pages["precision"].words
     costs = pages["gradient"].rows("Errors of derivatives, and their cost in runs")
-    assert [*costs[-1].values()] == ["newmark", "reverse", "h=0.01", "0.01", "0.0001", "0.0003", "3.25"]
+    assert [*costs[-1].values()] == [
+        "newmark",
+        "reverse",
+        "h=0.01",
+        "0.01",
+        "0.0001",
+        "0.0003",
+        "3.25",
+    ]
     assert "21.1530779673" in pages["gradient"].words
     assert "IDA: unsupported: No derivative is taken." in pages["gradient"].words
 
@@ -373,7 +381,7 @@ def test_markdown_has_the_same_chapters(folder):
     assert text.count("What to see here: ") == 3
     for row in (
         "| `newmark` | 1 | 100 | 4000 | 5000 | 1 (0.1 %) |",
-        "| `single` | 0.01 | 0.0001 | 1.26 | ok |",
+        "| single | 0.01 | 0.0001 | 1.26 | ok |",
         "| `newmark` | reverse | h=0.01 | 0.01 | 0.0001 | 0.0003 | 3.25 |",
     ):
         assert row in text
@@ -407,14 +415,14 @@ def test_the_budget_chart_draws_times_deadline_and_errors():
     chart = budget_chart(TICKS.realtime)
     times = {(r["text"], r["line"]): float(r["time"]) for r in rows_of(chart, "times")}
     assert times == {
-        (f"Newmark, {limit}", word): value
+        (f"Newmark ({limit})", word): value
         for limit in ("1", "unlimited")
         for word, value in (("median", 100.0), ("99.9 %", 4001.0), ("worst", 5000.0))
     }
     left, right = chart["concat"]
     assert left["layer"][-1]["encoding"]["x"] == {"datum": 4000.0}
     assert [float(r["error"]) for r in rows_of(chart, "errors")] == [2e-3, 5e-5]
-    assert right["encoding"]["x"]["field"] == "error"
+    assert (line_of(left)["x"]["field"], line_of(right)["x"]["field"]) == ("time", "error")
     failed = budget_chart([a_tick(status="diverged", errors={})])
     assert len(failed["concat"]) == 1
     assert budget_chart([]) is None
@@ -426,32 +434,51 @@ def test_the_precision_chart_draws_an_error_for_each_precision_and_step():
         (r["line"], float(r["h"])): (float(r["q"]), float(r["lam"]))
         for r in rows_of(chart, "sweep")
     }
-    assert found == {
-        (r.precision, r.h): pytest.approx(tuple(r.errors.values()), rel=1e-4) for r in PRECISIONS
-    }
-    assert [panel["encoding"]["y"]["field"] for panel in chart["concat"]] == ["q", "lam"]
-    assert {panel["encoding"]["x"]["field"] for panel in chart["concat"]} == {"h"}
-    assert chart["concat"][0]["encoding"]["strokeDash"]["scale"]["domain"] == [
-        "double",
-        "single",
-        "mixed",
-    ]
+    drawn = {(r.precision, r.h): pytest.approx((*r.errors.values(),), rel=1e-4) for r in PRECISIONS}
+    assert found == drawn
+    axes = [line_of(panel) for panel in chart["concat"]]
+    assert [(axis["x"]["field"], axis["y"]["field"]) for axis in axes] == [("h", "q"), ("h", "lam")]
+    for channel in ("color", "strokeDash"):
+        scale = axes[0][channel]["scale"]
+        assert scale["domain"] == ["double", "single", "mixed"]
+        assert len(set(map(str, scale["range"]))) == 3
     assert precision_chart([a_precision("double", 0.1)]) is None
 
 
 def test_the_gradient_chart_draws_errors_over_processor_seconds():
     chart = gradient_chart([GRADIENTS.gradient])
     found = [
-        (r["line"], float(r["cost"]), float(r["by0"]), float(r["by1"]))
+        (r["line"], float(r["seconds"]), float(r["by0"]), float(r["by1"]))
         for r in rows_of(chart, "sweep")
     ]
     assert found == [
-        (run.way, pytest.approx(run.cost * run.run_s), *map(pytest.approx, run.errors))
-        for run in DERIVED
+        (run.way, *map(pytest.approx, (run.cost * run.run_s, *run.errors))) for run in DERIVED
     ]
-    titles = [panel["encoding"]["y"]["title"] for panel in chart["concat"]]
-    assert titles == [
-        "relative error of derivatives by length",
-        "relative error of derivatives by g",
+    axes = [line_of(panel) for panel in chart["concat"]]
+    assert [(axis["x"]["field"], axis["y"]["field"], axis["y"]["title"]) for axis in axes] == [
+        ("seconds", f"by{k}", f"relative error of derivatives by {name}")
+        for k, name in enumerate(EXACT.by)
     ]
+    assert axes[0]["strokeDash"]["scale"]["domain"] == ["forward", "reverse"]
     assert gradient_chart([]) is None
+
+
+def test_numbers_of_charts_are_read_as_numbers():
+    charts = budget_chart(TICKS.realtime), precision_chart(PRECISIONS)
+    for chart in (*charts, gradient_chart([GRADIENTS.gradient])):
+        assert drawn_numbers(chart)
+
+
+def drawn_numbers(chart):
+    """Whether every column on an axis of numbers is one of numbers."""
+    for panel in chart["concat"]:
+        types = panel["data"]["format"]["parse"]
+        fields = [e["field"] for e in line_of(panel).values() if e.get("type") == "quantitative"]
+        assert fields
+        assert {types[name] for name in fields} == {"number"}
+    return True
+
+
+def line_of(panel):
+    """The encoding of a panel, or of its first layer."""
+    return panel["encoding"] if "encoding" in panel else panel["layer"][0]["encoding"]

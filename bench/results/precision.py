@@ -97,7 +97,9 @@ def precision_tables(runs: Sequence[PrecisionRun]) -> list[Table]:
             for run in own
         ]
         title = f"{method} on {own[0].problem}"
-        tables.append(Table(title, ["precision", "h [s]", *groups, "ended"], rows, note=_NOTE))
+        tables.append(
+            Table(title, ["precision", "h [s]", *groups, "ended"], rows, code=(), note=_NOTE)
+        )
     return tables
 
 

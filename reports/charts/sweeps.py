@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from bench.results.gradients import Gradients
@@ -14,13 +14,16 @@ from reports.formatting import symbols
 
 #: Quantiles of the time of a step, as columns of `StepTimes` and in words.
 _QUANTILES = {"median_us": "median", "p999_us": "99.9 %", "worst_us": "worst"}
+#: Colours of precisions, with a contrast of 3:1 or more against light and dark papers.
+_COLORS = ("#487be1", "#cf5b22", "#189240")
 
 
 # ---- a fixed budget per step -------------------------------------------------------------
 def budget_chart(runs: Sequence[RealTimeRun]) -> vl.Spec | None:
     """Times of the steps of each run beside the deadline, and its error; a row for each run."""
     options = vl.ChartOptions(line_styles(run.integrator for run in runs))
-    names = [f"{options.styles[run.integrator].name}, {run.iterations}" for run in runs]
+    limits = ["" if run.iterations == "none" else f" ({run.iterations})" for run in runs]
+    names = [options.styles[r.integrator].name + n for r, n in zip(runs, limits, strict=True)]
     times, errors = [], []
     for name, run in zip(names, runs, strict=True):
         row = {"series": run.integrator, "text": name}
@@ -37,12 +40,15 @@ def budget_chart(runs: Sequence[RealTimeRun]) -> vl.Spec | None:
     y = vl.category("text", title=None, sort=None, scale={"domain": names})
     y |= {"axis": {"labelLimit": 320, "grid": True}}
     both = {"x": x, "y": y, "color": options.colors(legend=None)}
-    marks = _kinds(_QUANTILES.values(), MARKS)
+    marks = _kinds(_QUANTILES.values(), MARKS, symbolFillColor=vl.GREY)
     panels: list[vl.Spec] = [
         {
             "data": data[0].source,
             "layer": [
-                {"mark": {"type": "line", "strokeWidth": 1.4}, "encoding": both},
+                {
+                    "mark": {"type": "line", "strokeWidth": 1.4},
+                    "encoding": both | {"detail": vl.category("text")},
+                },
                 {
                     "mark": {"type": "point", "filled": True, "size": 60, "opacity": 1},
                     "encoding": both
@@ -76,9 +82,9 @@ def budget_chart(runs: Sequence[RealTimeRun]) -> vl.Spec | None:
 def precision_chart(runs: Sequence[PrecisionRun]) -> vl.Spec | None:
     """Errors over the step in each precision, a panel for each group of variables."""
     rows = [
-        {"series": run.integrator, "line": run.precision, "h": vl.short(run.h)}
+        {"series": run.integrator, "line": run.precision, "h": vl.short(run.h), "place": k}
         | {group: vl.short(error) for group, error in run.errors.items() if error}
-        for run in runs
+        for k, run in enumerate(runs)
     ]
     panels = {group: f"relative error of {symbols(group)}" for group in groups_of(runs)}
     return _lines(rows, "h", "h in s", panels, "precision")
@@ -91,12 +97,12 @@ def gradient_chart(found: Sequence[Gradients]) -> vl.Spec | None:
     for run in (run for gradients in found for run in gradients.runs):
         if run.run_s and run.cost:
             row = {"series": run.integrator, "line": run.way, "run": run.resolution}
-            row |= {"cost": vl.short(run.run_s * run.cost), "place": len(rows)}
+            row |= {"seconds": vl.short(run.run_s * run.cost), "place": len(rows)}
             errors = enumerate(run.errors)
             rows.append(row | {f"by{k}": vl.short(error) for k, error in errors if error})
     by = found[0].exact.by if found else []
     panels = {f"by{k}": f"relative error of derivatives by {name}" for k, name in enumerate(by)}
-    return _lines(rows, "cost", "processor seconds of the gradient", panels, "way")
+    return _lines(rows, "seconds", "processor seconds of the gradient", panels, "way")
 
 
 # ---- parts -------------------------------------------------------------------------------
@@ -105,43 +111,49 @@ def _lines(
 ) -> vl.Spec | None:
     """A panel for each column, with a line for each method and each ``kind`` of its runs.
 
-    Methods have their colours; kinds have dashes and marks.
+    Methods have their marks and kinds have dashes. The colour is that of the method, or of the
+    precision: variants of a method have almost one colour, and precisions are what is compared.
     """
     options = vl.ChartOptions(line_styles(row["series"] for row in rows))
     data = vl.Dataset("sweep", rows)
     kinds = dict.fromkeys(row["line"] for row in rows)
+    color = _kinds(kinds, _COLORS) if kind == "precision" else options.colors()
     axis = vl.log_axis([row[x] for row in rows], "~g" if x == "h" else ".0e")
     made = []
     for column, title in panels.items():
         known = [row[column] for row in rows if row.get(column)]
         if known:
             y_axis = vl.log_axis(known, ".0e")
-            encoding = {
+            both = {
                 "x": vl.log_quantity(x, title=x_title, axis=axis),
                 "y": vl.log_quantity(column, title=title, axis=y_axis),
-                "color": options.colors(),
-                "strokeDash": _kinds(kinds, [list(dash) for dash in DASHES]),
-                "shape": _kinds(kinds, MARKS),
-                "tooltip": _tooltip(kind, **{x: x_title, column: title}),
+                "color": color,
+                # Costs need not grow from run to run.
+                "order": vl.quantity("place"),
             }
-            if "place" in data.columns:  # costs need not grow from run to run
-                encoding["order"] = vl.quantity("place")
-            mark = {"type": "line", "strokeWidth": 1.6, "point": {"size": 45, "filled": False}}
+            lines = both | {"strokeDash": _kinds(kinds, [list(dash) for dash in DASHES])}
+            # Detail keeps the lines of methods apart where the colour does not.
+            lines |= {"detail": vl.category("series")}
+            tooltip = _tooltip(kind, **{x: x_title, column: title})
+            points = both | {"shape": options.shapes(), "tooltip": tooltip}
             made.append(
                 {
                     "data": data.source,
                     "transform": [{"filter": f"datum[{column!r}] > 0"}],
-                    "mark": mark,
-                    "encoding": encoding,
+                    "layer": [
+                        {"mark": {"type": "line", "strokeWidth": 1.6}, "encoding": lines},
+                        {"mark": {"type": "point", "size": 45}, "encoding": points},
+                    ],
                 }
             )
     return vl.arrange(made, [data], 2, height=230)
 
 
-def _kinds(names: Any, values: Sequence[Any]) -> vl.Spec:
-    """A channel with a dash or a mark for each kind of line."""
-    scale = {"domain": [*names], "range": [*values[: len([*names])]]}
-    return vl.category("line", scale=scale, legend={"title": None, "symbolFillColor": vl.GREY})
+def _kinds(names: Iterable[str], values: Sequence[Any], **legend: Any) -> vl.Spec:
+    """A channel with a colour, a dash or a mark for each kind of line."""
+    domain = list(names)
+    scale = {"domain": domain, "range": list(values[: len(domain)])}
+    return vl.category("line", scale=scale, legend={"title": None, **legend})
 
 
 def _tooltip(kind: str = "", **numbers: str) -> list[vl.Spec]:

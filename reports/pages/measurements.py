@@ -109,7 +109,7 @@ _CHAPTERS: dict[str, tuple[str, str, str, str, Callable[[Sequence[Measurement]],
         "most accurate. Times are those of this machine and bind no other.",
         "Left: time of a step (median, 99.9 % and worst) in µs; the vertical line is the deadline, "
         "the time from one step to the next. Right: largest relative error of q, v, a and lam in "
-        "the same run. Behind each method: most iterations in each call of Newton's method.",
+        "the same run. In brackets: most iterations in each call of Newton's method.",
         _budget,
     ),
     "precision": (
@@ -119,7 +119,7 @@ _CHAPTERS: dict[str, tuple[str, str, str, str, Callable[[Sequence[Measurement]],
         "There the line of single precision leaves that of double and climbs to the left, first in "
         "multipliers and accelerations on index 3. The line of mixed precision stays on that of "
         "double: its states and residuals have 64 bits.",
-        "Largest relative error over the step, in double, single and mixed precision; a colour for "
+        "Largest relative error over the step, in double, single and mixed precision; a mark for "
         "each method. Lines that lie on each other are equal.",
         _precision,
     ),
