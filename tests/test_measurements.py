@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 from planted import Document, plant, planted
-from small_stores import A_MEASUREMENT
+from small_stores import A_MEASUREMENT, change, filled
 
 from bench.guard.process import NoAnswer, Refused
 from bench.results.gradients import ExactGradient, GradientRun, Gradients
@@ -101,7 +101,7 @@ def test_entries_become_the_arguments_of_jobs(tmp_path):
         ('"newmark", "bdf2"', "", "No integrator is named for oscillator"),
         ('problem = "pendulum"', 'problem = "pendulm"', "[[gradient]] of pendulm: "),
         ("[0.1, 0.05]", "[0.1, -0.05]", "[[precision]] of oscillator: "),
-        ("[0.1, 0.05]", f"{[0.1 / k for k in range(1, 99)]}", "are too many to be named"),
+        ("[0.1, 0.05]", f"{[0.1 / k for k in range(1, 99)]}", "are too long; give at most 900"),
         ("t_end = 1.0", "t_end = -1.0", "does not lie after the start"),
         ('["length", "g"]', '["lenght"]', "did you mean 'length'"),
         ('["length", "g"]', '["copies"]', "copies of pendulum is no float"),
@@ -219,6 +219,33 @@ def test_an_answer_that_cannot_be_read_again_is_kept_as_a_failure(tmp_path):
         (kept,) = store.measurements().values()
     assert (kept.status, kept.realtime) == ("crashed", [])
     assert "cannot be stored" in kept.message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ('"precision":[{', '"precision":[],"other":[{', "no answer of the kind precision"),
+        ('"q":0.001', '"q":-0.001', "0.0"),
+        ('"kind":"precision"', '"kind":"precisely"', "matching regex"),
+        ('"kind":"precision"', '"kind":"gradient"', "no answer of the kind gradient"),
+    ],
+)
+def test_a_measurement_that_no_chapter_can_show_is_set_aside(tmp_path, old, new, reason):
+    change(filled(tmp_path), f"UPDATE measurements SET value = replace(value, '{old}', '{new}')")
+    with Store(tmp_path) as store:
+        assert store.measurements() == {}
+        (row,) = store.set_aside()
+    assert row.table == "measurements"
+    assert reason in row.reason
+
+
+def test_derivatives_are_one_for_each_number_and_parameter():
+    assert not GRADIENTS.flaw
+    for part in ({"by": ["g"]}, {"of": []}, {"derivatives": [[1.0]]}):
+        exact = msgspec.structs.replace(EXACT, **part)
+        assert measured("gradient", gradient=Gradients(exact=exact, runs=DERIVED)).flaw
+    short = [msgspec.structs.replace(DERIVED[0], errors=[1e-3])]
+    assert measured("gradient", gradient=Gradients(exact=EXACT, runs=short)).flaw
 
 
 # ---- measuring ---------------------------------------------------------------------------

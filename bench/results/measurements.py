@@ -46,6 +46,23 @@ class Measurement(msgspec.Struct, kw_only=True, frozen=True):
         """Return the key in the store: kind, scene, settings and integrator."""
         return measurement_key(self.kind, self.about, self.integrator)
 
+    @property
+    def answer(self) -> list[RealTimeRun] | list[PrecisionRun] | Gradients | None:
+        """Return what was measured, the field of the kind; nothing of one that failed."""
+        return getattr(self, self.kind)
+
+    @property
+    def flaw(self) -> str:
+        """Return what is wrong with the answer, in words; empty if nothing is."""
+        if self.status == "ok" and not self.answer:
+            return f"it has no answer of the kind {self.kind}"
+        if self.gradient is None:
+            return ""
+        exact, runs = self.gradient.exact, self.gradient.runs
+        wide = [*exact.derivatives, *(run.errors for run in runs if run.errors)]
+        even = len(exact.derivatives) == len(exact.of) and {*map(len, wide)} == {len(exact.by)}
+        return "" if even else "its derivatives are not one for each number and parameter"
+
 
 def measurement_key(kind: str, about: str, integrator: str) -> str:
     """Return the key of a measurement in the store."""

@@ -75,7 +75,7 @@ class RealTimeRun(msgspec.Struct, kw_only=True):
     unconverged: Count
     times: StepTimes
     idle_us: NotNegative
-    errors: dict[str, float | None]
+    errors: dict[str, NotNegative | None]
     constraint: dict[str, float | None]
 
     @property

@@ -27,7 +27,7 @@ from problems.variables import VARIABLES
 WAYS = ("forward", "reverse")
 #: Largest limit of iterations that can be asked for.
 MOST_ITERATIONS = 1000
-#: Most characters of scene and settings, which are a name in the store.
+#: Most characters of a text that is a name in the store: scene and settings, title, note.
 _LONGEST = 900
 #: A number of Hz or kHz, with or without the unit.
 _RATE = re.compile(r"([+\d.e-]+) ?(?:(k?)hz)?", re.IGNORECASE)
@@ -82,8 +82,11 @@ class Entry(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
             raise SpecError(f"No integrator is named for {scene.spec}; name one at least.")
         settings, words = self._settings(scene, registry)
         about = f"{scene.spec} | {words}"
-        if len(about) > _LONGEST:
-            raise SpecError(f"The settings of {scene.spec} are too many to be named; give fewer.")
+        if max(map(len, (about, self.title, self.note))) > _LONGEST:
+            raise SpecError(
+                f"The settings, the title or the note for {scene.spec} are too long; give at most "
+                f"{_LONGEST} characters."
+            )
         return Asked(self.kind, scene, tuple(methods), settings, about, self.title, self.note)
 
     def _settings(self, scene: SceneFacts, registry: Inventory) -> tuple[tuple[Any, ...], str]:

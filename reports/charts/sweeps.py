@@ -28,7 +28,8 @@ def budget_chart(runs: Sequence[RealTimeRun]) -> vl.Spec | None:
     for name, run in zip(names, runs, strict=True):
         row = {"series": run.integrator, "text": name}
         for column, word in _QUANTILES.items():
-            times.append(row | {"line": word, "time": vl.short(getattr(run.times, column))})
+            if value := getattr(run.times, column):
+                times.append(row | {"line": word, "time": vl.short(value)})
         if run.error:
             errors.append(row | {"error": vl.short(run.error)})
     if not times:

@@ -83,7 +83,8 @@ def _precision(found: Sequence[Measurement]) -> _Shown:
 
 def _gradient(found: Sequence[Measurement]) -> _Shown:
     answers = [one.gradient for one in found if one.gradient]
-    runs, exact = [run for answer in answers for run in answer.runs], answers[0].exact
+    exact = answers[0].exact
+    runs = [run for answer in answers if answer.exact.by == exact.by for run in answer.runs]
     failed = [f"{r.integrator}, {r.way}, {r.resolution}: {r.message}" for r in runs if r.message]
     numbers = [
         f"{group}[{k}] by {name}: {value:.12g}"
