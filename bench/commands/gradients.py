@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from bench.commands import options
-from bench.commands.measuring import measured, refuse, show_or_json, with_scene_and_methods
+from bench.commands.measuring import measured, show_or_json, with_scene_and_methods
 from bench.running.entries import GradientEntry
 
 
@@ -60,7 +60,6 @@ def gradient(as_json: bool, **given: Any) -> None:
         title = f"{asked.scene.spec}, {given['of']}, t={exact.t_end:g} s"
         value = {"exact": exact, "runs": runs}
         show_or_json(as_json, value, title, gradient_table(exact, runs), said)
-    refuse([
-        *faults,
-        *(f"{r.integrator}, {r.way}, {r.resolution}: {r.message}" for r in runs if r.message),
-    ])  # fmt: skip
+    faults += [f"{r.integrator}, {r.way}, {r.resolution}: {r.message}" for r in runs if r.message]
+    if faults:
+        raise click.ClickException(" ".join(faults))

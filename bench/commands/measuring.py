@@ -32,14 +32,8 @@ def measured(
 ) -> tuple[Asked, list[Any], list[str]]:
     """Check what is asked for and measure it, each method in a process of its own.
 
-    Returns
-    -------
-    Asked
-        What was measured.
-    list
-        The answers of the methods that gave one, as `bench.running.beside.JOBS` make them.
-    list of str
-        Sentences on the others, each once.
+    Returns what was asked for, the answers of `bench.running.beside.JOBS`, and a sentence on each
+    method that has none.
 
     Raises
     ------
@@ -69,9 +63,3 @@ def show_or_json(as_json: bool, value: dict[str, Any], *parts: Table | str) -> N
         print_json(value)
     else:
         show(*parts)
-
-
-def refuse(faults: Sequence[str]) -> None:
-    """End the command with exit code 1 if something failed."""
-    if faults:
-        raise click.ClickException(" ".join(faults))

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from bench.commands import options
-from bench.commands.measuring import measured, refuse, show_or_json, with_scene_and_methods
+from bench.commands.measuring import measured, show_or_json, with_scene_and_methods
 from bench.running.entries import PrecisionEntry
 
 
@@ -45,4 +45,5 @@ def precision(form: str | None, **given: Any) -> None:
         said = precision_sentences(runs)
         value = {"runs": runs, "summary": said}
         show_or_json(form == "json", value, *precision_tables(runs), *said)
-    refuse(faults)
+    if faults:
+        raise click.ClickException(" ".join(faults))

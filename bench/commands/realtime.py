@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from bench.commands import options
-from bench.commands.measuring import measured, refuse, show_or_json, with_scene_and_methods
+from bench.commands.measuring import measured, show_or_json, with_scene_and_methods
 from bench.running.entries import MOST_ITERATIONS, RealTimeEntry
 
 
@@ -47,4 +47,6 @@ def realtime_(as_json: bool, **given: Any) -> None:
     if runs:
         said = realtime_sentence(runs)
         show_or_json(as_json, {"runs": runs, "summary": said}, *realtime_tables(runs), said)
-    refuse([*faults, *(f"{r.name}: {r.status}: {r.message}" for r in runs if r.status != "ok")])
+    faults += [f"{run.name}: {run.status}: {run.message}" for run in runs if run.status != "ok"]
+    if faults:
+        raise click.ClickException(" ".join(faults))

@@ -44,7 +44,7 @@ class Measurement(msgspec.Struct, kw_only=True, frozen=True):
     @property
     def key(self) -> str:
         """Return the key in the store: kind, scene, settings and integrator."""
-        return measurement_key(self.kind, self.about, self.integrator)
+        return f"{self.kind} | {self.about} | {self.integrator}"
 
     @property
     def answer(self) -> list[RealTimeRun] | list[PrecisionRun] | Gradients | None:
@@ -62,11 +62,6 @@ class Measurement(msgspec.Struct, kw_only=True, frozen=True):
         wide = [*exact.derivatives, *(run.errors for run in runs if run.errors)]
         even = len(exact.derivatives) == len(exact.of) and {*map(len, wide)} == {len(exact.by)}
         return "" if even else "its derivatives are not one for each number and parameter"
-
-
-def measurement_key(kind: str, about: str, integrator: str) -> str:
-    """Return the key of a measurement in the store."""
-    return f"{kind} | {about} | {integrator}"
 
 
 def without_answer(

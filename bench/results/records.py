@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Annotated, Any, Protocol, TypedDict
+from typing import Annotated, Any, TypedDict
 
 import msgspec
 from msgspec import Meta
@@ -271,15 +271,6 @@ class SceneRecord(msgspec.Struct, kw_only=True):
         return fastest * self.nominal_step if fastest and self.nominal_step else None
 
 
-class Ended(Protocol):
-    """What ended with a status, and perhaps a message."""
-
-    @property
-    def status(self) -> str: ...
-    @property
-    def message(self) -> str: ...
-
-
 class Study(msgspec.Struct, kw_only=True, frozen=True):
     """A part of a plan: some cells of one scene that belong on one chart. A rating's has the
     ``demands`` on its errors, as `bench.results.demands.demand` reads them."""
@@ -355,8 +346,9 @@ def counted(number: int, word: str) -> str:
     return f"{number} {word}{'' if number == 1 else 's'}"
 
 
-def endings(records: Iterable[Ended]) -> str:
-    """Count how runs ended: "12 ok, 3 not supported, 1 failed with a reason"."""
+def endings(records: Iterable[Any]) -> str:
+    """Count how records, or others with ``status`` and ``message``, ended: "12 ok, 3 not supported,
+    1 failed with a reason"."""
     records = list(records)
     statuses = Counter(record.status for record in records)
     ok, unsupported, cut = (statuses.pop(s, 0) for s in ("ok", UNSUPPORTED, INTERRUPTED))

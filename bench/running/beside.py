@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import msgspec
+from msgspec.structs import replace
 
 from bench.guard.limits import Limits
 from bench.guard.process import NoAnswer, Refused
-from bench.plugins.facts import MethodFacts
+from bench.plugins.facts import MethodFacts, Sources
 from bench.plugins.fingerprint import fingerprint
 from bench.results.measurements import Measurement, without_answer
 from bench.results.records import INTERRUPTED, UNSUPPORTED
@@ -44,36 +44,45 @@ def complete_measurements(
 
     Each measurement is stored before the next begins. One that fails is stored with its reason.
     """
-    asked = {one.key(method): (one, method) for one in suite.beside for method in one.methods}
-    stored, due = store.measurements(), []
-    for key, (one, method) in asked.items():
-        blank = _blank(one, method, suite)
-        found = stored.get(key)
-        if found is None or _is_old(found, blank, suite):
-            due.append((blank, _task(one, method)))
-        elif (found.title, found.note) != (one.title, one.note):
-            store.save_measurement(msgspec.structs.replace(found, title=one.title, note=one.note))
+    stored = store.measurements()
+    due: dict[Task, Measurement] = {}
+    keys = []
+    for one in suite.beside:
+        for method in one.methods:
+            blank = _blank(one, method, suite)
+            keys.append(blank.key)
+            found = stored.get(blank.key)
+            if (
+                found is None
+                or found.fingerprint != blank.fingerprint
+                or found.status == INTERRUPTED
+                or allowed_more(suite, found)
+            ):
+                arguments = one.scene.spec, method.spec, *one.settings
+                label = f"{one.kind}, {one.scene.spec}, {method.spec}"
+                due[Task(JOBS[one.kind], arguments, label, sources=one.sources(method))] = blank
+            elif (found.title, found.note) != (one.title, one.note):
+                store.save_measurement(replace(found, title=one.title, note=one.note))
     if due:
         progress.phase("measuring beside the cells, one at a time", len(due))
+        groups: dict[Sources, list[Task]] = {}
+        for task in due:
+            groups.setdefault(task.sources, []).append(task)
         limits = Limits(_CELLS * suite.plan.budget_s, suite.memory_gib)
-        blanks = {task: blank for blank, task in due}
-        groups: dict[Any, list[Task]] = {}
-        for _, task in due:
-            groups.setdefault((task.sources, task.job), []).append(task)
         with Runner(1, limits, progress) as runner:
             for task, answer in runner.run(groups.values()):
-                found = _measurement(blanks[task], answer)
+                found = _measurement(due[task], answer)
                 store.save_measurement(found)
                 if found.status != "ok":
                     progress.note(f"{task.label}: {found.message}")
                 progress.advance()
     stored = store.measurements()
-    return [stored[key] for key in asked if key in stored]
+    return [stored[key] for key in keys if key in stored]
 
 
 def _blank(asked: Asked, method: MethodFacts, suite: Suite) -> Measurement:
     """The measurement of a method without its answer."""
-    made_by = fingerprint(JOBS[asked.kind])
+    made_by = asked.scene.fingerprint, method.fingerprint, fingerprint(JOBS[asked.kind])
     return Measurement(
         kind=asked.kind,
         about=asked.about,
@@ -81,33 +90,16 @@ def _blank(asked: Asked, method: MethodFacts, suite: Suite) -> Measurement:
         integrator=method.spec,
         title=asked.title,
         note=asked.note,
-        fingerprint=f"{asked.scene.fingerprint}-{method.fingerprint}-{made_by}",
+        fingerprint="-".join(made_by),
         budget_s=suite.plan.budget_s,
         memory_gib=suite.memory_gib,
     )
 
 
-def _is_old(found: Measurement, blank: Measurement, suite: Suite) -> bool:
-    """Whether a stored measurement is of another source, or was cut short."""
-    other = found.fingerprint != blank.fingerprint
-    return other or found.status == INTERRUPTED or allowed_more(suite, found)
-
-
-def _task(asked: Asked, method: MethodFacts) -> Task:
-    return Task(
-        JOBS[asked.kind],
-        (asked.scene.spec, method.spec, *asked.settings),
-        label=f"{asked.kind}, {asked.scene.spec}, {method.spec}",
-        sources=asked.sources(method),
-        programs=method.affinity,
-    )
-
-
 def _measurement(blank: Measurement, answer: Any) -> Measurement:
     """A measurement with its answer, or with the reason why there is none."""
-    if isinstance(answer, Refused):
-        return without_answer(blank, UNSUPPORTED, answer.message)
-    if isinstance(answer, NoAnswer):
-        stopped = answer.phase if answer.status == "budget_exceeded" else ""
-        return without_answer(blank, answer.status, answer.message, stopped)
-    return msgspec.structs.replace(blank, **{blank.kind: answer})
+    if not isinstance(answer, NoAnswer):
+        return replace(blank, **{blank.kind: answer})
+    status = UNSUPPORTED if isinstance(answer, Refused) else answer.status
+    stopped = answer.phase if status == "budget_exceeded" else ""
+    return without_answer(blank, status, answer.message, stopped)

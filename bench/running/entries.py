@@ -16,7 +16,6 @@ from typing import Any, ClassVar
 import msgspec
 
 from bench.plugins.facts import MethodFacts, SceneFacts, Sources
-from bench.results.measurements import measurement_key
 from bench.results.realtime import MOST_STEPS
 from bench.running.inventory import Inventory
 from integrators.resolutions import Steps
@@ -49,10 +48,6 @@ class Asked:
     about: str
     title: str = ""
     note: str = ""
-
-    def key(self, method: MethodFacts) -> str:
-        """Return the key of a method's measurement in the store."""
-        return measurement_key(self.kind, self.about, method.spec)
 
     def sources(self, method: MethodFacts) -> Sources:
         """Return the plugins from outside that the measurement of a method needs."""

@@ -22,61 +22,38 @@ _COLORS = ("#487be1", "#cf5b22", "#189240")
 def budget_chart(runs: Sequence[RealTimeRun]) -> vl.Spec | None:
     """Times of the steps of each run beside the deadline, and its error; a row for each run."""
     options = vl.ChartOptions(line_styles(run.integrator for run in runs))
-    limits = ["" if run.iterations == "none" else f" ({run.iterations})" for run in runs]
-    names = [options.styles[r.integrator].name + n for r, n in zip(runs, limits, strict=True)]
-    times, errors = [], []
-    for name, run in zip(names, runs, strict=True):
-        row = {"series": run.integrator, "text": name}
+    names, times, errors = [], [], []
+    for run in runs:
+        limit = "" if run.iterations == "none" else f" ({run.iterations})"
+        names.append(options.styles[run.integrator].name + limit)
+        row = {"series": run.integrator, "text": names[-1]}
         for column, word in _QUANTILES.items():
             if value := getattr(run.times, column):
                 times.append(row | {"line": word, "time": vl.short(value)})
         if run.error:
             errors.append(row | {"error": vl.short(run.error)})
-    if not times:
-        return None
-    deadline = 1e6 / runs[0].rate
-    data = vl.Dataset("times", times), vl.Dataset("errors", errors)
-    known = [row["time"] for row in times]
-    x = vl.log_quantity("time", title="time of a step in µs", axis=vl.log_axis(known, "~s"))
     y = vl.category("text", title=None, sort=None, scale={"domain": names})
     y |= {"axis": {"labelLimit": 320, "grid": True}}
-    both = {"x": x, "y": y, "color": options.colors(legend=None)}
+    both = {"y": y, "color": options.colors(legend=None)}
+    point = {"type": "point", "filled": True, "size": 60, "opacity": 1}
+    deadline = {
+        "data": {"values": [{}]},
+        "mark": {"type": "rule", "color": vl.GREY, "strokeWidth": 2},
+        "encoding": {"x": {"datum": 1e6 / runs[0].rate}} if runs else {},
+    }
+    x = _log("time", "time of a step in µs", times, "~s")
     marks = _kinds(_QUANTILES.values(), MARKS, symbolFillColor=vl.GREY)
-    panels: list[vl.Spec] = [
-        {
-            "data": data[0].source,
-            "layer": [
-                {
-                    "mark": {"type": "line", "strokeWidth": 1.4},
-                    "encoding": both | {"detail": vl.category("text")},
-                },
-                {
-                    "mark": {"type": "point", "filled": True, "size": 60, "opacity": 1},
-                    "encoding": both
-                    | {"shape": marks, "tooltip": _tooltip("quantile", time="time in µs")},
-                },
-                {
-                    "data": {"values": [{}]},
-                    "mark": {"type": "rule", "color": vl.GREY, "strokeWidth": 2},
-                    "encoding": {"x": {"datum": deadline}},
-                },
-            ],
-        }
-    ]
-    if errors:
-        axis = vl.log_axis([row["error"] for row in errors], ".0e")
-        title = "largest relative error of q, v, a, λ"
-        bare = y | {"axis": y["axis"] | {"labels": False}}
-        panels.append(
-            {
-                "data": data[1].source,
-                "mark": {"type": "point", "filled": True, "size": 80, "opacity": 1},
-                "encoding": both
-                | {"x": vl.log_quantity("error", title=title, axis=axis), "y": bare}
-                | {"tooltip": _tooltip(error="error")},
-            }
-        )
-    return vl.arrange(panels, data[: len(panels)], 2, height=24 * len(runs) + 16)
+    line = {"mark": {"type": "line"}, "encoding": both | {"x": x, "detail": vl.category("text")}}
+    tooltip = _tooltip("quantile", time="time in µs")
+    points = {"mark": point, "encoding": both | {"x": x, "shape": marks, "tooltip": tooltip}}
+    data = [vl.Dataset("times", times), vl.Dataset("errors", errors)]
+    left: vl.Spec = {"data": data[0].source, "layer": [line, points, deadline]}
+    bare = y | {"axis": y["axis"] | {"labels": False}}
+    x = _log("error", "largest relative error of q, v, a, λ", errors, ".0e")
+    encoding = both | {"x": x, "y": bare, "tooltip": _tooltip(error="error")}
+    right = {"data": data[1].source, "mark": point, "encoding": encoding}
+    panels = [panel for panel, rows in ((left, times), (right, errors)) if rows]
+    return vl.arrange(panels, data, 2, height=24 * len(runs) + 16)
 
 
 # ---- precisions --------------------------------------------------------------------------
@@ -119,35 +96,38 @@ def _lines(
     data = vl.Dataset("sweep", rows)
     kinds = dict.fromkeys(row["line"] for row in rows)
     color = _kinds(kinds, _COLORS) if kind == "precision" else options.colors()
-    axis = vl.log_axis([row[x] for row in rows], "~g" if x == "h" else ".0e")
+    dashes = _kinds(kinds, [list(dash) for dash in DASHES])
     made = []
     for column, title in panels.items():
-        known = [row[column] for row in rows if row.get(column)]
-        if known:
-            y_axis = vl.log_axis(known, ".0e")
-            both = {
-                "x": vl.log_quantity(x, title=x_title, axis=axis),
-                "y": vl.log_quantity(column, title=title, axis=y_axis),
-                "color": color,
-                # Costs need not grow from run to run.
-                "order": vl.quantity("place"),
+        if not any(row.get(column) for row in rows):
+            continue
+        both = {
+            "x": _log(x, x_title, rows, "~g" if x == "h" else ".0e"),
+            "y": _log(column, title, rows, ".0e"),
+            "color": color,
+            "order": vl.quantity("place"),  # costs need not grow from run to run
+        }
+        # Detail keeps the lines of methods apart where the colour does not.
+        lines = both | {"strokeDash": dashes, "detail": vl.category("series")}
+        tooltip = _tooltip(kind, **{x: x_title, column: title})
+        points = both | {"shape": options.shapes(), "tooltip": tooltip}
+        made.append(
+            {
+                "data": data.source,
+                "transform": [{"filter": f"datum[{column!r}] > 0"}],
+                "layer": [
+                    {"mark": {"type": "line", "strokeWidth": 1.6}, "encoding": lines},
+                    {"mark": {"type": "point", "size": 45}, "encoding": points},
+                ],
             }
-            lines = both | {"strokeDash": _kinds(kinds, [list(dash) for dash in DASHES])}
-            # Detail keeps the lines of methods apart where the colour does not.
-            lines |= {"detail": vl.category("series")}
-            tooltip = _tooltip(kind, **{x: x_title, column: title})
-            points = both | {"shape": options.shapes(), "tooltip": tooltip}
-            made.append(
-                {
-                    "data": data.source,
-                    "transform": [{"filter": f"datum[{column!r}] > 0"}],
-                    "layer": [
-                        {"mark": {"type": "line", "strokeWidth": 1.6}, "encoding": lines},
-                        {"mark": {"type": "point", "size": 45}, "encoding": points},
-                    ],
-                }
-            )
+        )
     return vl.arrange(made, [data], 2, height=230)
+
+
+def _log(column: str, title: str, rows: Sequence[dict[str, Any]], numbers: str) -> vl.Spec:
+    """A logarithmic channel of a column, with its title."""
+    axis = vl.log_axis([row.get(column) for row in rows], numbers)
+    return vl.log_quantity(column, title=title, axis=axis)
 
 
 def _kinds(names: Iterable[str], values: Sequence[Any], **legend: Any) -> vl.Spec:
