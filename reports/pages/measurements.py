@@ -105,9 +105,9 @@ _CHAPTERS: dict[str, tuple[str, str, str, str, Callable[[Sequence[Measurement]],
         "Fixed budget per step",
         "Steps of a fixed size, as in real time: their time, and what they leave unsolved.",
         "What to see here: whether each step ends before the next one is due, and what the error "
-        "is if Newton's method stops after one iteration. A method holds the rate if its marks lie "
-        "left of the deadline; of these the one furthest to the left in the right chart is the "
-        "most accurate. Times are those of this machine and bind no other.",
+        "is if Newton's method stops after one iteration. A method holds the rate if its mark of "
+        "99.9 % lies left of the deadline; of these the one furthest to the left in the right "
+        "chart is the most accurate. Times are those of this machine and bind no other.",
         "Left: time of a step (median, 99.9 % and worst) in µs; the vertical line is the deadline, "
         "the time from one step to the next. Right: largest relative error of q, v, a and lam in "
         "the same run. In brackets: most iterations in each call of Newton's method.",
@@ -128,9 +128,9 @@ _CHAPTERS: dict[str, tuple[str, str, str, str, Callable[[Sequence[Measurement]],
         "Gradients",
         "Derivatives through runs by parameters of the scene: their errors and their cost.",
         "What to see here: how exact a derivative through a run is for its processor time. Lines "
-        "fall to the right with the order of the method; of two at the same height the left one is "
-        "cheaper. Forward mode takes one product for each parameter, reverse mode one for each "
-        "number at the end.",
+        "fall to the right with the order of the method, down to rounding; of two at the same "
+        "height the left one is cheaper. Forward mode takes one product for each parameter, "
+        "reverse mode one for each number at the end.",
         "Relative error of the derivatives against processor time of gradient and run together; a "
         "panel for each parameter, a colour for each method, from large to small steps.",
         _gradient,
