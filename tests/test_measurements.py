@@ -397,7 +397,7 @@ def test_the_pages_have_the_numbers_of_the_store(folder):
         "0.0003",
         "3.25",
     ]
-    assert "21.1530779673" in pages["gradient"].words
+    assert "q[0] by length: 21.1530779673" in pages["gradient"].words
     assert "IDA: unsupported: No derivative is taken." in pages["gradient"].words
 
 
