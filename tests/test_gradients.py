@@ -9,7 +9,8 @@ import pytest
 from helpers import long
 
 from bench.plugins.registry import Registry
-from bench.running.gradients import components, exact_job, gradient_job
+from bench.running.entries import components
+from bench.running.gradients import exact_job, gradient_job
 from bench.running.worker import Worker
 from integrators.contract import Wanted
 from integrators.resolutions import Steps
@@ -119,7 +120,7 @@ def test_a_derivative_of_zero_is_judged(worker):
         ("y:end", "g", "has no y"),
         ("lam[1]", "g", "has lam[0] alone"),
         ("w", "g", "names no number"),
-        ("q", "copies", "copies=1 is a whole number; a derivative needs a float."),
+        ("q", "copies", "copies of iftomm_pendulum is no float, which a derivative needs."),
         ("q", "lenght", "did you mean 'length'"),
         ("q", "g,g", "named twice"),
     ],
@@ -152,8 +153,9 @@ def test_methods_without_derivatives_are_refused(worker, method, ways, words):
 
 
 def test_components_of_a_group(scene):
-    assert components(scene, "q:end") == [("q", 0), ("q", 1)]
-    assert components(scene, "a[1]:end") == [("a", 1)]
+    sizes = {group: scene.sizes.of(group) for group in "qa"}
+    assert components(scene.spec, sizes, "q:end") == [("q", 0), ("q", 1)]
+    assert components(scene.spec, sizes, "a[1]:end") == [("a", 1)]
 
 
 @pytest.mark.long

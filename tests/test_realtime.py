@@ -12,6 +12,7 @@ from helpers import long
 from bench.plugins.registry import Registry
 from bench.results.realtime import RealTimeRun, StepTimes, realtime_sentence, realtime_tables
 from bench.results.table import NO_VALUE
+from bench.running.entries import rate_of
 from bench.running.realtime import realtime_job, stepping, timed
 from bench.running.worker import Worker
 from integrators.native.lone_steps import LoneStep
@@ -250,6 +251,4 @@ def test_wrong_input_is_refused_in_a_sentence(refused, more, words):
 
 @pytest.mark.parametrize("text", ["1kHz", "1000Hz", "1000", "1 khz", "1e3"])
 def test_a_rate_is_written_in_several_ways(text):
-    from bench.commands.realtime import rate_of
-
-    assert rate_of(None, None, text) == 1000.0  # pyright: ignore[reportArgumentType]
+    assert rate_of(text) == 1000.0

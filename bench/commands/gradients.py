@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
-import msgspec
 
-from bench.commands import completion, options
-from bench.commands.studies import of_each, once_each, print_json, with_names
-from bench.plugins.facts import MethodFacts
-from problems.spec import SpecError, one_of
+from bench.commands import options
+from bench.commands.measuring import measured, show_or_json, with_scene_and_methods
+from bench.running.entries import GradientEntry
 
-_WAYS = "forward", "reverse"
+
+def _names(context: click.Context, parameter: click.Parameter, text: str | None) -> list[str]:
+    """Read "m,k" as a list of names."""
+    return [name.strip() for name in text.split(",")] if text else []
 
 
 @click.command()
-@click.argument("problem", shell_complete=completion.scenes)
-@with_names
+@with_scene_and_methods
 @click.option(
     "--of", default="q:end", show_default=True, metavar="GROUP[:end]",
     help="Numbers at the end of the run: q, v, a, lam, x or y, or a component such as q[1].",
 )  # fmt: skip
-@click.option("--by", required=True, metavar="NAME,...", help="Float parameters of the scene.")
 @click.option(
-    "--ways", metavar="WAY,...",
+    "--by", required=True, callback=_names, metavar="NAME,...",
+    help="Float parameters of the scene.",
+)  # fmt: skip
+@click.option(
+    "--ways", callback=_names, metavar="WAY,...",
     help="Ways to differentiate, of forward and reverse; all that a method has if not given.",
 )  # fmt: skip
 @click.option(
@@ -30,23 +35,8 @@ _WAYS = "forward", "reverse"
     help="Steps in s; the scene's nominal one and three halvings if not given.",
 )  # fmt: skip
 @options.with_t_end
-@options.with_set
-@options.with_budget
-@options.with_plugins
 @options.with_as_json
-def gradient(
-    problem: str,
-    names: tuple[str, ...],
-    of: str,
-    by: str,
-    ways: str | None,
-    steps: tuple[float, ...] | None,
-    t_end: float | None,
-    settings: dict[str, str],
-    budget: float,
-    plugins: tuple[str, ...],
-    as_json: bool,
-) -> None:
+def gradient(as_json: bool, **given: Any) -> None:
     """Measure derivatives of a run's end by parameters of the scene.
 
     Runs are differentiated through their steps, forward (a Jacobian-vector product for each
@@ -61,29 +51,15 @@ def gradient(
       stepbench gradient iftomm_pendulum newmark bdf2 --of q[0]:end --by g --ways forward
       stepbench gradient pendulum "dopri8[steps=constant]" --of lam --by m --json
     """
-    asked = [one_of(way.strip(), _WAYS, "way") for way in ways.split(",")] if ways else []
-    registry = options.usable_registry(plugins)
-    scene, methods = registry.problem(problem, **settings), once_each(registry, names)
-    end, parameters = options.end_time(scene, t_end), [name.strip() for name in by.split(",")]
-    from bench.commands.terminal import show
-    from bench.results.gradients import GradientRun, gradient_sentence, gradient_table
-    from bench.running.gradients import exact_job, gradient_job
+    asked, answers, faults = measured(GradientEntry, **given)
+    from bench.results.gradients import gradient_sentence, gradient_table
 
-    task = scene.spec, of, parameters, end
-    exact = options.guarded(scene.spec, exact_job, scene.sources, budget, *task)
-
-    def measured(method: MethodFacts) -> list[GradientRun]:
-        task = method.spec, exact, asked, steps or ()
-        sources = scene.sources | method.sources
-        return options.guarded(method.spec, gradient_job, sources, budget, *task)
-
-    results, faults = of_each(methods, measured)
-    runs = [run for result in results for run in result]
-    if runs and as_json:
-        print_json({"exact": msgspec.to_builtins(exact), "runs": msgspec.to_builtins(runs)})
-    elif runs:
-        show(f"{scene.spec}, {of}, t={end:g} s", gradient_table(exact, runs))
-        show(gradient_sentence(runs))
+    runs = [run for answer in answers for run in answer.runs]
+    if runs:
+        exact, said = answers[0].exact, gradient_sentence(runs)
+        title = f"{asked.scene.spec}, {given['of']}, t={exact.t_end:g} s"
+        value = {"exact": exact, "runs": runs}
+        show_or_json(as_json, value, title, gradient_table(exact, runs), said)
     faults += [f"{r.integrator}, {r.way}, {r.resolution}: {r.message}" for r in runs if r.message]
     if faults:
-        raise SpecError(" ".join(faults))
+        raise click.ClickException(" ".join(faults))

@@ -2,40 +2,25 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
-from bench.commands import completion, options
-from bench.commands.studies import of_each, once_each, print_json, with_names
-from bench.plugins.facts import MethodFacts
-from problems.spec import SpecError
-
-#: Steps that are taken if none are given: the scene's nominal one, and halves of it.
-_HALVINGS = 6
+from bench.commands import options
+from bench.commands.measuring import measured, show_or_json, with_scene_and_methods
+from bench.running.entries import PrecisionEntry
 
 
 @click.command()
-@click.argument("problem", metavar="SCENE", shell_complete=completion.scenes)
-@with_names
+@with_scene_and_methods
 @click.option(
     "--steps", callback=options.numbers, metavar="H1,H2,...",
     help="Steps in s; the scene's nominal one and six halvings if not given.",
 )  # fmt: skip
 @options.with_t_end
-@options.with_set
-@options.with_budget
-@options.with_plugins
 @click.option("--csv", "form", flag_value="csv", help="Print a row for each run.")
 @click.option("--json", "form", flag_value="json", help="Print JSON.")
-def precision(
-    problem: str,
-    names: tuple[str, ...],
-    steps: tuple[float, ...] | None,
-    t_end: float | None,
-    settings: dict[str, str],
-    budget: float,
-    plugins: tuple[str, ...],
-    form: str | None,
-) -> None:
+def precision(form: str | None, **given: Any) -> None:
     """Run methods in double, single and mixed precision.
 
     In single all floats of a step have 32 bits. In mixed, states and residuals have 64 bits, and
@@ -49,32 +34,16 @@ def precision(
       stepbench precision pendulum bdf2 "bdf2[formulation=index2]" --csv > errors.csv
       stepbench precision slider_crank "generalized_alpha[formulation=stabilised_index2]" --json
     """
-    registry = options.usable_registry(plugins)
-    scene, methods = registry.problem(problem, **settings), once_each(registry, names)
-    end = options.end_time(scene, t_end)
-    sizes = steps or tuple(scene.nominal_step * 2.0**-k for k in range(_HALVINGS + 1))
-    from bench.commands.terminal import show
+    _, answers, faults = measured(PrecisionEntry, **given)
     from bench.results.csv_text import csv_export
-    from bench.results.precision import (
-        PrecisionRun,
-        csv_row,
-        precision_sentences,
-        precision_tables,
-    )
-    from bench.running.precision import precision_job
+    from bench.results.precision import csv_row, precision_sentences, precision_tables
 
-    def measured(method: MethodFacts) -> list[PrecisionRun]:
-        task = scene.spec, method.spec, sizes, end
-        sources = scene.sources | method.sources
-        return options.guarded(method.spec, precision_job, sources, budget, *task)
-
-    results, faults = of_each(methods, measured)
-    runs = [run for result in results for run in result]
-    if runs and form == "json":
-        print_json({"runs": runs, "summary": precision_sentences(runs)})
-    elif runs and form == "csv":
+    runs = [run for answer in answers for run in answer]
+    if runs and form == "csv":
         click.echo(csv_export([csv_row(run) for run in runs]), nl=False)
     elif runs:
-        show(*precision_tables(runs), *precision_sentences(runs))
+        said = precision_sentences(runs)
+        value = {"runs": runs, "summary": said}
+        show_or_json(form == "json", value, *precision_tables(runs), *said)
     if faults:
-        raise SpecError(" ".join(faults))
+        raise click.ClickException(" ".join(faults))

@@ -2,67 +2,31 @@
 
 from __future__ import annotations
 
-import math
-import re
-from contextlib import suppress
+from typing import Any
 
 import click
 
-from bench.commands import completion, options
-from bench.commands.studies import of_each, once_each, print_json, with_names
-from bench.plugins.facts import MethodFacts, SceneFacts
-from problems.spec import SpecError
-
-#: A number of Hz or kHz, with or without the unit.
-_RATE = re.compile(r"([+\d.e-]+) ?(?:(k?)hz)?", re.IGNORECASE)
-
-
-def rate_of(context: click.Context, parameter: click.Parameter, text: str) -> float:
-    """Read "1kHz", "500Hz" or "1000" as a number of Hz."""
-    found = _RATE.fullmatch(text)
-    with suppress(ValueError):
-        rate = float(found[1]) * (1000.0 if found[2] else 1.0) if found else 0.0
-        if 0 < rate < math.inf:
-            return rate
-    raise click.BadParameter(
-        f"{text!r} is no rate; give a positive one such as 1kHz, 500Hz or 1000."
-    )
+from bench.commands import options
+from bench.commands.measuring import measured, show_or_json, with_scene_and_methods
+from bench.running.entries import MOST_ITERATIONS, RealTimeEntry
 
 
 @click.command("realtime")
-@click.argument("problem", metavar="SCENE", shell_complete=completion.scenes)
-@with_names
+@with_scene_and_methods
 @click.option(
-    "--rate",
-    required=True,
-    callback=rate_of,
-    metavar="RATE",
-    help="Steps per second: 1kHz, 500Hz or 1000.",
+    "--rate", required=True, metavar="RATE", help="Steps per second: 1kHz, 500Hz or 1000."
 )
 @click.option(
     "--iterations",
-    type=click.IntRange(1, 1000),
+    type=click.IntRange(1, MOST_ITERATIONS),
     help="Most iterations in each call of Newton's method; 1 and unlimited side by side if not "
     "given.",
 )
 @click.option(
     "--duration", type=float, help="Length of the run in s; the scene's interval if not given."
 )
-@options.with_set
-@options.with_budget
-@options.with_plugins
 @options.with_as_json
-def realtime_(
-    problem: str,
-    names: tuple[str, ...],
-    rate: float,
-    iterations: int | None,
-    duration: float | None,
-    settings: dict[str, str],
-    budget: float,
-    plugins: tuple[str, ...],
-    as_json: bool,
-) -> None:
+def realtime_(as_json: bool, **given: Any) -> None:
     """Run methods with a fixed budget per step, as in real time.
 
     Each step of 1/RATE takes at most so many iterations of Newton's method and goes on, converged
@@ -76,44 +40,13 @@ def realtime_(
       stepbench realtime quarter_car "bdf2[newton=modified]" --rate 500Hz --iterations 2
       stepbench realtime pendulum half_explicit_euler stormer_verlet --rate 1000 --duration 1 --json
     """
-    registry = options.usable_registry(plugins)
-    scene, methods = registry.problem(problem, **settings), once_each(registry, names)
-    steps = _steps(scene, rate, duration)
-    from bench.commands.terminal import show
-    from bench.results.realtime import RealTimeRun, realtime_sentence, realtime_tables
-    from bench.running.realtime import realtime_job
+    _, answers, faults = measured(RealTimeEntry, **given)
+    from bench.results.realtime import realtime_sentence, realtime_tables
 
-    def measured(method: MethodFacts) -> list[RealTimeRun]:
-        task = scene.spec, method.spec, rate, steps, iterations
-        sources = scene.sources | method.sources
-        return options.guarded(method.spec, realtime_job, sources, budget, *task)
-
-    results, faults = of_each(methods, measured)
-    runs = [run for result in results for run in result]
-    if runs and as_json:
-        print_json({"runs": runs, "summary": realtime_sentence(runs)})
-    elif runs:
-        show(*realtime_tables(runs), realtime_sentence(runs))
+    runs = [run for answer in answers for run in answer]
+    if runs:
+        said = realtime_sentence(runs)
+        show_or_json(as_json, {"runs": runs, "summary": said}, *realtime_tables(runs), said)
     faults += [f"{run.name}: {run.status}: {run.message}" for run in runs if run.status != "ok"]
     if faults:
         raise click.ClickException(" ".join(faults))
-
-
-def _steps(scene: SceneFacts, rate: float, duration: float | None) -> int:
-    """Return the number of whole steps in the duration, which is part of the scene's interval."""
-    from bench.running.realtime import MOST_STEPS
-
-    length = scene.interval[1] - scene.interval[0]
-    duration = length if duration is None else duration
-    if not 0 < duration <= length * (1 + 1e-9):
-        raise SpecError(
-            f"The duration {duration:g} s is not allowed; give a positive one of at most "
-            f"{length:g} s, the interval of {scene.spec}, where the reference is known."
-        )
-    steps = math.floor(min(duration * rate * (1 + 1e-9), 2.0 * MOST_STEPS))
-    if not 2 <= steps <= MOST_STEPS:
-        raise SpecError(
-            f"{rate:g} Hz over {duration:g} s is not allowed; give a rate and a duration that make "
-            f"from 2 to {MOST_STEPS} steps."
-        )
-    return steps

@@ -20,6 +20,7 @@ from bench.commands.pages import view, write_reports
 from bench.commands.suite import in_common, run_suite
 from bench.guard.interrupts import remark
 from bench.plugins.facts import MethodFacts
+from bench.running.entries import once_each
 from bench.running.inventory import Inventory, PluginFailed
 from bench.running.plan import check_end, make_suite
 from bench.running.profiles import ProfileFile, StudyFile, read_profile
@@ -34,15 +35,6 @@ _SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
 with_names = click.argument(
     "names", nargs=-1, required=True, metavar="INTEGRATOR...", shell_complete=completion.integrators
 )
-
-
-def once_each(registry: Inventory, names: Sequence[str]) -> list[MethodFacts]:
-    """Return the facts of integrators; raise SpecError if one is named twice."""
-    methods = [registry.integrator(name) for name in names]
-    for k, method in enumerate(methods):
-        if method in methods[:k]:
-            raise SpecError(f"{method.spec} is named twice.")
-    return methods
 
 
 def of_each(

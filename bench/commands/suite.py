@@ -13,6 +13,7 @@ from bench.commands import completion, options
 from bench.commands.pages import GrowingPage, view, write_reports
 from bench.guard.interrupts import remark
 from bench.results.experiments import ExperimentResult
+from bench.results.measurements import Measurement
 from bench.results.records import INTERRUPTED, Record, counted, endings
 from bench.results.store import Store
 from bench.running.inventory import Inventory
@@ -31,19 +32,20 @@ class _WithSuites(click.Command):
 @dataclass(frozen=True)
 class Outcome:
     """Outcome of a suite: the records of its cells, how many of them were measured now, the
-    experiments of the failure atlas, sentences on plugins that were lost, and the number of runs of
-    other commands in the folder, which its report has, too."""
+    experiments of the failure atlas, sentences on plugins that were lost, the number of runs of
+    other commands in the folder, which its report has, too, and measurements beside the cells."""
 
     records: list[Record]
     measured: int
     experiments: list[ExperimentResult]
     lost: tuple[str, ...]
     others: int = 0
+    beside: Sequence[Measurement] = ()
 
     @property
     def interrupted(self) -> int:
-        """Number of cells that something ended from outside."""
-        return sum(record.status == INTERRUPTED for record in self.records)
+        """Number of cells and measurements that something ended from outside."""
+        return sum(one.status == INTERRUPTED for one in (*self.records, *self.beside))
 
     @property
     def sentences(self) -> list[str]:
@@ -56,6 +58,9 @@ class Outcome:
         ]
         if self.others:
             said.append(f"The folder has {counted(self.others, 'more run')}; so has its report.")
+        if self.beside:
+            count = counted(len(self.beside), "measurement")
+            said.append(f"{count} beside the cells: {endings(self.beside)}.")
         if self.experiments:
             held = sum(result.as_predicted for result in self.experiments)
             many = len(self.experiments)
@@ -79,6 +84,7 @@ def run_suite(
     from bench.atlas.experiments import read_experiments
     from bench.atlas.runs import complete_experiments
     from bench.commands.terminal import RunProgress
+    from bench.running.beside import complete_measurements
     from bench.running.session import measure_suite, runner_for, time_suite
     from bench.stability.damping import complete_damping
 
@@ -101,13 +107,14 @@ def run_suite(
         complete_damping(suite, store, registry, runner)
         with page.at_rest():
             time_suite(suite, store, registry, runner)
-        runner.end_workers()
+            runner.end_workers()
+            beside = complete_measurements(suite, store, registry, progress)
         stored = store.records()
         limits = suite.plan.budget_s, suite.memory_gib
         results = complete_experiments(experiments, added, store, registry, jobs, progress, *limits)
     records = [stored[key] for key in suite.cells if key in stored]
     others = len(stored) - len(records)
-    return Outcome(records, measured, results, suite.lost, others)
+    return Outcome(records, measured, results, suite.lost, others, beside)
 
 
 @click.command("run", cls=_WithSuites)
@@ -171,7 +178,7 @@ def run_(
     if not any(record.status == "ok" for record in outcome.records):
         raise click.ClickException(f"No cell succeeded. {in_common(outcome.records)}")
     if cut := outcome.interrupted:
-        count = "1 cell was" if cut == 1 else f"{cut} cells were"
+        count = "1 run was" if cut == 1 else f"{cut} runs were"
         raise click.ClickException(
             f"Not complete: {count} interrupted; the same command runs what is missing."
         )

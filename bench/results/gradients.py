@@ -56,6 +56,13 @@ class GradientRun(msgspec.Struct, kw_only=True):
         return max(known, default=None)
 
 
+class Gradients(msgspec.Struct, kw_only=True):
+    """Derivatives of one method at several resolutions, beside the exact ones."""
+
+    exact: ExactGradient
+    runs: list[GradientRun]
+
+
 def gradient_table(exact: ExactGradient, runs: Sequence[GradientRun]) -> Table:
     """Return a row for each method, way and resolution."""
     rows = [

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from bench.results.quantities import GROUPS
-from bench.results.records import Count, Name, Positive
+from bench.results.records import Count, Name, NotNegative, Positive
 from bench.results.table import Table, number
 
 #: Rounding has taken over where an error is this many times that of the same run in double.
@@ -37,7 +37,7 @@ class PrecisionRun(msgspec.Struct, kw_only=True):
     steps: Count
     status: Name
     message: str
-    errors: dict[str, float | None]
+    errors: dict[str, NotNegative | None]
 
 
 class Takeover(NamedTuple):
@@ -97,7 +97,9 @@ def precision_tables(runs: Sequence[PrecisionRun]) -> list[Table]:
             for run in own
         ]
         title = f"{method} on {own[0].problem}"
-        tables.append(Table(title, ["precision", "h [s]", *groups, "ended"], rows, note=_NOTE))
+        tables.append(
+            Table(title, ["precision", "h [s]", *groups, "ended"], rows, code=(), note=_NOTE)
+        )
     return tables
 
 

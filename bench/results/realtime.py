@@ -11,6 +11,8 @@ from bench.results.records import Count, Name, NotNegative, Positive
 from bench.results.table import NO_VALUE, Table, number
 from problems.runtime import Float
 
+#: Most steps of a run: its states are kept. In 32-bit floats numbers of steps are exact up to 2^24.
+MOST_STEPS = 1_000_000
 #: Part of the steps that may be late where a method is said to hold a rate.
 LATE = 1e-3
 #: Errors that are apart by less than this factor are equal; the faster method is named then.
@@ -73,7 +75,7 @@ class RealTimeRun(msgspec.Struct, kw_only=True):
     unconverged: Count
     times: StepTimes
     idle_us: NotNegative
-    errors: dict[str, float | None]
+    errors: dict[str, NotNegative | None]
     constraint: dict[str, float | None]
 
     @property

@@ -346,8 +346,9 @@ def counted(number: int, word: str) -> str:
     return f"{number} {word}{'' if number == 1 else 's'}"
 
 
-def endings(records: Iterable[Record]) -> str:
-    """Count how runs ended: "12 ok, 3 not supported, 1 failed with a reason"."""
+def endings(records: Iterable[Any]) -> str:
+    """Count how records, or others with ``status`` and ``message``, ended: "12 ok, 3 not supported,
+    1 failed with a reason"."""
     records = list(records)
     statuses = Counter(record.status for record in records)
     ok, unsupported, cut = (statuses.pop(s, 0) for s in ("ok", UNSUPPORTED, INTERRUPTED))

@@ -3,29 +3,26 @@
 from __future__ import annotations
 
 import math
-import re
 import statistics
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from bench.results.gradients import ExactGradient, GradientRun
+from bench.results.gradients import ExactGradient, GradientRun, Gradients
+from bench.running.entries import check_parameters, components
 from bench.running.errors import finite
 from bench.running.worker import SAMPLE_SECONDS, Worker
 from integrators.contract import Gradient, Integrator, Wanted
 from integrators.resolutions import Steps
 from problems.reference import ReferenceFailed
 from problems.sensitivities import sensitivities, size_of
-from problems.spec import SpecError, suggest
-from problems.system import MechatronicSystem
+from problems.spec import SpecError, options_of
 from problems.usage import computed_seconds, undisturbed
 from problems.variables import VARIABLES
 
 #: Samples of a plain run and of its gradient, in turns; one is enough if they take this time in s.
 _SAMPLES, _LONG = 5, 5.0
-_HALVINGS = 3
-_OF = re.compile(rf"({'|'.join(VARIABLES)})(?:\[(\d{{1,9}})\])?(?::end)?")
 
 
 def exact_job(
@@ -53,8 +50,8 @@ def exact_job(
             f"Values of {scene.spec} jump at samples or events; derivatives through jumps are not "
             f"computed. Take a scene without them."
         )
-    numbers = components(scene, of)
-    check_parameters(scene, by)
+    numbers = components(scene.spec, {group: scene.sizes.of(group) for group in VARIABLES}, of)
+    check_parameters(scene.spec, scene.parameters(), options_of(type(scene)), by)
     try:
         found = sensitivities(scene, t_end, by)
     except ReferenceFailed as error:
@@ -75,34 +72,19 @@ def exact_job(
     )
 
 
-def components(scene: MechatronicSystem, of: str) -> list[tuple[str, int]]:
-    """Read "q:end" as all components of a group, and "q[1]:end" as one of them."""
-    match = _OF.fullmatch(of.strip())
-    if not match:
-        raise SpecError(
-            f"{of!r} names no number at the end; give a group of {', '.join(VARIABLES)}, or one of "
-            f"its components, as q:end or q[1]:end."
-        )
-    group, index = match[1], match[2]
-    size = scene.sizes.of(group)
-    if not size or int(index or 0) >= size:
-        has = f"has {group}[0] to {group}[{size - 1}]" if size > 1 else f"has {group}[0] alone"
-        has = has if size else f"has no {group}"
-        raise SpecError(f"There is no {of.partition(':')[0]}: {scene.spec} {has}.")
-    return [(group, k) for k in (range(size) if index is None else [int(index)])]
-
-
-def check_parameters(scene: MechatronicSystem, by: Sequence[str]) -> None:
-    """Raise SpecError unless all names are those of different float parameters of a scene."""
-    floats = scene.parameters()
-    for k, name in enumerate(by):
-        whole = getattr(scene, name, None) if name.isidentifier() else None
-        if name not in floats and isinstance(whole, int):
-            raise SpecError(f"{name}={whole} is a whole number; a derivative needs a float.")
-        if name not in floats:
-            raise SpecError(f"{scene.spec} has no parameter {name!r}; {suggest(name, floats)}.")
-        if name in by[:k]:
-            raise SpecError(f"{name!r} is named twice.")
+def gradients_job(
+    worker: Worker,
+    problem: str,
+    integrator: str,
+    of: str,
+    by: Sequence[str],
+    t_end: float,
+    ways: Sequence[str],
+    steps: Sequence[float],
+) -> Gradients:
+    """Do `exact_job`, and `gradient_job` for one method."""
+    exact = exact_job(worker, problem, of, by, t_end)
+    return Gradients(exact=exact, runs=gradient_job(worker, integrator, exact, ways, steps))
 
 
 def gradient_job(
@@ -119,7 +101,7 @@ def gradient_job(
     ways
         Ways to take; all that the method has if empty.
     steps
-        Steps in s; those of the study if empty.
+        Steps in s.
 
     Raises
     ------
@@ -128,7 +110,6 @@ def gradient_job(
     """
     scene, method = worker.problem(exact.problem), worker.registry.integrator(integrator)
     ways = ways_of(method, ways)
-    steps = steps or [scene.nominal_step / 2**k for k in range(_HALVINGS + 1)]
     runs = []
     for way in ways:
         wanted = Wanted(tuple(exact.of), tuple(exact.by), way)

@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
+
+from msgspec.structs import replace
 
 from bench.plugins.facts import MethodFacts, SceneFacts, Sources
 from bench.plugins.reasons import Unavailable
 from bench.plugins.registry import files_of
 from bench.results.quantities import NORMS
 from bench.results.records import IntegratorFacts, Plan, Record, Study
+from bench.running.entries import Asked
+from bench.running.entries import check_end as check_end
 from bench.running.inventory import Inventory, PluginFailed
 from bench.running.profiles import FIGURES, TABLES, ProfileFile, StudyFile
 from integrators.contract import Integrator
@@ -115,6 +119,8 @@ class Suite:
         Experiments of the failure atlas that belong to it (True: all, False: none).
     lost
         Sentences on plugins that have no cells, as they gave no facts.
+    beside
+        Measurements of other kinds than cells.
     """
 
     plan: Plan
@@ -122,6 +128,7 @@ class Suite:
     memory_gib: float
     atlas: bool | list[str] = False
     lost: tuple[str, ...] = ()
+    beside: tuple[Asked, ...] = ()
 
 
 def make_suite(
@@ -186,9 +193,28 @@ def make_suite(
         },
         mine=own_method.spec if own_method else "",
     )
-    # A part of the profile goes without the atlas.
-    atlas = False if problems or integrators else profile.atlas
-    return Suite(plan, cells, profile.memory_gib, atlas, tuple(dict.fromkeys(lost)))
+    # A part of the profile goes without the atlas and what is measured beside the cells.
+    atlas, beside = False, ()
+    if not (problems or integrators):
+        atlas, beside = profile.atlas, tuple(_beside(profile, registry, own_method, lost))
+    return Suite(plan, cells, profile.memory_gib, atlas, tuple(dict.fromkeys(lost)), beside)
+
+
+def _beside(
+    profile: ProfileFile, registry: Inventory, mine: MethodFacts | None, lost: list[str]
+) -> Iterator[Asked]:
+    """Check what is measured beside the cells; plugins without facts are lost, not refused."""
+    for entry in profile.entries:
+        try:
+            names = _usable(entry.integrators, registry.integrator, lost)
+            there = _usable([entry.problem], registry.problem, lost)
+            if not there or (entry.integrators and not names):
+                continue
+            if mine and mine not in map(registry.integrator, names):
+                names.append(mine.spec)
+            yield replace(entry, integrators=names).asked(registry)
+        except SpecError as error:
+            raise SpecError(f"[[{entry.kind}]] of {entry.problem}: {error}") from None
 
 
 class _Entry(NamedTuple):
@@ -310,19 +336,6 @@ def _components(file: StudyFile, scene: SceneFacts, registry: Inventory) -> list
                     f"q1, or two as q2:q1 for one over the other."
                 )
     return list(file.components)
-
-
-def check_end(t0: float, t_end: float) -> float:
-    """Return t_end as a float.
-
-    Raises
-    ------
-    SpecError
-        If it does not lie after the start t0.
-    """
-    if not t0 < t_end < float("inf"):
-        raise SpecError(f"The end time {t_end:g} s does not lie after the start at {t0:g} s.")
-    return float(t_end)
 
 
 def resolution_of(

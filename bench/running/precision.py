@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bench.results.precision import PrecisionRun
-from bench.running.realtime import MOST_STEPS, errors_of, stepping
+from bench.results.realtime import MOST_STEPS
+from bench.running.realtime import errors_of, stepping
 from bench.running.worker import Worker
 from integrators.contract import Trajectory
 from integrators.native.lone_steps import LoneStep

@@ -21,8 +21,6 @@ from problems.runtime import Array, Float, jax
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
-#: Most steps of a run: its states are kept. In 32-bit floats numbers of steps are exact up to 2^24.
-MOST_STEPS = 1_000_000
 #: Steps before the clock is read.
 _WARM_UP = 200
 #: Calls that do nothing, by which the cost of a call is measured.

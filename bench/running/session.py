@@ -8,6 +8,7 @@ from bench.guard.limits import Limits
 from bench.guard.process import NoAnswer
 from bench.plugins.facts import SceneFacts
 from bench.results.environment import environment
+from bench.results.measurements import Measurement
 from bench.results.quantities import NORM, NORMS
 from bench.results.records import INTERRUPTED, TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.results.store import Store
@@ -41,7 +42,7 @@ def missing_cells(suite: Suite, store: Store, registry: Inventory) -> list[Cell]
             or cell.key not in with_rows
             or record.fingerprint != cell.fingerprint(registry)
             or record.status == INTERRUPTED
-            or _allowed_more(suite, record)
+            or allowed_more(suite, record)
         )
 
     return list(filter(is_missing, suite.cells.values()))
@@ -56,7 +57,7 @@ def missing_scenes(suite: Suite, store: Store, registry: Inventory) -> list[tupl
         return (
             scene not in stored
             or stored[scene].fingerprint != made_by(registry.problem(scene[0]).fingerprint)
-            or _allowed_more(suite, stored[scene])
+            or allowed_more(suite, stored[scene])
         )
 
     return sorted(filter(is_missing, {(s.problem, s.t_end) for s in suite.plan.studies}))
@@ -201,6 +202,13 @@ def result_of(cell: Cell, answer: CellResult | NoAnswer, registry: Inventory) ->
     return answer
 
 
+def allowed_more(suite: Suite, record: Record | SceneRecord | Measurement) -> bool:
+    """Return whether a budget ran out, and the suite has more time or memory."""
+    budgets = (suite.plan.budget_s, record.budget_s), (suite.memory_gib, record.memory_gib)
+    more = any(before is not None and now > before for now, before in budgets)
+    return record.stopped != "" and more
+
+
 # ---- parts -----------------------------------------------------------------------------
 def _described(
     task: Task, answer: SceneRecord | NoAnswer, progress: Progress
@@ -233,13 +241,6 @@ def _samples_due(suite: Suite, records: Mapping[str, Record]) -> int:
 def _samples_of(record: Record) -> dict[int, float]:
     """Timing samples in s by their rounds."""
     return {number: s for (_, number), s in zip(record.rounds, record.run_s, strict=True)}
-
-
-def _allowed_more(suite: Suite, record: Record | SceneRecord) -> bool:
-    """Whether a budget ran out, and the suite has more time or memory."""
-    budgets = (suite.plan.budget_s, record.budget_s), (suite.memory_gib, record.memory_gib)
-    more = any(before is not None and now > before for now, before in budgets)
-    return record.stopped != "" and more
 
 
 def _groups(
