@@ -191,8 +191,8 @@ class Tree:
     def speeds(self, at: Poses, v: Float[Array, " nv"]) -> tuple[Array, Array]:
         """Return the velocities of the centres of mass, and angular velocities: ``(n, 3)`` each."""
         above = self._above[:, self._of]
-        angular = above @ (v[:, None] * at.turning)
-        speed = above @ (v[:, None] * at.moving) + jnp.cross(angular, self._bodies(at)[0])
+        angular = jnp.matmul(above, v[:, None] * at.turning)
+        speed = jnp.matmul(above, v[:, None] * at.moving) + jnp.cross(angular, self._bodies(at)[0])
         return speed, angular
 
     def on_joints(self, at: Poses, force: Any, spin: Array) -> Float[Array, " nv"]:
