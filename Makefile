@@ -39,7 +39,7 @@ survey: .venv/tested  ## every method on every scene: none is wrong without a no
 attack: .venv/tested  ## hostile plugins, signals, inputs, stores and machines: tried and held
 	$(TESTS) tests/attacks -m "attack or not attack"
 
-bench: .venv/tested  ## our time loop against C, exudyn and other solvers; microseconds per step
+bench: .venv/tested  ## our time loop against C, exudyn and other solvers; microseconds per step; half an hour
 	$(BIN)/python tests/benchmarks/start_up.py
 	$(BIN)/python tests/benchmarks/race.py
 	$(BIN)/python tests/benchmarks/families.py
