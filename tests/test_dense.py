@@ -103,6 +103,21 @@ def test_loops_branches_and_calls_are_rewritten():
     assert all(np.allclose(ours[key], plain[key], rtol=1e-13) for key in ("total", "first"))
 
 
+def test_a_way_for_many_runs_side_by_side_is_kept():
+    """Eliminations of many runs at once have their own program, without branches."""
+    twice = jax.custom_batching.custom_vmap(lambda a: a @ a)
+    twice.def_vmap(lambda size, batched, a: (10 * a, True))
+    once = small_matrices.without_products(twice)
+    looped = small_matrices.without_products(
+        lambda a: jax.lax.fori_loop(0, 1, lambda k, x: twice(x), a)
+    )
+    many = RANDOM.normal(size=(4, 3, 3))
+    for rewritten in (once, looped):
+        assert np.allclose(rewritten(many[0]), many[0] @ many[0], rtol=1e-14)
+        assert "dot_general" not in str(jax.make_jaxpr(rewritten)(many[0]))
+        assert np.array_equal(jax.vmap(rewritten)(many), 10 * many)
+
+
 def test_products_with_vectors_and_large_ones_stay():
     for a, b in (
         ((9, 9), (9,)),

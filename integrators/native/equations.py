@@ -8,7 +8,7 @@ rule depend on all that goes into it, so a tangent has no entry that is not foun
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 
 
 def evaluated(
-    program: Any, given: Sequence[Any], rule: Callable[[Any, list[Any]], Sequence[Any]]
+    program: Any,
+    given: Sequence[Any],
+    rule: Callable[[Any, list[Any]], Sequence[Any]],
+    whole: Collection[str] = (),
 ) -> list[Any]:
     """Return the results of a program; functions that it calls are evaluated likewise.
 
@@ -32,6 +35,8 @@ def evaluated(
         As `jax.make_jaxpr` makes it.
     rule
         Function of an equation and its arguments that gives its results.
+    whole
+        Names of operations that ``rule`` takes as they are, though they call a program.
     """
     from jax.extend.core import Literal
 
@@ -42,11 +47,12 @@ def evaluated(
         return atom.val if isinstance(atom, Literal) else values[atom]
 
     for equation in jaxpr.eqns:
-        inner, taken = _called(equation), [value(atom) for atom in equation.invars]
+        inner, taken = _called(equation, whole), [value(atom) for atom in equation.invars]
         # Operations are counted by names, also by those of functions that are called here.
         called = equation.params.get("name", "") if inner is not None else ""
         with jax.named_scope(f"{equation.source_info.name_stack}/{called}"):
-            results = rule(equation, taken) if inner is None else evaluated(inner, taken, rule)
+            again = partial(evaluated, inner, rule=rule, whole=whole)
+            results = rule(equation, taken) if inner is None else again(taken)
         values.update(zip(equation.outvars, results, strict=True))
     return [value(atom) for atom in jaxpr.outvars]
 
@@ -62,10 +68,10 @@ def bound(equation: Any, given: Sequence[Any], **changed: Any) -> list[Any]:
     return results if equation.primitive.multiple_results else [results]
 
 
-def _called(equation: Any) -> Any | None:
+def _called(equation: Any, whole: Collection[str]) -> Any | None:
     """The program that an equation calls once: the only one that it has, if it is no loop."""
     programs = [value for value in equation.params.values() if is_program(value)]
-    if len(programs) != 1 or "length" in equation.params:
+    if len(programs) != 1 or "length" in equation.params or equation.primitive.name in whole:
         return None
     jaxpr = getattr(programs[0], "jaxpr", programs[0])
     return programs[0] if len(jaxpr.invars) == len(equation.invars) else None

@@ -189,7 +189,7 @@ def without_products(function: Callable) -> Callable:
     def rewritten(*args: Any) -> Any:
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
         try:
-            out = evaluated(closed, jax.tree.leaves(args), _as_sums)
+            out = _evaluated(closed, jax.tree.leaves(args))
         except (ImportError, AttributeError, LookupError, TypeError, ValueError) as error:
             runtime.slower(
                 f"Small scenes run slowly: their programs cannot be rewritten ({error})."
@@ -215,8 +215,11 @@ def _rewritten(parameter: Any) -> Any:
         return tuple(map(_rewritten, parameter))
     if not is_program(parameter) or not hasattr(parameter, "consts"):
         return parameter
-    body = partial(evaluated, parameter, rule=_as_sums)
-    return jax.make_jaxpr(lambda *given: body(given))(*parameter.in_avals)
+    return jax.make_jaxpr(lambda *given: _evaluated(parameter, given))(*parameter.in_avals)
+
+
+#: Functions that know a better way for many arguments side by side keep it.
+_evaluated = partial(evaluated, rule=_as_sums, whole={"custom_vmap_call"})
 
 
 def _is_small_product(a: Array, b: Array, numbers: tuple) -> bool:
