@@ -19,8 +19,9 @@ import msgspec
 from bench.plugins.facts import MethodFacts
 from bench.results.experiments import BASES, Expected
 from bench.results.quantities import GROUPS, LEVELS, NORMS
+from bench.running.entries import check_end
 from bench.running.inventory import Inventory
-from bench.running.plan import Cell, check_end
+from bench.running.plan import Cell
 from integrators.native.precision import PRECISIONS
 from integrators.resolutions import Steps, Tolerances
 from problems import spec

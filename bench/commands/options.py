@@ -15,8 +15,9 @@ import click
 from bench.commands import completion
 from bench.plugins.facts import MethodFacts, SceneFacts, Sources
 from bench.results.store import Store, set_aside_text
+from bench.running.entries import check_end
 from bench.running.inventory import Inventory
-from bench.running.plan import LARGEST_BUDGET, check_end
+from bench.running.plan import LARGEST_BUDGET
 from bench.running.progress import OnStandardError
 from integrators.resolutions import Tolerances
 

@@ -20,9 +20,9 @@ from bench.commands.pages import view, write_reports
 from bench.commands.suite import in_common, run_suite
 from bench.guard.interrupts import remark
 from bench.plugins.facts import MethodFacts
-from bench.running.entries import once_each
+from bench.running.entries import check_end, once_each
 from bench.running.inventory import Inventory, PluginFailed
-from bench.running.plan import check_end, make_suite
+from bench.running.plan import make_suite
 from bench.running.profiles import ProfileFile, StudyFile, read_profile
 from integrators.resolutions import Steps
 from problems.spec import SpecError

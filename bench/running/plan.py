@@ -20,8 +20,7 @@ from bench.plugins.reasons import Unavailable
 from bench.plugins.registry import files_of
 from bench.results.quantities import NORMS
 from bench.results.records import IntegratorFacts, Plan, Record, Study
-from bench.running.entries import Asked
-from bench.running.entries import check_end as check_end
+from bench.running.entries import Asked, check_end
 from bench.running.inventory import Inventory, PluginFailed
 from bench.running.profiles import FIGURES, TABLES, ProfileFile, StudyFile
 from integrators.contract import Integrator

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.running.plan import check_end
+from bench.running.entries import check_end
 from bench.sweeps.batch import Batch, refuse
 from bench.sweeps.variation import default_resolution, find_quantity, runs_with, spec_without
 from integrators.contract import Integrator

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bench.guard.limits import PREPARING, RUNNING
-from bench.running.plan import check_end
+from bench.running.entries import check_end
 from bench.running.worker import Worker
 from bench.sweeps.batch import refuse
 from bench.sweeps.ensemble import Ensemble, ensemble

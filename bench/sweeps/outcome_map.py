@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from bench.results.quantities import GROUPS, group_and_norm
+from bench.running.entries import check_end
 from bench.running.errors import Scales, component_errors, finite, scales, whole_error
-from bench.running.plan import check_end
 from bench.sweeps.batch import Batch, BatchRun, Block
 from bench.sweeps.variation import Range, default_resolution, runs_with, spec_without
 from integrators.contract import Integrator

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.running.plan import check_end, resolution_of
+from bench.running.entries import check_end
+from bench.running.plan import resolution_of
 from bench.sweeps.batch import BatchRun
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances
