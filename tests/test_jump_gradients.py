@@ -205,10 +205,10 @@ class _Rod(ContactSystem):
 def test_impacts_on_a_constrained_body(worker, method):
     by, of = ("g", "wall", "restitution"), (("q", 0), ("v", 0), ("lam", 0))
     given = worker, _Rod(), method, 1.0, 0.02, by, of
-    # The projection of a velocity that is consistent to 1e-9 is not differentiated as such.
-    np.testing.assert_allclose(derivatives(*given), of_runs(*given), rtol=1e-4, atol=1e-4)
+    found = derivatives(*given)
+    np.testing.assert_allclose(found, of_runs(*given), rtol=1e-5, atol=1e-5)
     exact = sensitivities(_Rod(), 1.0, by).derivatives
-    off = np.abs(derivatives(*given)[:2] - [exact["q"][0], exact["v"][0]]).max()
+    off = np.abs(found[:2] - [exact["q"][0], exact["v"][0]]).max()
     assert off < (0.05 if method == "generalized_alpha" else 1e-6)
 
 
@@ -219,7 +219,7 @@ def test_impacts_on_a_constrained_body(worker, method):
         ("impact_stop", 1.0, "k", "dt = -along(fallen) / fall", "dt = 0.0 * along(fallen)"),
         ("impact_stop", 1.0, "k", "dt = -along(fallen)", "dt = along(fallen)"),
         ("impact_stop", 1.0, "k", "*along(jumped), dz.t,", "*along(jumped), 0.0 * dz.t,"),
-        ("sampled_pd", 1.0, "kp", "else scene.jump", "else scene.jump"),
+        ("sampled_pd", 1.0, "kp", "else scene.jump", "else scene.jump"),  # nothing is left out
         ("sampled_pd", 1.0, "kp", "scene.sample(z)", "jax.lax.stop_gradient(scene.sample(z))"),
         ("rocking_block", 2.0, "r", "scene.jump(z, at)",
          "jax.lax.stop_gradient(scene.jump(z, at))"),

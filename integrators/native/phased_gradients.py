@@ -167,14 +167,15 @@ def phased_gradient(
         failed = Gradient(np.full(shape[0], np.nan), np.full(shape, np.nan), np.array(False))
         return lambda: failed
     first = _start(scene, wanted.by)
+    programs = [_along(method, piece, resolution, renumber) for piece in run.pieces]
 
     def derive() -> Gradient:
         run.execute()
         changes, solved = first, True
-        for piece in run.pieces[:-1]:
-            z, dz, fine = _along(method, piece, resolution, changes, renumber)
+        for piece, along in zip(run.pieces[:-1], programs, strict=False):
+            z, dz, fine = along(changes)
             changes, solved = _behind(piece, z, dz, changes), solved and fine
-        z, dz, fine = _along(method, run.pieces[-1], resolution, changes, renumber)
+        z, dz, fine = programs[-1](changes)
         values = np.array([getattr(z, group)[k] for group, k in wanted.of])
         derivatives = np.array([getattr(dz, group)[:-1, k] for group, k in wanted.of])
         return Gradient(values, derivatives, np.array(solved and fine))
@@ -195,33 +196,37 @@ def _start(scene: MechatronicSystem, by: Sequence[str]) -> _Changes:
 
 
 def _along(
-    method: Integrator,
-    piece: _Piece,
-    resolution: Steps,
-    changes: _Changes,
-    renumber: Renumber | None,
-) -> tuple[Variables, Variables, bool]:
-    """Variables at the end of a piece, their k + 1 changes, the last one by the time of the end
-    alone, and whether all equations were solved."""
-    phase, t1, way = piece.scene, piece.t1, method.gradient_ways[0]
-    p, t0 = phase.parameters(), phase.interval[0]
-    start = consistent_start(phase)._replace(constrained_jerk=None)
-    entered = _entered(phase.template())(p, phase.start(), t0, *changes)
-    ends = np.append((0.0 if piece.event is not None else piece.moves) * changes.t, 1.0)
-    native = method.step_method(phase)
+    method: Integrator, piece: _Piece, resolution: Steps, renumber: Renumber | None
+) -> Callable[[_Changes], tuple[Variables, Variables, bool]]:
+    """Make the function of the changes at the start of a piece ready. It gives variables at the
+    end, their k + 1 changes, the last one by the time of the end alone, and whether all equations
+    were solved."""
+    phase, way = piece.scene, method.gradient_ways[0]
+    native: Any = method.step_method(phase)
     program, numbers = differentiable(native, phase)
+    p, t0, t1 = phase.parameters(), phase.interval[0], piece.t1
     clock, steps = grid(t0, t1, replace(resolution, h=min(resolution.h, t1 - t0)))
     # Forward mode takes any number of steps, reverse mode divides them where a program is made.
     fixed = steps if way == "reverse" else None
     derive = _piece(program, phase.template(), fixed, native.states_only, renumber, way)
-    moved = *_with_one_more((changes.p, entered, changes.t)), ends
-    z, dz, fine = derive((p, start, t0, t1), moved, numbers, clock, steps)
-    return *jax.tree.map(np.asarray, (z, dz)), bool(fine)
+    start = consistent_start(phase)._replace(constrained_jerk=None)
+    given = jax.tree.map(jnp.asarray, ((p, start, t0, t1), numbers, clock, steps))
+    entered, state = _entered(phase.template()), jax.tree.map(jnp.asarray, (p, phase.start(), t0))
+
+    def along(changes: _Changes) -> tuple[Variables, Variables, bool]:
+        ends = np.append((0.0 if piece.event is not None else piece.moves) * changes.t, 1.0)
+        moved = _with_one_more((changes.p, entered(*state, *changes), changes.t))
+        z, dz, fine = derive(given[0], (*moved, ends), *given[1:])
+        return *jax.tree.map(np.asarray, (z, dz)), bool(fine)
+
+    return along
 
 
 def _with_one_more(changes: Any) -> Any:
     """Changes with one more, which is zero."""
-    return jax.tree.map(lambda part: np.concatenate([part, np.zeros_like(part[:1])]), changes)
+    return jax.tree.map(
+        lambda part: np.concatenate([part, np.zeros((1, *part.shape[1:]))]), changes
+    )
 
 
 def _behind(piece: _Piece, z: Variables, dz: Variables, changes: _Changes) -> _Changes:
