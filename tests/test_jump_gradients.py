@@ -304,7 +304,7 @@ class _AtOnce(_Touching):
 
 
 @pytest.mark.parametrize(
-    ("scene", "words"), [(_Touching(), "grazes"), (_AtOnce(), "follows another one at once")]
+    ("scene", "words"), [(_Touching(), "grazes"), (_AtOnce(), "where a phase begins")]
 )
 def test_events_without_derivatives_are_refused(worker, scene, words):
     method = worker.registry.integrator("newmark")

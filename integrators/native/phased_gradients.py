@@ -84,8 +84,8 @@ class _ObservedRun(PhasedRun):
         cut = super()._flow(phase, stop) if expected else None
         if not expected or (cut and len(self.pieces) == known):
             raise SpecError(
-                f"{phase.spec}: an event follows another one at once at t={phase.interval[0]:.9g} "
-                f"s; their order may change with a parameter, so that no derivative is computed."
+                f"{phase.spec}: an event happens at t={phase.interval[0]:.9g} s, where a phase "
+                f"begins; whether it does may change with a parameter: no derivative is computed."
             )
         if cut is not None:
             self.pieces[-1] = self.pieces[-1]._replace(cut=cut)
