@@ -243,7 +243,8 @@ class Integrator(ABC):
     ) -> Callable[[], Gradient]:
         """Make ready the derivatives of numbers at the end of a run, as of `prepare`.
 
-        The function that is returned computes them, as often as the bench times it.
+        The function that is returned computes them, as often as the bench times it. Where values
+        of the scene jump, the way is "forward", whichever ways the method has.
         """
         raise spec.SpecError(f"{self.spec} cannot be differentiated.")
 

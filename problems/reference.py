@@ -137,6 +137,12 @@ class Reference:
             return self._closed_form(t)
         return self._evaluate(self._known.phases, t, phase)
 
+    def end(self) -> tuple[dict[str, Float[np.ndarray, " n"]], Float[np.ndarray, "n 2"]]:
+        """Compute the values at t_end, and `events`, by one integration, which is not kept."""
+        phases = self._integrate(0)
+        found = self._evaluate(phases, np.array([self.t_end]))
+        return {group: rows[0] for group, rows in found.items()}, phases.events
+
     @property
     def events(self) -> Float[np.ndarray, "n 2"]:
         """Times in s and numbers of all events, if they are known by integration."""

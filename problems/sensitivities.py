@@ -2,7 +2,9 @@
 
 The exact ones solve the variational equations of the explicit ODE, S' = f_s S + f_p, beside the
 motion, by Gauss' collocation of order 24. Their error is the difference from Radau IIA of order 23
-with other steps. No integrator of the bench takes part.
+with other steps. Where values jump, references of other parameters are differenced and extrapolated
+(Richardson), and the widths with the least estimated error are taken. No integrator of the bench
+takes part.
 """
 
 from __future__ import annotations
@@ -28,6 +30,10 @@ _TOLERANCE = 3e-14
 _NO_CHANGE = 1e-4
 #: Longest steps of the two integrations, in nominal steps.
 _LONGEST = 4, 3
+#: How often differences of references are halved at most, and the relative error that is enough.
+_MOST_HALVINGS, _ENOUGH = 11, 1e-11
+#: Largest estimated error of a derivative, relative to itself or to its scene's natural size.
+_TRUSTED = 1e-4
 
 
 class Sensitivities(NamedTuple):
@@ -104,10 +110,13 @@ def sensitivities(scene: MechatronicSystem, t_end: float, by: Sequence[str]) -> 
     Raises
     ------
     ReferenceFailed
-        If the scene is too large, or no step is small enough.
+        If the scene is too large, or no step is small enough; or if values jump, and the number of
+        events changes with a parameter.
     """
     if missing := Reference(scene, t_end).missing:
         raise ReferenceFailed(missing.replace("No reference is", "No exact derivatives are"))
+    if scene.is_hybrid:
+        return _through_jumps(scene, t_end, by)
     template, p = scene.template(), scene.parameters()
     at, n, k = state_layout(scene.sizes), state_layout(scene.sizes).size, len(by)
     sizes = np.array([size_of(scene, name) for name in by])
@@ -167,3 +176,73 @@ def sensitivities(scene: MechatronicSystem, t_end: float, by: Sequence[str]) -> 
         found.append(({g: np.asarray(v) for g, v in values.items()}, per_unit))
     (values, ours), (_, other) = found
     return Sensitivities(values, ours, {g: np.abs(ours[g] - other[g]) for g in VARIABLES})
+
+
+def _through_jumps(scene: MechatronicSystem, t_end: float, by: Sequence[str]) -> Sensitivities:
+    """`sensitivities` of a motion whose values jump, by differences of references."""
+    if scene.has("sample") and "sample_time" in by:
+        raise ReferenceFailed(
+            f"No exact derivatives of {scene.spec} by sample_time are computed: it moves the "
+            f"samples, and their number changes."
+        )
+    values, events = Reference(scene, t_end).end()
+    columns = [_extrapolated(scene, t_end, name, values, events[:, 1]) for name in by]
+    derivatives, errors = (
+        {g: np.stack([column[part][g] for column in columns], axis=1) for g in VARIABLES}
+        for part in (0, 1)
+    )
+    return Sensitivities({g: values[g] for g in VARIABLES}, derivatives, errors)
+
+
+def _extrapolated(
+    scene: MechatronicSystem,
+    t_end: float,
+    name: str,
+    values: dict[str, np.ndarray],
+    events: np.ndarray,
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Derivatives by a parameter and their errors, by group: for each number the extrapolation of
+    central differences that differs least from those it is made of (Ridders 1982)."""
+    p, size = scene.parameters(), size_of(scene, name)
+    cuts = np.cumsum([len(values[group]) for group in VARIABLES])[:-1]
+
+    def end(change: float) -> np.ndarray | None:
+        changed = scene.with_parameters(p | {name: p[name] + change})
+        try:
+            found, jumps = Reference(changed, t_end).end()
+        except ReferenceFailed:
+            return None
+        same = np.array_equal(jumps[:, 1], events)
+        return np.concatenate([found[group] for group in VARIABLES]) if same else None
+
+    natural = np.abs(np.concatenate([values[group] for group in VARIABLES])) / size
+    best = np.zeros_like(natural)
+    errors = np.full(len(best), np.inf)
+    row: list[np.ndarray] = []
+    for k in range(_MOST_HALVINGS + 1):
+        change = size * _DIFFERENCE / 2**k
+        ends = end(change), end(-change)
+        if ends[0] is None or ends[1] is None:
+            row = []
+            continue
+        row, coarse = [(ends[0] - ends[1]) / (2 * change)], row
+        for j, before in enumerate(coarse):
+            row.append(row[j] + (row[j] - before) / (4 ** (j + 1) - 1))
+            error = np.maximum(np.abs(row[-1] - row[j]), np.abs(row[-1] - before))
+            better = error < errors
+            best, errors = np.where(better, row[-1], best), np.where(better, error, errors)
+        if (errors <= _ENOUGH * np.maximum(np.abs(best), natural)).all():
+            break
+    if np.isinf(errors).any():
+        raise ReferenceFailed(
+            f"No exact derivatives of {scene.spec} by {name}: the number of events up to "
+            f"t={t_end:g} s changes with it; take another end."
+        )
+    if (errors > _TRUSTED * np.maximum(np.abs(best), natural.max())).any():
+        raise ReferenceFailed(
+            f"No exact derivatives of {scene.spec} by {name}: the values at t={t_end:g} s are no "
+            f"smooth function of it; take another end."
+        )
+    return tuple(  # pyright: ignore[reportReturnType]
+        dict(zip(VARIABLES, np.split(part, cuts), strict=True)) for part in (best, errors)
+    )

@@ -131,12 +131,6 @@ def test_wrong_numbers_and_parameters_are_refused(worker, of, by, words):
     assert words in str(refused.value)
 
 
-@pytest.mark.parametrize("problem", ["bouncing_ball", "sampled_pd[sampling=ignore]"])
-def test_scenes_whose_values_jump_are_refused(worker, problem):
-    with pytest.raises(SpecError, match="derivatives through jumps are not"):
-        exact_job(worker, problem, "q", ["g" if problem == "bouncing_ball" else "kp"], 1.0)
-
-
 @pytest.mark.parametrize(
     ("method", "ways", "words"),
     [

@@ -45,11 +45,6 @@ def exact_job(
         If a number or a parameter is not known, or there is no exact derivative.
     """
     scene = worker.problem(problem)
-    if scene.is_hybrid:
-        raise SpecError(
-            f"Values of {scene.spec} jump at samples or events; derivatives through jumps are not "
-            f"computed. Take a scene without them."
-        )
     numbers = components(scene.spec, {group: scene.sizes.of(group) for group in VARIABLES}, of)
     check_parameters(scene.spec, scene.parameters(), options_of(type(scene)), by)
     try:
@@ -109,7 +104,7 @@ def gradient_job(
         If the method does not take the scene, or cannot be differentiated in a way.
     """
     scene, method = worker.problem(exact.problem), worker.registry.integrator(integrator)
-    ways = ways_of(method, ways)
+    ways = ways_of(method, ways, scene.is_hybrid)
     runs = []
     for way in ways:
         wanted = Wanted(tuple(exact.of), tuple(exact.by), way)
@@ -125,9 +120,17 @@ def gradient_job(
     return runs
 
 
-def ways_of(method: Integrator, asked: Sequence[str]) -> Sequence[str]:
-    """Return the ways that are asked for, or all; raise SpecError if the method lacks one."""
+def ways_of(method: Integrator, asked: Sequence[str], jumps: bool = False) -> Sequence[str]:
+    """Return the ways that are asked for, or all; raise SpecError if the method lacks one.
+
+    Parameters
+    ----------
+    jumps
+        Whether values of the scene jump: derivatives through jumps go forward.
+    """
     offered = method.gradient_ways
+    if offered and jumps:
+        return asked or ("forward",)
     lacking = [way for way in asked if way not in offered]
     if offered and not lacking:
         return asked or offered

@@ -11,6 +11,7 @@ from integrators.adapters.diffrax_runs import DiffraxAdaptiveRun, DiffraxScheme,
 from integrators.adapters.ode import ODEMethod
 from integrators.contract import Gradient, Integrator, PreparedRun, Wanted, option
 from integrators.native.gradients import gradient
+from integrators.native.phased_gradients import phased_gradient
 from integrators.native.step_method import NativeMethod
 from problems.system import MechatronicSystem
 from problems.variables import VARIABLES
@@ -83,6 +84,8 @@ class DiffraxSolver(ODEMethod):
         method = self.step_method(scene)
         if method is None:
             return super().gradient(scene, t_end, resolution, wanted)
+        if scene.is_hybrid:
+            return phased_gradient(self, scene, t_end, resolution, wanted, with_parameters)
         return gradient(method, scene, t_end, resolution, wanted, with_parameters)
 
     def scheme(self, scene: MechatronicSystem) -> DiffraxScheme:

@@ -82,6 +82,14 @@ class DifferentiableProgram(StepProgram):
         return Carried(state, tuple(work.kept) if self.keeps_tangents else ()), work.report()
 
 
+def differentiable(method: Any, scene: MechatronicSystem) -> tuple[DifferentiableProgram, Numbers]:
+    """Return the program of a `NativeMethod` that can be differentiated, and its numbers."""
+    program, numbers = method.program(scene, sparse=False)
+    return DifferentiableProgram(
+        program.functions, program.keeps_tangents, explicit=program.explicit
+    ), numbers
+
+
 def gradient(
     method: Any,
     scene: MechatronicSystem,
@@ -97,10 +105,7 @@ def gradient(
     renumber
         Gives the numbers of a method that hold the scene's parameters.
     """
-    program, numbers = method.program(scene, sparse=False)
-    program = DifferentiableProgram(
-        program.functions, program.keeps_tangents, explicit=program.explicit
-    )
+    program, numbers = differentiable(method, scene)
     clock, steps = grid(scene.interval[0], t_end, resolution)
     # Reverse mode divides the steps where the program is made, forward mode takes any number.
     fixed = steps if wanted.way == "reverse" else None
@@ -122,10 +127,34 @@ def _derivatives(
 ) -> Callable[..., tuple[Array, Array, Array]]:
     """Program of (parameters, start, its changes, numbers, clock, steps): values, derivatives, and
     whether all equations were solved."""
+    end = end_of_run(program, template, fixed, states_only, renumber)
+
+    def run(*given: Any) -> tuple[Array, Array]:
+        z, fine = end(*given)
+        return jnp.stack([getattr(z, group)[k] for group, k in wanted.of]), fine
+
+    return jax.jit(small_matrices.without_products(derived(run, wanted)))
+
+
+def end_of_run(
+    program: StepProgram,
+    template: MechatronicSystem,
+    fixed: int | None,
+    states_only: bool,
+    renumber: Renumber | None,
+) -> Callable[..., tuple[Any, Array]]:
+    """Return the function of (parameters, start, numbers, clock, steps) that takes the steps: it
+    gives all groups of variables at the end, and whether all equations were solved.
+
+    Parameters
+    ----------
+    fixed
+        The number of steps, for reverse mode; any number is taken if it is None.
+    """
 
     def run(
         p: dict, start: Start, numbers: Numbers, clock: Clock, steps: Array
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Any, Array]:
         scene = template.with_parameters(p)
         if renumber:
             numbers = numbers._replace(method=renumber(numbers.method, p))
@@ -143,9 +172,9 @@ def _derivatives(
         z = program.read(scene, state)
         if states_only:
             z, _ = complete(scene, z.q, z.v, z.x, clock.t0 + clock.length)
-        return jnp.stack([getattr(z, group)[k] for group, k in wanted.of]), fine
+        return z, fine
 
-    return jax.jit(small_matrices.without_products(derived(run, wanted)))
+    return run
 
 
 def checkpointed(steps: int, one: Callable[[Array, Any], Any], state: Any) -> Any:
@@ -189,13 +218,13 @@ def derived(run: Callable[..., tuple[Array, Any]], wanted: Wanted) -> Callable:
             return jax.vmap(along, out_axes=(None, 1, None))(jnp.eye(len(moving)), changes)
         values, back, more = jax.vjp(of_moving, moving, start, has_aux=True)
         direct, of_start = jax.vmap(back)(jnp.eye(len(values)))
-        return values, direct + _applied(of_start, changes), more
+        return values, direct + applied(of_start, changes), more
 
     return derivatives
 
 
-def _applied(rows: Any, changes: Any) -> Array | float:
-    """Products ``(m, k)`` of derivatives by a start with its changes."""
+def applied(rows: Any, changes: Any) -> Array | float:
+    """Return the products ``(m, k)`` of derivatives by a start with its changes."""
 
     def flat(tree: Any) -> list[Array]:
         return [part.reshape(len(part), -1) for part in jax.tree.leaves(tree)]

@@ -18,6 +18,7 @@ from integrators.contract import Gradient, Integrator, PreparedRun, Wanted, opti
 from integrators.native.adaptive_steps import AdaptiveRun
 from integrators.native.constant_steps import ConstantStepsRun
 from integrators.native.gradients import gradient
+from integrators.native.phased_gradients import phased_gradient
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_program import Numbers, SparseTangents, StepProgram, sparse_tangents
 from integrators.resolutions import Steps, Tolerances
@@ -126,6 +127,8 @@ class NativeMethod(Integrator):
     ) -> Callable[[], Gradient]:
         if not self.gradient_ways:
             return super().gradient(scene, t_end, resolution, wanted)
+        if scene.is_hybrid:
+            return phased_gradient(self, scene, t_end, resolution, wanted)
         return gradient(self, scene, t_end, resolution, wanted)
 
     def prepare(
