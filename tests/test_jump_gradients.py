@@ -126,8 +126,8 @@ def test_the_ball_has_the_digits(worker, method, h):
     ("method", "order", "last"),
     [
         ("generalized_alpha", 2, 4e-4),
-        ("newmark", 2, 4e-4),
-        ("stormer_verlet", 2, 6e-4),
+        pytest.param("newmark", 2, 4e-4, marks=pytest.mark.long),
+        pytest.param("stormer_verlet", 2, 6e-4, marks=pytest.mark.long),
         ("phem56[steps=constant]", 5, 1e-9),
     ],
 )
@@ -150,9 +150,9 @@ def test_errors_fall_with_the_order_where_forces_change(worker, method, order, l
     ("problem", "t_end", "by"),
     [
         ("impact_stop", 1.0, ("k", "omega")),
-        ("rocking_block", 3.0, ("r", "p")),
+        pytest.param("rocking_block", 3.0, ("r", "p"), marks=pytest.mark.long),
         ("sampled_pd[delay=1]", 1.0, ("kp", "u")),
-        ("sampled_quarter_car", 0.1, ("k_tyre",)),
+        pytest.param("sampled_quarter_car", 0.1, ("k_tyre",), marks=pytest.mark.long),
     ],
 )
 def test_they_are_differences_of_runs(worker, problem, t_end, by):
@@ -201,6 +201,7 @@ class _Rod(ContactSystem):
         return State(q=np.array([0.8, -0.6]), v=np.zeros(2))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["generalized_alpha", "phem56[steps=constant]"])
 def test_impacts_on_a_constrained_body(worker, method):
     by, of = ("g", "wall", "restitution"), (("q", 0), ("v", 0), ("lam", 0))
@@ -312,6 +313,7 @@ def test_events_without_derivatives_are_refused(worker, scene, words):
         method.gradient(scene, 1.5, Steps(0.1), Wanted(QV, ("pull",), "forward"))()
 
 
+@pytest.mark.long
 def test_a_run_that_fails_has_no_derivative(worker):
     """The impacts accumulate at t = 4.06 s."""
     method, wanted = worker.registry.integrator("newmark"), Wanted(QV, ("e",), "forward")
