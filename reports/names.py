@@ -49,7 +49,7 @@ BUILT_IN = {
     "kencarp4": BuiltIn("KenCarp4", 95, 5, 1),
     "kencarp5": BuiltIn("KenCarp5", 80, 4, 1),
     "implicit_euler": BuiltIn("Implicit Euler", 5, 1, 0),
-    "dopri8": BuiltIn("Dopri8", 318, 0, 0),
+    "dopri8": BuiltIn("Dopri8", 318, 15, 0),
     "ali3p": BuiltIn("ALI3-P", 34, 4, 3),
     "bathe": BuiltIn("Bathe", 190, 8, 6),
     "bdf2": BuiltIn("BDF2", 349, 9, 6),

@@ -121,7 +121,7 @@ def test_a_long_run_of_a_large_scene_keeps_few_rows(monkeypatch, kind):
 def test_rows_of_large_scenes_are_taken_in_blocks_that_fit(monkeypatch):
     shapes, q = [], np.arange(8.0 * 10).reshape(10, 8)
 
-    def noted(block):
+    def noted(block, **options):
         def call(p, rows):
             shapes.append(rows[0].shape)
             return block(p, rows)
