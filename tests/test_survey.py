@@ -23,6 +23,8 @@ INTEGRATORS, PROBLEMS = (
 MISSES = {
     # The published control holds local errors alone; small changes of this start grow 200 times.
     ("hht_i3", "slider_crank"),
+    # Of first order: the local errors of very many steps add up.
+    ("implicit_euler", "rolling_disc"),
 }
 
 

@@ -102,7 +102,7 @@ def _lines(
         if not any(row.get(column) for row in rows):
             continue
         both = {
-            "x": _log(x, x_title, rows, "~g" if x == "h" else ".0e"),
+            "x": _log(x, x_title, rows, "~g"),
             "y": _log(column, title, rows, ".0e"),
             "color": color,
             "order": vl.quantity("place"),  # costs need not grow from run to run
