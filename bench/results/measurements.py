@@ -17,7 +17,7 @@ KINDS = ("realtime", "precision", "gradient")
 
 
 class Measurement(msgspec.Struct, kw_only=True, frozen=True):
-    """What an entry of a suite measured of one method, in the field of its ``kind``.
+    """Measurement of one method for an entry of a suite, in the field of its ``kind``.
 
     ``about`` names scene and settings: measurements that share it can be compared. ``title`` and
     ``note`` are the entry's words. If ``status`` is not "ok" there is no answer, and ``message``

@@ -55,7 +55,7 @@ class Asked:
 
 
 class Entry(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
-    """What all entries state: a scene, integrators, and words for the report."""
+    """Scene, integrators, and words for the report: common to all entries."""
 
     kind: ClassVar[str]
     problem: str

@@ -19,7 +19,7 @@ from reports.pages.chapter import Chapter, Section
 
 
 class _Shown(NamedTuple):
-    """What a section shows of its measurements."""
+    """Chart, tables and sentences of a section, and facts beside them."""
 
     chart: vl.Spec | None
     tables: list[Table]
