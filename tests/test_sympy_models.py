@@ -27,6 +27,7 @@ from sympy.physics.mechanics import (
     ReferenceFrame,
     dynamicsymbols,
 )
+from sympy_scenes import OSCILLATOR, C, F, K, M, T, X, Y, rod, scene_of, spring
 
 from bench.conformance.checker import CHECKS, examine
 from bench.conformance.verdicts import FAILED
@@ -34,36 +35,14 @@ from bench.plugins.fingerprint import fingerprint
 from bench.plugins.registry import Registry
 from bench.sweeps.ensemble import ensemble
 from integrators import Steps, Tolerances
-from problems import MechatronicSystem, State, from_sympy, jax, jnp, lagrange, parameter
+from problems import MechatronicSystem, State, jax, jnp, lagrange, parameter
 from problems.initial_values import consistent_start
-from problems.spec import SpecError
 
 TEXT = (Path(__file__).parent.parent / "docs" / "models.md").read_text(encoding="utf-8")
 EXAMPLES = {
     block.split("\n", 1)[0].removeprefix("# "): block
     for block in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
 }
-T = dynamicsymbols._t
-M, K, C = sm.symbols("m k c")
-X, Y, F = dynamicsymbols("x y f")
-OSCILLATOR = M * X.diff(T) ** 2 / 2 - K * X**2 / 2
-
-
-def scene_of(method, **given):
-    return from_sympy(method, **{"interval": (0, 1), "nominal_step": 0.01, **given})
-
-
-def spring(**given):
-    usual = {"constants": {M: 2.0, K: 8.0}, "initial": {X: 1.0}}
-    return scene_of(LagrangesMethod(OSCILLATOR, [X]), **{**usual, **given})
-
-
-def rod(*constraints, **given):
-    """A point on a massless rod of length c."""
-    lagrangian = M * (X.diff(T) ** 2 + Y.diff(T) ** 2) / 2 - 9.81 * M * Y
-    method = LagrangesMethod(lagrangian, [X, Y], hol_coneqs=constraints or [X**2 + Y**2 - C**2])
-    usual = {"constants": {M: 1.0, C: 2.0}, "initial": {X: 1.2}, "guess": {Y: -1.0}}
-    return scene_of(method, **{**usual, **given})
 
 
 @pytest.fixture(scope="module")
@@ -401,98 +380,3 @@ def test_the_fingerprint_changes_with_a_model_that_is_read_from_a_file(tmp_path)
         made = Registry([tmp_path / part / "cart.py"]).problems["cart_pendulum"].cls
         found.append(fingerprint(made))
     assert found[0] == found[1] != found[2]
-
-
-# ---- what is refused ---------------------------------------------------------------------
-def quasi():
-    u = dynamicsymbols("u")
-    frame, point = ReferenceFrame("N"), Point("P")
-    point.set_vel(frame, u * frame.x)
-    method = KanesMethod(frame, [X], [u], kd_eqs=[u - 2 * X.diff(T)])
-    method.kanes_equations([Particle("B", point, M)], [(point, K * frame.x)])
-    return method
-
-
-def dependent():
-    u = dynamicsymbols("u1 u2")
-    return KanesMethod(
-        ReferenceFrame("N"),
-        [X, Y],
-        u[:1],
-        kd_eqs=[u[0] - X.diff(T), u[1] - Y.diff(T)],
-        u_dependent=u[1:],
-        velocity_constraints=[u[1] - X * u[0]],
-    )
-
-
-def unformed():
-    return KanesMethod(ReferenceFrame("N"), [X], [Y], kd_eqs=[Y - X.diff(T)])
-
-
-def rolling():
-    return LagrangesMethod(OSCILLATOR, [X], nonhol_coneqs=[X.diff(T) - 1])
-
-
-def method_with(lagrangian, **more):
-    return lambda **given: scene_of(LagrangesMethod(lagrangian, [X], **more), **given)
-
-
-def of(method):
-    return lambda **given: scene_of(method(), **given)
-
-
-TWINS = sm.Symbol("m", positive=True) * X.diff(T) ** 2
-REFUSED = {
-    "missing constant": (spring, {"constants": {M: 1.0}}, "The force contains k: neither"),
-    "unknown constant": (spring, {"constants": {M: 1, K: 1, C: 1}}, "do not contain c "),
-    "no symbol": (spring, {"constants": {M: 1, K: 1, X: 1}}, "constants names x\\(t\\)"),
-    "text": (spring, {"constants": {M: 1, K: "("}}, "constants: k='\\(' is no expression"),
-    "not finite": (spring, {"constants": {M: 1, K: np.nan}}, "k=nan is not a finite number"),
-    "complex": (spring, {"constants": {M: 1, K: 1j}}, "is not a finite number"),
-    "unknown function": (method_with(OSCILLATOR + F * X), {}, "force contains f\\(t\\): neither"),
-    "unknown start": (spring, {"initial": {Y: 1.0}}, "initial names y\\(t\\): no coordinate"),
-    "start in time": (spring, {"initial": {X: T}}, "initial: x\\(t\\) depends on .* time"),
-    "wrong unit": (spring, {"units": {C: "m"}}, "units names c"),
-    "taken name": (
-        method_with(OSCILLATOR.subs(K, sm.Symbol("mass"))),
-        {"constants": {M: 1, sm.Symbol("mass"): 1}},
-        "cannot be called 'mass'",
-    ),
-    "keyword": (
-        method_with(OSCILLATOR.subs(K, sm.Symbol("lambda"))),
-        {"constants": {M: 1, sm.Symbol("lambda"): 1}},
-        "cannot be called 'lambda'",
-    ),
-    "one name twice": (
-        method_with(OSCILLATOR + TWINS),
-        {"constants": {M: 1, K: 1, sm.Symbol("m", positive=True): 1}},
-        "cannot be called 'm'",
-    ),
-    "scene's name": (spring, {"name": "my scene"}, "is no name of a scene"),
-    "interval": (spring, {"interval": (1, 0)}, "interval"),
-    "step": (spring, {"nominal_step": "x"}, "nominal_step=x is not a finite number"),
-    "quasi-speeds": (of(quasi), {}, "Quasi-speeds .* not supported"),
-    "dependent speeds": (of(dependent), {}, "velocity constraints .* not supported"),
-    "no equations": (of(unformed), {}, "Call kanes_equations"),
-    "nonholonomic": (of(rolling), {}, "nonhol_coneqs.* not supported"),
-    "constraint of v": (
-        method_with(OSCILLATOR, hol_coneqs=[X + X.diff(T)]), {}, "Constraints of velocities are not"
-    ),
-    "mass in time": (spring, {"constants": {M: 1 + T, K: 1}}, "mass matrix depends on time"),
-    "special function": (method_with(OSCILLATOR + sm.erf(X) * K), {}, "erf, which jax.numpy does"),
-    "no method": (lambda **given: scene_of(OSCILLATOR, **given), {}, "takes a LagrangesMethod"),
-    "inconsistent start": (rod, {"initial": {X: 1, Y: 1}}, "initial q .* violates .* by 2;"),
-    "inconsistent speed": (rod, {"initial": {X.diff(T): 1, Y.diff(T): 1}}, "initial v .* violates"),
-    "out of reach": (rod, {"initial": {X: 5}}, "initial q .* violates .* by"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_bad_input_is_one_sentence(case):
-    make, given, expected = REFUSED[case]
-    usual = {"constants": {M: 1.0, K: 1.0}, "initial": {}} if make not in (spring, rod) else {}
-    with pytest.raises(SpecError, match=expected) as error:
-        make(**{**usual, **given})
-    text = str(error.value)
-    assert "\n" not in text
-    assert text.endswith(".")
