@@ -166,3 +166,12 @@ def test_an_unknown_way_is_refused(stepbench):
     result = stepbench("gradient", "oscillator", "newmark", "--by", "omega", "--ways", "sideways")
     assert result.exit_code != 0
     assert "There is no way 'sideways'" in result.stderr
+
+
+def test_exact_derivatives_are_computed_once_for_all_methods(worker, monkeypatch):
+    asked = ("oscillator[omega=3.0]", "q", ["omega"], 1.0)
+    first = exact_job(worker, *asked)
+    monkeypatch.setattr("bench.running.worker.sensitivities", None)
+    assert exact_job(worker, *asked) == first
+    with pytest.raises(TypeError):  # other ones are computed
+        exact_job(worker, "oscillator[omega=3.0]", "q", ["omega"], 0.5)

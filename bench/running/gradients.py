@@ -16,7 +16,7 @@ from bench.running.worker import SAMPLE_SECONDS, Worker
 from integrators.contract import Gradient, Integrator, Wanted
 from integrators.resolutions import Steps
 from problems.reference import ReferenceFailed
-from problems.sensitivities import sensitivities, size_of
+from problems.sensitivities import size_of
 from problems.spec import SpecError, options_of
 from problems.usage import computed_seconds, undisturbed
 from problems.variables import VARIABLES
@@ -48,7 +48,7 @@ def exact_job(
     numbers = components(scene.spec, {group: scene.sizes.of(group) for group in VARIABLES}, of)
     check_parameters(scene.spec, scene.parameters(), options_of(type(scene)), by)
     try:
-        found = sensitivities(scene, t_end, by)
+        found = worker.sensitivities(scene, t_end, by)
     except ReferenceFailed as error:
         raise SpecError(str(error)) from None
 
