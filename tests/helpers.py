@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import sys
 from functools import cache
 from itertools import pairwise
 
@@ -26,6 +28,18 @@ def scene_or_skip(name: str) -> MechatronicSystem:
     if "pip install" in (reason := registry.problems[name].reason):
         pytest.skip(reason)
     return registry.problem(name)
+
+
+def forget_programs() -> None:
+    """Forget what this process has compiled of scenes: before and after a function is patched."""
+    for name, module in [*sys.modules.items()]:
+        if name.partition(".")[0] in ("problems", "integrators"):
+            for made in [*vars(module).values()]:
+                if (
+                    hasattr(made, "cache_clear")
+                    and "template" in inspect.signature(made).parameters
+                ):
+                    made.cache_clear()
 
 
 @cache

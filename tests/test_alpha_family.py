@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from helpers import errors_at, local_slopes, long, slope
+from helpers import errors_at, forget_programs, local_slopes, long, slope
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -33,15 +33,15 @@ FINE_MACRO_STEPS = [0.2 * 2.0**-k for k in (5, 6, 7, 8)]
 
 @pytest.fixture
 def mutant(monkeypatch):
-    """Replace a function by a mutant, with kernels compiled anew before and after."""
+    """Replace a function by a mutant, with programs compiled anew before and after."""
 
     def plant(module, name, wrong):
         monkeypatch.setattr(module, name, wrong)
-        constant_steps.kernel.cache_clear()
+        forget_programs()
 
     yield plant
     monkeypatch.undo()
-    constant_steps.kernel.cache_clear()
+    forget_programs()
 
 
 # ---- digits ----------------------------------------------------------------------------

@@ -10,15 +10,14 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 import pytest
+from helpers import forget_programs
 
 from bench.plugins.facts import Sources
 from bench.running import worker
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from integrators.native import constant_steps
 from integrators.program_costs import Cost
 from problems import exported_programs, jnp
-from problems.compiled import _compiled
 from problems.exported_programs import exported, found_once
 from problems.initial_values import consistent_start
 from problems.runtime import few_calls
@@ -32,8 +31,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(exported_programs, "_used", True)
     yield tmp_path / "exported"
     # Whatever was made here must not outlive the folder.
-    _compiled.cache_clear()
-    constant_steps.kernel.cache_clear()
+    forget_programs()
 
 
 def files(folder):
@@ -179,8 +177,7 @@ def test_foreign_code_and_a_folder_that_cannot_be_written_cost_time_alone(folder
 
 def test_a_run_by_programs_from_files_is_the_same_to_the_bit(folder, monkeypatch):
     def run():
-        _compiled.cache_clear()
-        constant_steps.kernel.cache_clear()
+        forget_programs()
         scene = Pendulum()
         consistent_start(scene)
         made = GeneralizedAlpha(rho_inf=0.8).prepare(scene, 0.6, Steps(0.01)).measure()

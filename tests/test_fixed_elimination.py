@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import long
+from helpers import forget_programs, long
 from test_sparse_newton import assert_agree
 
 from integrators import Steps
 from integrators.lowering.graph import NotLowered
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from integrators.native import constant_steps, linear_solvers, small_matrices
+from integrators.native import linear_solvers, small_matrices
 from integrators.native.equations import tangent_pattern
 from integrators.native.fixed_elimination import EliminationPlan, planned
 from integrators.native.step_work import EquationsFinder
@@ -172,7 +172,7 @@ def test_runs_agree_with_those_by_pivots(scene, fallbacks, monkeypatch):
     h, t0 = scene.nominal_step / 10, scene.interval[0]
 
     def run():
-        constant_steps.kernel.cache_clear()
+        forget_programs()
         return GeneralizedAlpha().prepare(scene, t0 + 40 * h, Steps(h)).measure()
 
     fixed = run()
@@ -184,7 +184,7 @@ def test_runs_agree_with_those_by_pivots(scene, fallbacks, monkeypatch):
     fallbacks.clear()
     monkeypatch.setattr(linear_solvers, "planned", lambda entries: None)
     by_pivots = run()
-    constant_steps.kernel.cache_clear()
+    forget_programs()
     jax.effects_barrier()
     assert len(fallbacks) >= (by_pivots.work.newton or 1)
     assert fixed.status == "ok"

@@ -79,10 +79,11 @@ def test_forty_loops_pass_all_singular_positions(method):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("method", ["phem56", "dopri8"])
-def test_forty_loops_may_take_another_branch_without_a_word(method):
+def test_forty_loops_may_take_another_branch_without_a_word():
+    # With dopri8 rounding, which other processors have otherwise, decides between that, a failed
+    # run and one of minutes.
     scene = NFourBar(loops=40)
-    run = run_of(method, scene, 10.0)
+    run = run_of("phem56", scene, 10.0)
     assert run.status == "ok", run.message
     assert spread(scene, run).max() > 1.0
 

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 import pytest
 from benchmarks import opponents
-from helpers import long
+from helpers import forget_programs, long
 
 from integrators import Steps, Tolerances
 from integrators.adapters.counting import run_counted, watch
@@ -110,11 +110,11 @@ def test_so_are_steps_that_solve_linear_equations(method):
 )
 def test_a_product_that_is_left_to_a_library_takes_it_apart(monkeypatch):
     monkeypatch.setattr(small_matrices, "without_products", lambda function: function)
-    constant_steps.kernel.cache_clear()
+    forget_programs()
     try:
         assert not Program(prepared(SliderCrank(), "modified")).joined()
     finally:
-        constant_steps.kernel.cache_clear()
+        forget_programs()
 
 
 #: Full Newton: pivots' fallback, rows, an iteration, a step. Modified: the start's permutation,

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import long
+from helpers import forget_programs, long
 
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
-from integrators.native import constant_steps, klu
+from integrators.native import klu
 from integrators.native.step_program import StepProgram
 from integrators.resolutions import Steps, Tolerances
 from problems import MechatronicSystem, State, jnp, parameter
@@ -89,9 +89,9 @@ def calls(monkeypatch):
 
     for name in ("solve_once", "solve_by", "factorised"):
         monkeypatch.setattr(klu, name, counted(name, getattr(klu, name)))
-    constant_steps.kernel.cache_clear()
+    forget_programs()
     yield count
-    constant_steps.kernel.cache_clear()
+    forget_programs()
 
 
 @pytest.mark.parametrize("newton", ["modified", *long("full")])
@@ -183,12 +183,12 @@ def test_an_adaptive_run_ends_before_a_singular_tangent(held):
 
 def test_without_the_finish_of_a_run_its_last_factorisation_would_stay(held, monkeypatch):
     monkeypatch.setattr(StepProgram, "finish", lambda self, state: None)
-    constant_steps.kernel.cache_clear()
+    forget_programs()
     run = run_of(Chain(links=5), 20, 0.001, newton="modified")
     analysis = set(held)
     run.execute()
     assert set(held) > analysis
-    constant_steps.kernel.cache_clear()
+    forget_programs()
 
 
 @dataclass(frozen=True)

@@ -153,7 +153,7 @@ def test_a_killed_worker_costs_one_cell(folder, role, how):
         time.sleep(0.02)
     assert process.finish() == 1, process.said
     assert f"{CELLS - 1} ok" in process.said
-    assert "Not complete: 1 cell" in process.said
+    assert "Not complete: 1 run was interrupted" in process.said
     if (role, how) != QUICK:
         check_goes_on(folder, 1)
 
@@ -165,7 +165,7 @@ def test_a_worker_killed_at_a_random_moment_costs_at_most_one_cell(folder, role,
     process = Started(folder, *RUN)
     kill(victim(process, role, random.Random(f"{role} {seed}")))
     code = process.finish()
-    found = re.search(r"Not complete: (\d+) cell", process.said)
+    found = re.search(r"Not complete: (\d+) runs? w", process.said)
     assert code == (1 if found else 0), process.said
     lost = int(found[1]) if found else 0
     assert lost <= 1
