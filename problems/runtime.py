@@ -131,8 +131,17 @@ def runs_at_once() -> bool:
 
 
 @cache
+def on_gpu() -> bool:
+    """Whether JAX computes on a GPU: thousands of equal things at once, and each call is dear."""
+    return jax.default_backend() != "cpu"
+
+
+@cache
 def joins_loops() -> bool:
-    """Whether XLA compiles loops over little data to one function each, found by trying it."""
+    """Whether programs are best without a call of a library: XLA compiles loops over little data to
+    one function each, which is found by trying it, or everything to few pieces, on a GPU."""
+    if on_gpu():
+        return True
     if _JOINED not in os.environ["XLA_FLAGS"]:
         return False
     loop = jax.jit(lambda x: jax.lax.fori_loop(0, 9, lambda k, y: k + jnp.sin(y), x))

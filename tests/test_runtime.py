@@ -82,6 +82,16 @@ def test_what_the_canary_tries_is_right_by_itself():
     assert wrong_functions(jax, jnp) == []
 
 
+@pytest.mark.parametrize("rows", [16_385, 20_001])
+def test_products_of_many_vectors_are_right(rows):
+    # jax 0.10.2 repeats those of the first 16 384 rows in place of others.
+    numbers = np.arange(rows, dtype=float)
+    vectors = np.column_stack([numbers, 2.0 * numbers, 0.0 * numbers])
+    turned = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    found = jax.jit(jax.vmap(lambda vector: ((turned @ vector) ** 2).sum()))(vectors)
+    np.testing.assert_allclose(found, 5.0 * numbers**2, rtol=1e-14)
+
+
 # ---- flags of XLA ----------------------------------------------------------------------
 @pytest.fixture
 def refusing(monkeypatch, tmp_path):

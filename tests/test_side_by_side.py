@@ -11,7 +11,7 @@ from test_fixed_elimination import fallbacks  # noqa: F401 - a fixture
 
 from integrators.lowering.programs import lowered
 from integrators.lowering.side_by_side import side_by_side
-from integrators.native import linear_solvers, small_matrices
+from integrators.native import fixed_elimination, linear_solvers, small_matrices
 from integrators.native.fixed_elimination import EliminationPlan
 
 
@@ -52,6 +52,16 @@ def test_updates_of_many_are_those_of_each(residual_of, n):
     order = linear_solvers._order(program, 3)
     assert order is not None
     assert linear_solvers._side_by_side(program, order) is not None
+
+
+def test_a_gpu_solves_all_with_pivots_if_one_needs_them(monkeypatch):
+    monkeypatch.setattr(fixed_elimination, "on_gpu", lambda: True)
+    u, p = np.zeros((6, 3)), np.array([2.0, 1e-9, 4.0, 5.0, np.nan, 7.0])
+    found = updates(bordered, u, p)
+    for k in (0, 1, 2, 3, 5):
+        a = np.array([[p[k], 0.0, 1.0], [0.0, 3.0, 1.0], [1.0, 2.0, 0.0]])
+        assert found[k] == pytest.approx(np.linalg.solve(a, bordered(p[k])(u[k])), rel=1e-14)
+    assert np.isnan(found[4]).any()
 
 
 def test_a_pivot_that_vanishes_in_one_run_changes_no_other(fallbacks):  # noqa: F811

@@ -29,7 +29,7 @@ from problems.system import MechatronicSystem
 #: Points of a range; fewer along a parameter each value of which needs a reference of its own.
 POINTS, POINTS_INTEGRATED = 100, 25
 #: Most members of a shard of an ensemble: they are lost, and run again, together. A GPU needs many.
-_OF_SHARD, _OF_SHARD_GPU = {"cpu": 1024}, 16384
+_OF_SHARD, _OF_SHARD_GPU = {"cpu": 1024}, 65536
 
 
 @dataclass(frozen=True, eq=False)  # tasks have a hash, and so must what is in them

@@ -25,7 +25,7 @@ import numpy as np
 from integrators.native import small_matrices
 from integrators.native.step_records import PIVOTS
 from problems.named_equations import part, turns
-from problems.runtime import Array, Bool, Float, Int, coarseness, jax, jnp
+from problems.runtime import Array, Bool, Float, Int, coarseness, jax, jnp, on_gpu
 
 #: Entries of a matrix, by row and column.
 _Numbers: TypeAlias = dict[tuple[int, int], Array]
@@ -144,6 +144,9 @@ class EliminationPlan:
             zero = jnp.zeros_like(b[0])
             full = jnp.array([[a.get((i, j), zero) for j in range(len(b))] for i in range(len(b))])
             sides = jnp.stack(b)
+            if on_gpu():
+                found = jnp.linalg.solve(jnp.moveaxis(full, 2, 0), sides.T[:, :, None])
+                return jnp.where(pivots, found[:, :, 0].T, x)
 
             def one(k: Array, x: Array) -> Array:
                 def by_pivots(x: Array) -> Array:
