@@ -47,6 +47,7 @@ bench: .venv/tested  ## our time loop against C, exudyn and other solvers; micro
 	$(BIN)/python tests/benchmarks/sizes.py
 	$(BIN)/python tests/benchmarks/callbacks.py
 	$(BIN)/python tests/benchmarks/models.py
+	$(BIN)/python tests/benchmarks/batches.py
 	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc --benchmark-json=stepbench-speed.json
 
 pictures: .venv/tested  ## README's pictures, docs/choosing.md and docs/iftomm.md; half an hour, in Chromium

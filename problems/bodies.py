@@ -120,6 +120,31 @@ class RigidBodies(MechatronicSystem):
         """Acceleration of free fall in m/s^2."""
         return (0.0, 0.0, -9.81)
 
+    def torque(self, first: str, second: str, axis: Vector) -> Float[Array, " nv"]:
+        """Return the column of `actuation` of a motor in a hinge: 1 N m on the second body about
+        the axis, and the opposite on the first.
+
+        Its product with v is the second body's angular velocity beside the first's, in rad/s.
+
+        Parameters
+        ----------
+        first, second
+            Names of the bodies, or `GROUND`.
+        axis
+            Axis of the hinge at the start, in space axes.
+        """
+        known, column = {GROUND, *(body.name for body in self.bodies())}, []
+        for name in {first, second} - known:
+            message = f"torque has no body {name!r}; {spec.suggest(name, known)}."
+            raise spec.SpecError(f"{self.name}: {message}")
+        unit = vector(axis) / jnp.linalg.norm(vector(axis))
+        for body in self.bodies():
+            sign = float(body.name == second) - float(body.name == first)
+            # The axis is fixed to both bodies: in their axes it stays what it was.
+            own = rotated(conjugate(jnp.asarray(body.quaternion)), unit)
+            column += [jnp.zeros(3), sign * own]
+        return jnp.concatenate(column)
+
     def frames(self, q: Float[Array, " nq"]) -> dict[str, Frame]:
         """Displacements since the start by the name of the body, that of the ground included."""
         bodies = self.bodies()

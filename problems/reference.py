@@ -9,12 +9,12 @@ that is kept for later runs, with its error, is made by one process at a time.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -28,6 +28,8 @@ from problems.runtime import Float, Int, jax
 from problems.system import MechatronicSystem
 from problems.variables import GROUPS, VARIABLES
 from problems.whole_files import keep, kept
+
+T = TypeVar("T")
 
 _TOLERANCE = 3e-14
 #: Longest steps of the two integrations, in nominal steps: no event lasts so short that it falls
@@ -44,27 +46,69 @@ _MOST_UNKNOWNS = 300
 PATIENCE = 100.0
 
 
-_file_of: Callable[[MechatronicSystem, float], Path | None] | None = None
-_told: Callable[[str, MechatronicSystem], object] = lambda doing, scene: None  # noqa: E731
+FileOf = Callable[[MechatronicSystem, float, Sequence[str]], Path | None]
+_file_of: FileOf | None = None
+_told: Callable[[str, str], object] = lambda doing, made: None  # noqa: E731
 
 
-def keep_references(
-    file_of: Callable[[MechatronicSystem, float], Path | None] | None,
-    told: Callable[[str, MechatronicSystem], None],
-) -> None:
+def keep_references(file_of: FileOf | None, told: Callable[[str, str], None]) -> None:
     """Set how this process keeps references for later ones, and reads theirs, from now on.
 
     Parameters
     ----------
     file_of
-        Returns the file of a scene up to a time in s, whose name tells all that decides the
-        numbers, or None. Without this function nothing is kept.
+        Returns the file of a scene up to a time in s, or of exact derivatives there by parameters;
+        its name tells all that decides the numbers. None, or no function: nothing is kept.
     told
-        Told "making" and the scene before an integration, "waiting for" before a wait for another
-        process that makes the same one.
+        Told "making" and "the reference of pendulum" before an integration, "waiting for" before a
+        wait for another process that makes the same one.
     """
     global _file_of, _told
     _file_of, _told = file_of, told
+
+
+def once(
+    scene: MechatronicSystem,
+    t_end: float,
+    make: Callable[[], T],
+    read: Callable[[bytes], T],
+    written: Callable[[T], bytes],
+    by: Sequence[str] = (),
+) -> T:
+    """Make the reference of a scene, or derivatives by parameters, unless a file has them; of
+    several processes one does."""
+    made = f"the exact derivatives of {scene.spec}" if by else f"the reference of {scene.spec}"
+
+    def told() -> T:
+        _told("making", made)
+        return make()
+
+    path = _file_of(scene, t_end, by) if _file_of else None
+    if path is None:
+        return told()
+    if (content := kept(path)) is not None:
+        return read(content)
+    from filelock import FileLock, Timeout  # slow to import
+
+    lock = FileLock(path.with_name(f".{path.name}.lock"))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            _told("waiting for", made)
+            lock.acquire(timeout=PATIENCE)
+    except (OSError, Timeout):  # there is no folder for it, or the other one takes too long
+        return told()
+    try:
+        if (content := kept(path)) is not None:
+            return read(content)
+        found = told()
+        with suppress(OSError):  # a full disk
+            keep(path, written(found))
+        return found
+    finally:
+        lock.release()
 
 
 class ReferenceFailed(RuntimeError):
@@ -178,35 +222,10 @@ class Reference:
         if self._has_closed_form:
             t = self.times
             return _known(self._closed_form(t), self._closed_form(np.nextafter(t, np.inf)))
-        path = _file_of(self.scene, self.t_end) if _file_of else None
-        return self._integrated() if path is None else _read(path) or self._made_by_one(path)
-
-    def _made_by_one(self, path: Path) -> _Known:
-        """Make and keep it, unless another process has done so meanwhile."""
-        from filelock import FileLock, Timeout  # slow to import
-
-        lock = FileLock(path.with_name(f".{path.name}.lock"))
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                lock.acquire(timeout=0)
-            except Timeout:
-                _told("waiting for", self.scene)
-                lock.acquire(timeout=PATIENCE)
-        except (OSError, Timeout):  # there is no folder for it, or the other one takes too long
-            return self._integrated()
-        try:
-            if (found := _read(path)) is None:
-                found = self._integrated()
-                with suppress(OSError):  # a full disk
-                    keep(path, _written(found))
-            return found
-        finally:
-            lock.release()
+        return once(self.scene, self.t_end, self._integrated, _read, _written)
 
     def _integrated(self) -> _Known:
         """The integration, compared with the other one."""
-        _told("making", self.scene)
         ours, other = self._integrate(0), self._integrate(1)
         t = np.union1d(self.times, ours.motion.ends)
         phase = ours.phase_at(t)
@@ -364,10 +383,8 @@ def _written(known: _Known) -> bytes:
     return content.getvalue()
 
 
-def _read(path: Path) -> _Known | None:
-    """The integration that a file keeps, if there is one."""
-    if (content := kept(path)) is None:
-        return None
+def _read(content: bytes) -> _Known:
+    """The integration that a file keeps."""
     with np.load(io.BytesIO(content), allow_pickle=False) as file:
         motion = Motion(file["ends"], file["series"])
         phases = _Phases(motion, *(file[name] for name in _Phases._fields[1:]))

@@ -10,6 +10,7 @@ takes part.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from io import BytesIO
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from problems.collocation import TooSmallStep, gauss, integrate, radau
 from problems.formulations import Start, complete, ode_rate, with_rates
 from problems.initial_values import consistent_start
 from problems.layouts import state_layout
-from problems.reference import Reference, ReferenceFailed
+from problems.reference import Reference, ReferenceFailed, once
 from problems.runtime import Array, Float, jax, jnp
 from problems.system import MechatronicSystem
 from problems.variables import VARIABLES, State
@@ -105,7 +106,8 @@ def start_changes(scene: MechatronicSystem, by: Sequence[str]) -> Start:
 
 
 def sensitivities(scene: MechatronicSystem, t_end: float, by: Sequence[str]) -> Sensitivities:
-    """Compute values at t_end in s and their exact derivatives by k float parameters.
+    """Compute values at t_end in s and their exact derivatives by k float parameters, once for all
+    processes (see `reference.keep_references`).
 
     Raises
     ------
@@ -115,8 +117,26 @@ def sensitivities(scene: MechatronicSystem, t_end: float, by: Sequence[str]) -> 
     """
     if missing := Reference(scene, t_end).missing:
         raise ReferenceFailed(missing.replace("No reference is", "No exact derivatives are"))
-    if scene.is_hybrid:
-        return _through_jumps(scene, t_end, by)
+    solved = _through_jumps if scene.is_hybrid else _along_the_motion
+    return once(scene, t_end, lambda: solved(scene, t_end, by), _read, _written, by)
+
+
+def _written(found: Sensitivities) -> bytes:
+    parts = found._asdict().items()
+    np.savez(
+        content := BytesIO(), **{f"{part} {g}": by[g] for part, by in parts for g in VARIABLES}
+    )
+    return content.getvalue()
+
+
+def _read(content: bytes) -> Sensitivities:
+    with np.load(BytesIO(content), allow_pickle=False) as file:
+        parts = Sensitivities._fields
+        return Sensitivities(*({g: file[f"{part} {g}"] for g in VARIABLES} for part in parts))
+
+
+def _along_the_motion(scene: MechatronicSystem, t_end: float, by: Sequence[str]) -> Sensitivities:
+    """`sensitivities` by the variational equations."""
     template, p = scene.template(), scene.parameters()
     at, n, k = state_layout(scene.sizes), state_layout(scene.sizes).size, len(by)
     sizes = np.array([size_of(scene, name) for name in by])

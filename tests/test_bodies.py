@@ -15,6 +15,8 @@ from scipy.special import ellipj, ellipk
 from bench.conformance.checker import CHECKS, examine
 from bench.conformance.verdicts import FAILED
 from bench.plugins.registry import Registry
+from integrators import Steps
+from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import (
     GROUND,
     Body,
@@ -127,6 +129,56 @@ def test_a_rod_on_a_hinge_is_a_physical_pendulum():
 
 
 @dataclass(frozen=True)
+class Driven(PartsPendulum):
+    """The rod, turned in its own axes, with a lighter one at a hinge on it, and a motor in each."""
+
+    energy = None
+    torques = (0.7, -0.3)
+
+    def bodies(self):
+        (rod,) = super().bodies()
+        tip, far = 2 * rod.position, 2 * rod.position + jnp.array([0.3, 0.0, 0.0])
+        tilted = {"orientation": (0.3, -0.5, 0.8), "angular_velocity": (0.0, 0.0, 2.0)}
+        lighter = Body("tip", 0.5, (0.01, 0.02, 0.015), (tip + far) / 2, **tilted)
+        return rod._replace(angular_velocity=(0.0, 0.0, -1.5)), lighter
+
+    def joints(self):
+        tip = 2 * super().bodies()[0].position
+        return *super().joints(), Revolute("rod", "tip", tip, (0.0, 0.0, 1.0))
+
+    def motors(self):
+        axis = (0.0, 0.0, 5.0)
+        return self.torque(GROUND, "rod", axis), self.torque("rod", "tip", axis)
+
+    def actuation(self):
+        return jnp.stack(self.motors(), axis=1)
+
+    def output(self, z):
+        return jnp.array(self.torques)
+
+
+def test_a_motor_turns_one_body_and_the_other_back():
+    scene, t = Driven(), np.array([0.0, 0.3])
+    start = consistent_start(scene).z
+    first, second = (np.asarray(motor) @ start.v for motor in scene.motors())
+    assert (first, second) == pytest.approx((-1.5, 3.5), abs=1e-12)
+    # The power of the motors is the rate of the energy, in which the weights are.
+    z = reference(scene, 0.3)(t)
+    rates = [
+        np.asarray(
+            jax.jvp(
+                lambda q, v: RigidBodies.energy(scene, q, v), (q, v), (scene.kinematics(q, v), a)
+            )[1]
+        )
+        for q, v, a in zip(z["q"], z["v"], z["a"], strict=True)
+    ]
+    powers = z["v"] @ np.asarray(scene.actuation()) @ np.array(scene.torques)
+    assert np.array(rates) == pytest.approx(powers, abs=1e-9)
+    with pytest.raises(SpecError, match="torque has no body 'rot'; did you mean 'rod'"):
+        scene.torque("rot", "tip", (0.0, 0.0, 1.0))
+
+
+@dataclass(frozen=True)
 class Pair(RigidBodies):
     """Two bodies fly and spin, held by a ball joint, a spring and a damper."""
 
@@ -203,10 +255,9 @@ def test_velocities_that_are_not_given_have_the_least_energy_under_the_constrain
     assert rows[:, 6:].T @ impulse == pytest.approx(momentum, abs=1e-14)
 
 
-# ---- the worked example of docs/mechanisms.md ------------------------------------------
-EXAMPLE = re.findall(
-    r"```python\n(# four_bar.py\n.*?)```", Path("docs/mechanisms.md").read_text("utf-8"), re.DOTALL
-)[0]
+# ---- the worked examples of docs/mechanisms.md -----------------------------------------
+PAGE = Path("docs/mechanisms.md").read_text("utf-8")
+EXAMPLE, DRIVEN = re.findall(r"```python\n(# \w*four_bar.py\n.*?)```", PAGE, re.DOTALL)
 
 
 def test_the_example_is_the_four_bar_in_less_than_40_lines(tmp_path):
@@ -218,10 +269,24 @@ def test_the_example_is_the_four_bar_in_less_than_40_lines(tmp_path):
 
 
 @pytest.mark.long
-def test_the_example_passes_every_check(tmp_path):
-    (tmp_path / "four_bar.py").write_text(EXAMPLE, encoding="utf-8")
+def test_the_motor_of_the_example_holds_the_crank_at_its_speed(tmp_path):
+    (tmp_path / "driven_four_bar.py").write_text(DRIVEN, encoding="utf-8")
     registry = Registry([tmp_path])
-    findings = [examine(registry, "problems", "four_bar", check) for check in CHECKS["problems"]]
+    off = []
+    for gain in (0.0, 0.2, 2.0):
+        scene = registry.problem(f"driven_four_bar[gain={gain}]")
+        run = GeneralizedAlpha().prepare(scene, 1.0, Steps(0.01)).measure()
+        assert run.status == "ok", run.message
+        off.append(np.abs(run.v @ np.asarray(scene.motor()) - scene.speed).max())
+    assert off[0] > 2 * off[1] > 6 * off[2]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "text"), [("four_bar", EXAMPLE), ("driven_four_bar", DRIVEN)])
+def test_the_examples_pass_every_check(tmp_path, name, text):
+    (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+    registry = Registry([tmp_path])
+    findings = [examine(registry, "problems", name, check) for check in CHECKS["problems"]]
     assert [finding.text for finding in findings if finding.verdict == FAILED] == []
 
 

@@ -36,7 +36,6 @@ from bench.running.progress import Progress
 from problems import spec
 from problems.reference import keep_references
 from problems.spec import SpecError
-from problems.system import MechatronicSystem
 
 #: Budget of a question about a plugin: processor time in s, and memory in GiB.
 _LIMITS = Limits(budget_s=10.0, memory_gib=4.0)
@@ -280,9 +279,8 @@ def load_registry(notify: Notify, sources: Sources) -> Registry:
     loading = partial(notify, LOADING)
     registry = Registry(files_of(sources), sources, loading)
 
-    def told(doing: str, scene: MechatronicSystem) -> None:
-        phase = REFERENCE if doing == "making" else WAITING
-        notify(phase, f"{doing} the reference of {scene.spec}")
+    def told(doing: str, made: str) -> None:
+        notify(REFERENCE if doing == "making" else WAITING, f"{doing} {made}")
 
     keep_references(None if sources else partial(reference_file, registry), told)
     return registry
