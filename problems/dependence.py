@@ -29,19 +29,6 @@ def depends(function: Callable, on: Iterable[int], *arguments: Any) -> bool:
     return any(used[place] for place in on)
 
 
-def is_autonomous(scene: MechatronicSystem) -> bool:
-    """Whether no block depends on t."""
-    q, v, t = _motion(scene)
-    given = {"force": (q, v, t), "constraint": (q, t), "velocity_constraint": (q, v, t)}
-    timed = any(
-        depends(getattr(scene, block), [len(arguments) - 1], *arguments)
-        for block, arguments in given.items()
-        if scene.has(block)
-    )
-    of_all = (b for b in ("coupled_force", "state_rate", "output") if scene.has(b))
-    return not (timed or any(takes(getattr(scene, block), scene, ["t"]) for block in of_all))
-
-
 def mass_varies(scene: MechatronicSystem) -> bool:
     """Whether the mass matrix depends on q."""
     return depends(scene.mass, [0], np.zeros(scene.sizes.nq))
