@@ -97,6 +97,44 @@ def test_derivatives_of_coriolis_forces_are_left_out():
     assert fast.v == pytest.approx(plain.v, rel=1e-9)
 
 
+@dataclass(frozen=True)
+class DampedArms(MechatronicSystem):
+    """Two arms on one another, whose mass varies; dampers, and a force that is not symmetric."""
+
+    interval = (0.0, 1.0)
+    nominal_step = 0.01
+
+    def mass(self, q: jax.Array) -> jax.Array:
+        c = jnp.cos(q[1])
+        return jnp.array([[3.0 + 2.0 * c, 1.0 + c], [1.0 + c, 1.0]])
+
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
+        s, damping = jnp.sin(q[1]), jnp.array([[40.0, 3.0], [-1.0, 20.0]])
+        coriolis = s * jnp.stack([v[1] * (2.0 * v[0] + v[1]), -(v[0] ** 2)])
+        return coriolis - damping @ v - 9.81 * jnp.sin(q)
+
+    def initial_state(self) -> State:
+        return State(q=np.array([0.7, 1.0]), v=np.array([1.0, -2.0]))
+
+
+class ByProducts(DampedArms):
+    """The same, as trees of bodies state their mass."""
+
+    def mass_product(self, q: jax.Array, a: jax.Array) -> jax.Array:
+        return self.mass(q) @ a
+
+
+@pytest.mark.long
+def test_the_matrix_of_a_tree_is_that_of_products():
+    one, other = (
+        ImplicitFast().prepare(scene, 1.0, Steps(0.01)).measure()
+        for scene in (DampedArms(), ByProducts())
+    )
+    assert one.status == other.status == "ok"
+    assert other.q == pytest.approx(one.q, rel=1e-11)
+    assert other.v == pytest.approx(one.v, rel=1e-9, abs=1e-12)
+
+
 @pytest.mark.parametrize("erp", [1.0, 0.2, 0.1])
 def test_the_drift_is_what_the_error_reduction_leaves(erp):
     scene, h = SWING[0], 1e-3
