@@ -133,10 +133,11 @@ class RigidBodies(MechatronicSystem):
         axis
             Axis of the hinge at the start, in space axes.
         """
-        known, column = {GROUND, *(body.name for body in self.bodies())}, []
-        for name in {first, second} - known:
-            message = f"torque has no body {name!r}; {spec.suggest(name, known)}."
-            raise spec.SpecError(f"{self.name}: {message}")
+        known, column = [GROUND, *(body.name for body in self.bodies())], []
+        for name in (first, second):
+            if name not in known:
+                message = f"torque has no body {name!r}; {spec.suggest(name, known)}."
+                raise spec.SpecError(f"{self.name}: {message}")
         unit = vector(axis) / jnp.linalg.norm(vector(axis))
         for body in self.bodies():
             sign = float(body.name == second) - float(body.name == first)
