@@ -121,17 +121,23 @@ class RigidBodies(MechatronicSystem):
         return (0.0, 0.0, -9.81)
 
     def torque(self, first: str, second: str, axis: Vector) -> Float[Array, " nv"]:
-        """Return the column of `actuation` of a motor in a hinge: 1 N m on the second body about
-        the axis, and the opposite on the first.
+        """Return the column ``(nv,)`` of `actuation` of a motor in a hinge: 1 N m on the second
+        body about the axis, and the opposite on the first.
 
-        Its product with v is the second body's angular velocity beside the first's, in rad/s.
+        Its product with v is the second body's angular velocity relative to the first's about the
+        axis, in rad/s.
 
         Parameters
         ----------
         first, second
             Names of the bodies, or `GROUND`.
         axis
-            Axis of the hinge at the start, in space axes.
+            Axis of the hinge at the start, in space axes; its length does not count.
+
+        Raises
+        ------
+        SpecError
+            If there is no body of a name.
         """
         known, column = [GROUND, *(body.name for body in self.bodies())], []
         for name in (first, second):

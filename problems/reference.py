@@ -75,17 +75,26 @@ def once(
     written: Callable[[T], bytes],
     by: Sequence[str] = (),
 ) -> T:
-    """Make the reference of a scene, or derivatives by parameters, unless a file has them; of
-    several processes one does."""
+    """Make what is known of a scene, unless a file has it; of several processes one does.
+
+    Parameters
+    ----------
+    make
+        Computes it.
+    read, written
+        From and to the content of a file.
+    by
+        Parameters by which it is differentiated; none for the reference itself.
+    """
     made = f"the exact derivatives of {scene.spec}" if by else f"the reference of {scene.spec}"
 
-    def told() -> T:
+    def anew() -> T:
         _told("making", made)
         return make()
 
     path = _file_of(scene, t_end, by) if _file_of else None
     if path is None:
-        return told()
+        return anew()
     if (content := kept(path)) is not None:
         return read(content)
     from filelock import FileLock, Timeout  # slow to import
@@ -99,11 +108,11 @@ def once(
             _told("waiting for", made)
             lock.acquire(timeout=PATIENCE)
     except (OSError, Timeout):  # there is no folder for it, or the other one takes too long
-        return told()
+        return anew()
     try:
         if (content := kept(path)) is not None:
             return read(content)
-        found = told()
+        found = anew()
         with suppress(OSError):  # a full disk
             keep(path, written(found))
         return found

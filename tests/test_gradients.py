@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from helpers import long
 
+from bench.guard.limits import RUNNING
 from bench.plugins.registry import Registry
 from bench.running.entries import components
 from bench.running.gradients import exact_job, gradient_job
 from bench.running.worker import Worker
 from integrators.contract import Wanted
 from integrators.resolutions import Steps
+from problems import reference
 from problems.sensitivities import sensitivities, start_changes
 from problems.spec import SpecError
 
@@ -27,6 +29,15 @@ X = (("q", 0),)
 @pytest.fixture(scope="module")
 def worker():
     return Worker(Registry([]))
+
+
+def test_runs_after_exact_derivatives_have_the_budget_of_runs(monkeypatch):
+    told = []
+    monkeypatch.setattr(reference, "_file_of", None)
+    monkeypatch.setattr(reference, "_told", lambda doing, made: told.append(f"{doing} {made}"))
+    worker = Worker(Registry([]), lambda phase, words: told.append(phase))
+    worker.sensitivities(worker.problem("pendulum"), 0.4, ("g",))
+    assert told == ["making the exact derivatives of pendulum", RUNNING]
 
 
 @pytest.fixture(scope="module")

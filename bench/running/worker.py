@@ -117,7 +117,7 @@ class Worker:
         key = (scene.spec, t_end, tuple(by))
         if key not in self._derivatives:
             self._derivatives[key] = sensitivities(scene, t_end, by)
-            self.notify(MEASURING, "measuring")
+            self.notify(RUNNING, "running")
         return self._derivatives[key]
 
     def measure(self, cell: Cell, errors: bool = True, lacking: str = "") -> CellResult:
