@@ -5,15 +5,20 @@ from __future__ import annotations
 import json
 import math
 import time
+from functools import partialmethod
 from types import SimpleNamespace
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from planted import planted
 
 from bench.results.demands import Demand, demand
+from bench.results.quantities import NORMS
 from bench.results.records import UNSUPPORTED
 from bench.running.race import Race
-from bench.running.rating import Candidate
+from bench.running.rating import Candidate, Search
+from bench.running.search import MOST_RUNS
 from integrators.resolutions import Steps
 
 LIMIT = 1e-3
@@ -91,6 +96,46 @@ def test_the_next_digit_is_a_race_of_its_own():
     assert harder.of(best) <= LIMIT / 10 < harder.of(race.leader.best(race.asked))
 
 
+@settings(deadline=None)
+@given(
+    st.lists(
+        st.sampled_from(
+            [0.0, 5e-324, LIMIT, math.nextafter(LIMIT, 1), 0.5, math.nextafter(0.5, 1), 1.7e308]
+        )
+        | st.sampled_from([math.nan, math.inf])
+        | st.floats(1e-4, 1e-2),
+        min_size=1,
+    )
+)
+def test_a_race_ends_whatever_errors_do(errors):
+    class Odd(Power):
+        """A method with errors that stagnate, grow, vanish or are no numbers."""
+
+        def run(self, size: float, status: str = "ok") -> None:
+            self.error = errors[len(self.candidate.runs) % len(errors)]
+            super().run(size, status)
+
+    good, odd = Power("good", 2, 1.0, 3.0), Odd("odd", 0, 1.0, 3.0)
+    race = raced([odd, good])
+    assert len(odd.candidate.runs) <= MOST_RUNS
+    assert good.candidate.best(race.asked)
+    assert race.promised(odd.candidate) > 0
+    if any(0 < e < math.inf for e in errors[: len(odd.candidate.runs)]):
+        assert race.promised(odd.candidate) < math.inf
+
+
+def test_equal_errors_promise_far_more_operations_than_one_good_run():
+    """Two equal errors once promised infinitely many, which is no number."""
+    good, flat = Power("good", 2, 1e-3, 3.0), Power("flat", 0, 0.5, 3.0)
+    for size in (0.1, 0.05):
+        good.run(size)
+        flat.run(size)
+    flat.candidate.runs[0.1].errors["q"] = dict.fromkeys(NORMS, math.nextafter(0.5, 1))
+    race = Race([good.candidate, flat.candidate], 1.1, math.inf)
+    assert 1e6 < race.promised(flat.candidate) < math.inf
+    assert race.is_dropped(flat.candidate)
+
+
 def test_no_run_begins_when_the_time_is_over_and_none_of_who_refuses():
     method = Power("a", 2, 5.0, 7.0)
     assert Race([method.candidate], 1.1, time.monotonic() - 1.0).next() == []
@@ -160,6 +205,55 @@ def test_it_says_when_nothing_reaches_the_error(stepbench, tmp_path):
     assert result.exit_code == 1
     assert "Nothing reaches error in position q" in result.stdout
     assert "No integrator reaches" in result.stderr
+
+
+@pytest.fixture
+def planted_runs(monkeypatch):
+    """A search whose runs cost what a law says: phem56 least, and less with constant steps."""
+    costs = {"phem56": 2.0, "rattle": 3.0}
+
+    def run(search, choose, tell, fails=math.inf):
+        made = 0
+        while cells := choose():
+            for cell in cells:
+                (c,) = (c for c in search.candidates if c.method.spec == cell.integrator)
+                size = getattr(cell.resolution, "h", None) or cell.resolution.rtol
+                made += 1
+                cost = costs.get(c.method.name, 50.0) / (1 + ("constant" in c.method.spec))
+                c.runs[size] = planted(
+                    "pendulum", cell.integrator, {"q": (1.0, 1)}, h=size,
+                    operations={"residuals": cost / size},
+                )  # fmt: skip
+            tell()
+            if made > fails:
+                raise RuntimeError("A later stage raises.")
+
+    monkeypatch.setattr(Search, "run", run)
+    monkeypatch.setattr(Search, "take_times", lambda search, runs: None)
+    return lambda **changes: monkeypatch.setattr(Search, "run", partialmethod(run, **changes))
+
+
+ASKED = "recommend", "pendulum", "--error", f"q:{LIMIT}", "--cost", "operations", "--json"
+
+
+@pytest.mark.usefixtures("without_processes", "planted_runs")
+def test_constant_steps_win_where_they_are_cheapest(stepbench, tmp_path):
+    told = json.loads(stepbench(*ASKED, "--budget", "600", "--out", tmp_path).stdout)
+    assert told["ratings"][0]["integrator"] == "phem56[steps=constant]"
+    _, tried = told["sentences"][-1].split(
+        "Constant steps and other Newton's methods were tried for "
+    )
+    assert {"phem56", "rattle"} < {*tried.partition(" alone")[0].split(", ")}
+
+
+@pytest.mark.usefixtures("without_processes")
+def test_what_was_found_before_an_error_is_not_lost(stepbench, tmp_path, planted_runs):
+    planted_runs(fails=60)
+    result = stepbench(*ASKED, "--budget", "600", "--out", tmp_path)
+    assert result.exit_code
+    told = json.loads((tmp_path / "recommendation.json").read_text())
+    assert told["ratings"]
+    assert json.loads(result.stdout) == told
 
 
 @pytest.mark.usefixtures("without_processes")

@@ -27,14 +27,15 @@ from bench.running.plan import Cell
 from bench.running.race import Race
 from bench.running.rating import Candidate, Search
 from bench.running.runner import Runner
-from bench.running.verdict import MOST_ASKED, MOST_TIMED, SPREAD, TIE, Verdict
-from problems.spec import SpecError
+from bench.running.verdict import FORMS, MOST_ASKED, MOST_TIMED, SPREAD, TIE, Verdict
+from problems.spec import SpecError, split_spec
 from problems.whole_files import put
 
 #: File of a recommendation in its folder.
 FILE = "recommendation.json"
-#: Parts of the budget after which the search, that for the next digit, and timing end, by the cost.
-_PARTS = {"seconds": (0.55, 0.65, 0.9), "operations": (0.75, 0.85, 0.9)}
+#: Parts of the budget after which the search, that among other forms of the best, that for the
+#: next digit, and timing end, by the cost.
+_PARTS = {"seconds": (0.45, 0.57, 0.66, 0.9), "operations": (0.6, 0.75, 0.85, 0.9)}
 
 
 @click.command("recommend")
@@ -78,8 +79,9 @@ def recommend_(
     """Find the integrator, and its step or tolerance, that reaches an accuracy at the least cost.
 
     No integrator is named: all that take the scene are tried, and dropped as soon as they cannot
-    win. FILE is a file with one scene of your own, or a model of MuJoCo or URDF. The same command
-    goes on with the runs that are stored; a larger --budget tries more.
+    win. The best are tried with constant steps and another Newton's method, too. FILE is a file
+    with one scene of your own, or a model of MuJoCo or URDF. The same command goes on with the runs
+    that are stored; a larger --budget tries more.
 
     \b
     Examples:
@@ -101,75 +103,91 @@ def recommend_(
     suite = replace(suite, plan=msgspec.structs.replace(suite.plan, title=title))
     end = next(iter(suite.cells.values())).t_end
     methods = dict.fromkeys(cell.integrator for cell in suite.cells.values())
-    candidates = [Candidate(scene, registry.integrator(m), end, demands) for m in methods]
+    every = [Candidate(scene, registry.integrator(m), end, demands) for m in methods]
     margin = SPREAD if cost == "seconds" else TIE
-    search_end, next_end, over = (start + part * budget for part in _PARTS[cost])
-    race = Race(_in_turns(candidates), margin, search_end)
+    search_end, forms_end, next_end, over = (start + part * budget for part in _PARTS[cost])
+    race = Race(candidates := _in_turns(every), margin, search_end)
     verdict, told = Verdict(race, cost), None
     from bench.commands.terminal import RunProgress, show
 
     until = next_end  # processes are ended with all that they do then
-    with (
-        RunProgress(lines=False) as progress,
-        Runner(
-            jobs, Limits(budget / 4, suite.memory_gib), progress, lambda: time.monotonic() < until
-        ) as runner,
-        Store(out, create=True, fresh=fresh) as store,
-    ):
-        options.tell_set_aside(store)
-        search = Search(candidates, suite, store, registry, runner)
-        stored = "Finished runs are stored; the same command goes on."
-        remark(stored)
-        progress.note(f"{len(candidates)} methods and forms on {scene.spec}, within {budget:g} s:")
 
-        def tell() -> None:
-            nonlocal told
-            if order := verdict.order:
-                remark(f"So far: {verdict.first} {stored}")
-                if order[0] is not told:
-                    progress.note(f"{time.monotonic() - start:.0f} s: {verdict.first}")
-                told = order[0]
+    def report() -> None:
+        """Write and show what was found."""
+        found = {
+            "cost": cost,
+            "sentences": verdict.sentences(),
+            "ratings": [rating_of(c, demands[0]) for c in verdict.order],
+            "runs": sum(len(c.runs) for c in candidates),
+        }
+        put(out / FILE, text := json.dumps(found, indent=2))
+        if as_json:
+            click.echo(text)
+            return
+        show(verdict.table())
+        for sentence in verdict.sentences():
+            click.echo(sentence)
+        write_reports(out)
 
-        harder = demand(f"{demands[0].text.rpartition(':')[0]}:{demands[0].limit / 10:g}")
-        asked: list[Candidate] = []
+    try:
+        with (
+            RunProgress(lines=False) as progress,
+            Runner(
+                jobs, Limits(budget / 4, suite.memory_gib), progress,
+                lambda: time.monotonic() < until,
+            ) as runner,
+            Store(out, create=True, fresh=fresh) as store,
+        ):  # fmt: skip
+            options.tell_set_aside(store)
+            search = Search(candidates, suite, store, registry, runner)
+            stored = "Finished runs are stored; the same command goes on."
+            remark(stored)
+            count = f"{len(candidates)} methods and forms on {scene.spec}"
+            progress.note(f"{count}, within {budget:g} s:")
 
-        def choose() -> list[Cell]:
-            """Runs of the race, and then of its winners for the next digit."""
-            if cells := race.next():
-                return cells
-            if not asked:
-                asked.extend(verdict.order[:MOST_ASKED])
-                for candidate in asked:
-                    candidate.demands = [*demands, harder]
-            return Race(asked, math.inf, next_end, harder).next() if asked else []
+            def tell() -> None:
+                nonlocal told
+                if order := verdict.order:
+                    remark(f"So far: {verdict.first} {stored}")
+                    if order[0] is not told:
+                        progress.note(f"{time.monotonic() - start:.0f} s: {verdict.first}")
+                    told = order[0]
 
-        runner.draft = True
-        search.run(choose, tell)
-        runner.end_workers()
-        runner.draft, until = False, over
-        if asked:
-            verdict.harder = harder
-            tied = [r for c in verdict.order[:MOST_TIMED] if (r := c.best(demands[0]))]
-            search.take_times(tied)
+            harder = demand(f"{demands[0].text.rpartition(':')[0]}:{demands[0].limit / 10:g}")
+            asked: list[Candidate] = []
+
+            def choose() -> list[Cell]:
+                """Runs of the race, of other forms of the best, and of winners for the next
+                digit."""
+                if cells := race.next():
+                    return cells
+                if not asked and time.monotonic() < forms_end:
+                    race.end = forms_end
+                    for leader in verdict.leading:
+                        candidates[:0] = _other_forms(registry, leader, candidates)
+                    if cells := race.next():
+                        return cells
+                if not asked:
+                    asked.extend(verdict.order[:MOST_ASKED])
+                    for candidate in asked:
+                        candidate.demands = [*demands, harder]
+                return Race(asked, math.inf, next_end, harder).next() if asked else []
+
+            runner.draft = True
+            search.run(choose, tell)
+            runner.end_workers()
+            runner.draft, until = False, over
+            if asked:
+                verdict.harder = harder
+                tied = [r for c in verdict.order[:MOST_TIMED] if (r := c.best(demands[0]))]
+                search.take_times(tied)
+    finally:  # what was found before an error is not lost by it
+        if any(c.runs for c in candidates):
+            report()
     if not any(c.runs for c in candidates):
         raise click.ClickException(
             f"{budget:g} s were over before the first run had ended; give a larger --budget."
         )
-    sentences = verdict.sentences()
-    found = {
-        "cost": cost,
-        "sentences": sentences,
-        "ratings": [rating_of(c, demands[0]) for c in verdict.order],
-        "runs": sum(len(c.runs) for c in candidates),
-    }
-    put(out / FILE, text := json.dumps(found, indent=2))
-    if as_json:
-        click.echo(text)
-    else:
-        show(verdict.table())
-        for sentence in sentences:
-            click.echo(sentence)
-        write_reports(out)
     if not verdict.order:
         raise click.ClickException(f"No integrator reaches {demands[0]} on {scene.spec}.")
 
@@ -195,6 +213,23 @@ def _methods(registry: Inventory, scene: SceneFacts) -> list[str]:
             if (form := "stabilised_index2") in (option.get("choices") or ()):
                 names.append(f"{name}[{option['name']}={form}]")
     return names
+
+
+def _other_forms(
+    registry: Inventory, leader: Candidate, known: Sequence[Candidate]
+) -> list[Candidate]:
+    """Return candidates with other choices of one of `FORMS`, if they are not known."""
+    name, own = split_spec(leader.method.spec)
+    specs = {c.method.spec for c in known}
+    found = []
+    for option in registry.integrators[name].options:
+        for choice in (option.get("choices") or ()) if option["name"] in FORMS else ():
+            values = own | {option["name"]: choice}
+            text = ",".join(f"{key}={value}" for key, value in values.items())
+            method = registry.integrator(f"{name}[{text}]")
+            if method.spec not in specs:
+                found.append(replace(leader, method=method, cells={}, runs={}))
+    return found
 
 
 def _in_turns(candidates: Sequence[Candidate]) -> list[Candidate]:

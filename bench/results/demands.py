@@ -63,7 +63,7 @@ class Demand(NamedTuple):
     def of(self, record: Record) -> float:
         """Return the error of a run; a run that failed has an infinite one."""
         found = self.error(record) if record.status == "ok" else None
-        return math.inf if found is None else found
+        return math.inf if found is None or math.isnan(found) else found
 
     def best(self, runs: Iterable[Record]) -> Record | None:
         """Return the run of the coarsest good size among those of a method on a scene, if any."""

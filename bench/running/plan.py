@@ -187,7 +187,7 @@ def make_suite(
         budget_s=budget_s or profile.budget_s,
         studies=studies,
         integrators={
-            text: _facts(registry.integrator(text))
+            text: planned(registry.integrator(text))
             for text in dict.fromkeys(cell.integrator for cell in cells.values())
         },
         mine=own_method.spec if own_method else "",
@@ -253,7 +253,8 @@ def _usable(names: Sequence[str], facts_of: Callable[[str], object], lost: list[
     return usable
 
 
-def _facts(method: MethodFacts) -> IntegratorFacts:
+def planned(method: MethodFacts) -> IntegratorFacts:
+    """Return the facts of an integrator that a plan keeps."""
     return IntegratorFacts(
         title=method.title,
         orders=method.orders,

@@ -10,6 +10,7 @@ from itertools import islice
 from bench.results.demands import Demand
 from bench.running.plan import Cell
 from bench.running.rating import Candidate
+from bench.running.search import multiple, power_of
 
 
 class Race:
@@ -36,8 +37,8 @@ class Race:
     FAR = 4.0
     #: A good run may take so many times the operations of a bad one in the end.
     SETTLED = 1.1
-    #: Operations go with this power of the error until two runs show one.
-    STEPS, TOLERANCES = -1 / 2, -1 / 5
+    #: Operations to this power go with 1 / error until two runs show another one.
+    STEPS, TOLERANCES = 2.0, 5.0
 
     def __init__(
         self,
@@ -73,8 +74,8 @@ class Race:
         power = self.STEPS if candidate.method.controls == "step" else self.TOLERANCES
         (cost, error), *others = reversed(known)
         if others and others[0][0] < cost and error < others[0][1]:
-            power = math.log(cost / others[0][0]) / math.log(error / others[0][1])
-        return cost * (self.asked.limit / error) ** power
+            power = power_of(cost / others[0][0], others[0][1], error)
+        return cost * multiple(self.asked.limit, error, power)
 
     def is_dropped(self, candidate: Candidate) -> bool:
         """Whether another candidate is cheaper whatever the next runs of this one give."""

@@ -12,7 +12,7 @@ from bench.results.demands import Demand, bracket
 from bench.results.records import UNSUPPORTED, Record, Study
 from bench.results.store import Store
 from bench.running.inventory import Inventory
-from bench.running.plan import Cell, Suite
+from bench.running.plan import Cell, Suite, planned
 from bench.running.profiles import FIGURES
 from bench.running.runner import Runner
 from bench.running.search import Sizes
@@ -146,7 +146,11 @@ class Search:
             c.take(records)
 
     def _restricted(self, cells: Iterable[Cell]) -> Suite:
-        plan = msgspec.structs.replace(self.suite.plan, studies=_studies(self.candidates))
+        plan = msgspec.structs.replace(
+            self.suite.plan,
+            studies=_studies(self.candidates),
+            integrators={c.method.spec: planned(c.method) for c in self.candidates},
+        )
         return replace(self.suite, plan=plan, cells={cell.key: cell for cell in cells})
 
 

@@ -19,6 +19,8 @@ MOST_RUNS = 24
 _HOPELESS, _FINER, _FINER_RTOL = 0.7, 16.0, 256.0
 #: Order that is assumed while there is one error alone, and the range of orders that are believed.
 _ORDER, _ORDERS = 2.0, (0.5, 8.0)
+#: Logarithm of the largest quotient that is believed.
+_FARTHEST = 100.0
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,8 @@ class Sizes:
         else:
             part = 0.5  # of the way from good to bad, in logarithms
             if math.isfinite(tried[bad]) and tried[good] > 0:
-                rise = math.log(tried[bad] / tried[good])
-                part = min(max(math.log(limit / tried[good]) / rise, 0.1), 0.9)
+                low, wanted, high = map(math.log, (tried[good], limit, tried[bad]))
+                part = min(max((wanted - low) / (high - low), 0.1), 0.9) if low < high else part
             size = self.allowed(good * (bad / good) ** part)
             if size in tried:  # few steps: the nearest number is one that was tried
                 size = math.sqrt(good * bad)
@@ -109,7 +111,20 @@ def _toward(tried: Mapping[float, float], size: float, limit: float, caution: fl
     order = _ORDER
     if len(known) > 1:
         (_, near), (_, far) = known[:2]
-        order = math.log(tried[far] / tried[near]) / math.log(far / near)
-        order = min(max(order, _ORDERS[0]), _ORDERS[1])
-    error = tried[size] or limit / 1e16
-    return caution * (limit / error) ** (1 / order)
+        order = power_of(far / near, tried[far], tried[near])
+    return caution / multiple(limit, tried[size] or limit / 1e16, order)
+
+
+def power_of(quotient: float, far: float, near: float) -> float:
+    """Return the power of a quotient of two sizes, or costs, that their errors show.
+
+    It is one of `_ORDERS`, whatever the errors: they may be equal, or grow.
+    """
+    power = (math.log(far) - math.log(near)) / math.log(quotient)
+    return min(max(power, _ORDERS[0]), _ORDERS[1])
+
+
+def multiple(limit: float, error: float, power: float) -> float:
+    """Return the quotient by which sizes, or costs, lead from an error to a limit."""
+    far = (math.log(error) - math.log(limit)) / power
+    return math.exp(min(max(far, -_FARTHEST), _FARTHEST))

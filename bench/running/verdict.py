@@ -12,10 +12,13 @@ from bench.results.records import Record
 from bench.results.table import NO_VALUE, Table, number
 from bench.running.race import Race
 from bench.running.rating import Candidate
+from problems.spec import split_spec
 
 #: Costs up to this quotient are a tie. So are operations while seconds are what counts: times per
 #: operation differ by it among methods.
 TIE, SPREAD = 1.1, 3.0
+#: Options whose other choices are tried for the best, with the words for these choices.
+FORMS = {"steps": "constant steps", "newton": "other Newton's methods"}
 #: Most methods that are timed, and that are asked for the next digit.
 MOST_TIMED, MOST_ASKED = 8, 3
 
@@ -61,6 +64,15 @@ class Verdict:
         good = [c for c in self.race.candidates if c.best(self.asked)]
         near = [c for c in good if self.race.operations(c) <= bound or c is leader]
         return sorted(near, key=lambda c: (self.cost(self.best(c)), self.race.operations(c)))
+
+    @property
+    def leading(self) -> list[Candidate]:
+        """The candidates that promise the fewest operations, one of each family."""
+        best: dict[str, Candidate] = {}
+        for c in sorted(self.race.candidates, key=self.race.promised):
+            if self.race.promised(c) < math.inf:
+                best.setdefault(c.method.family, c)
+        return list(best.values())[:MOST_ASKED]
 
     @property
     def first(self) -> str:
@@ -147,7 +159,20 @@ class Verdict:
         counts = Counter(map(self._fate, every))
         told = ", ".join(f"{count} {fate}" for fate, count in counts.items())
         runs = sum(len(c.runs) for c in every if not c.refusal)
-        return f"Of {len(every)} methods and forms: {told}; {runs} runs."
+        return f"Of {len(every)} methods and forms: {told}; {runs} runs. {self._forms()}"
+
+    def _forms(self) -> str:
+        """Which forms were tried, and which were not."""
+        tried = dict.fromkeys(
+            c.method.name
+            for c in self.race.candidates
+            if c.runs and not FORMS.keys().isdisjoint(split_spec(c.method.spec)[1])
+        )
+        forms = " and ".join(FORMS.values())
+        where = f"for {', '.join(tried)} alone" if tried else "for no method"
+        return (
+            f"{forms[:1].upper() + forms[1:]} were tried {where}; further options were not tried."
+        )
 
     def _fate(self, c: Candidate) -> str:
         if not c.runs:
