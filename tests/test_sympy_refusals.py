@@ -11,6 +11,7 @@ from sympy.physics.mechanics import (
     Particle,
     Point,
     ReferenceFrame,
+    System,
     dynamicsymbols,
 )
 from sympy_scenes import OSCILLATOR, C, F, K, M, T, X, Y, rod, scene_of, spring
@@ -18,33 +19,21 @@ from sympy_scenes import OSCILLATOR, C, F, K, M, T, X, Y, rod, scene_of, spring
 from problems.spec import SpecError
 
 
-def quasi():
+def driven():
     u = dynamicsymbols("u")
     frame, point = ReferenceFrame("N"), Point("P")
-    point.set_vel(frame, u * frame.x)
-    method = KanesMethod(frame, [X], [u], kd_eqs=[u - 2 * X.diff(T)])
+    point.set_vel(frame, (u + K) * frame.x)
+    method = KanesMethod(frame, [X], [u], kd_eqs=[u + K - X.diff(T)])
     method.kanes_equations([Particle("B", point, M)], [(point, K * frame.x)])
     return method
-
-
-def dependent():
-    u = dynamicsymbols("u1 u2")
-    return KanesMethod(
-        ReferenceFrame("N"),
-        [X, Y],
-        u[:1],
-        kd_eqs=[u[0] - X.diff(T), u[1] - Y.diff(T)],
-        u_dependent=u[1:],
-        velocity_constraints=[u[1] - X * u[0]],
-    )
 
 
 def unformed():
     return KanesMethod(ReferenceFrame("N"), [X], [Y], kd_eqs=[Y - X.diff(T)])
 
 
-def rolling():
-    return LagrangesMethod(OSCILLATOR, [X], nonhol_coneqs=[X.diff(T) - 1])
+def curved():
+    return LagrangesMethod(OSCILLATOR, [X], nonhol_coneqs=[X.diff(T) ** 2 - 1])
 
 
 def method_with(lagrangian, **more):
@@ -85,12 +74,12 @@ REFUSED = {
     "scene's name": (spring, {"name": "my scene"}, "is no name of a scene"),
     "interval": (spring, {"interval": (1, 0)}, "interval"),
     "step": (spring, {"nominal_step": "x"}, "nominal_step=x is not a finite number"),
-    "quasi-speeds": (of(quasi), {}, "Quasi-speeds .* not supported"),
-    "dependent speeds": (of(dependent), {}, "velocity constraints .* not supported"),
+    "moving kinematics": (of(driven), {}, "kd_eqs have terms without speeds"),
     "no equations": (of(unformed), {}, "Call kanes_equations"),
-    "nonholonomic": (of(rolling), {}, "nonhol_coneqs.* not supported"),
+    "no equations of a system": (of(System), {}, "Call form_eoms"),
+    "not linear in v": (of(curved), {}, "velocity constraints are not linear"),
     "constraint of v": (
-        method_with(OSCILLATOR, hol_coneqs=[X + X.diff(T)]), {}, "Constraints of velocities are not"
+        method_with(OSCILLATOR, hol_coneqs=[X + X.diff(T)]), {}, "contain velocities; give these as"
     ),
     "mass in time": (spring, {"constants": {M: 1 + T, K: 1}}, "mass matrix depends on time"),
     "special function": (method_with(OSCILLATOR + sm.erf(X) * K), {}, "erf, which jax.numpy does"),

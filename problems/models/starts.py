@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from problems import spec
+from problems.kinematics import q_rate
 from problems.runtime import Float, jax, jnp
 from problems.system import MechatronicSystem
 from problems.variables import State
@@ -20,15 +21,16 @@ _ITERATIONS = 50
 def completed(
     scene: MechatronicSystem,
     q: Sequence[float] | Float[np.ndarray, " nq"],
-    v: Sequence[float] | Float[np.ndarray, " nq"],
+    v: Sequence[float] | Float[np.ndarray, " nv"],
     open_q: Sequence[int],
     open_v: Sequence[int],
 ) -> State:
-    """Return the start at which the entries left open satisfy the constraints Phi(q, t) = 0.
+    """Return the start at which the entries left open satisfy the constraints.
 
-    Newton's method with the shortest corrections leads from ``q`` to the nearest position; open
-    velocities get the shortest correction by which d/dt Phi = 0. Where there is no solution the
-    start violates the constraints, and `violation` tells by how much.
+    Newton's method with the shortest corrections leads from ``q`` to the nearest position at which
+    Phi(q, t) = 0; open velocities get the shortest correction by which d/dt Phi = 0 and A v = b.
+    Where there is no solution the start violates the constraints, and `violation` tells by how
+    much.
 
     Parameters
     ----------
@@ -38,25 +40,41 @@ def completed(
         Indices of the open entries.
     """
     q, v = np.array(q, dtype=float), np.array(v, dtype=float)
-    if not scene.has("constraint"):
-        return State(q, v)
-    for _ in range(_ITERATIONS):
-        phi, jacobian, _ = _position(scene, q)
-        step = _shortest(jacobian[:, open_q], phi)
-        q[open_q] -= step
-        if not np.abs(step).max(initial=0.0) > 1e-15 * np.abs(q).max():
-            break
-    _, jacobian, rate = _position(scene, q)
-    v[open_v] -= _shortest(jacobian[:, open_v], jacobian @ v + rate)
+    if scene.has("constraint"):
+        for _ in range(_ITERATIONS):
+            phi, jacobian, *_ = constraints_at(scene, q, v)
+            step = _shortest(jacobian[:, open_q], phi)
+            q[open_q] -= step
+            if not np.abs(step).max(initial=0.0) > 1e-15 * np.abs(q).max():
+                break
+    _, _, rate, rows = constraints_at(scene, q, v)
+    v[open_v] -= _shortest(rows[:, open_v], rate)
     return State(q, v)
 
 
 def violation(scene: MechatronicSystem, state: State) -> tuple[float, float]:
-    """Return the largest entries of Phi and of d/dt Phi at the start of a scene's interval."""
-    if not scene.has("constraint"):
-        return 0.0, 0.0
-    phi, jacobian, rate = _position(scene, state.q)
-    return np.abs(phi).max(), np.abs(jacobian @ state.v + rate).max()
+    """Return the largest entries of Phi, and of d/dt Phi and A v - b, at the start."""
+    phi, _, rate, _ = constraints_at(scene, state.q, state.v)
+    return np.abs(phi).max(initial=0.0), np.abs(rate).max(initial=0.0)
+
+
+def constraints_at(
+    scene: MechatronicSystem, q: Float[np.ndarray, " nq"], v: Float[np.ndarray, " nv"]
+) -> tuple[np.ndarray, ...]:
+    """Compute the constraints at the start of the interval.
+
+    Returns
+    -------
+    tuple
+        Phi ``(nh,)``, its derivative by q ``(nh, nq)``, d/dt Phi and A v - b ``(nl,)``, and their
+        derivative by v ``(nl, nv)``.
+    """
+    if not (scene.has("constraint") or scene.has("velocity_constraint")):
+        return np.zeros(0), np.zeros((0, len(q))), np.zeros(0), np.zeros((0, len(v)))
+    numbers = spec.numbers_of(type(scene))
+    defaults: dict[str, Any] = {name: field.default for name, field in numbers.items()}
+    program = _program(scene.with_parameters(defaults))
+    return tuple(map(np.asarray, program(scene.parameters(), q, v, scene.interval[0])))
 
 
 def _shortest(matrix: np.ndarray, residual: np.ndarray) -> np.ndarray:
@@ -65,19 +83,20 @@ def _shortest(matrix: np.ndarray, residual: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(matrix, residual, rcond=None)[0]
 
 
-def _position(scene: MechatronicSystem, q: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Phi ``(nl,)``, Phi_q ``(nl, nq)`` and the partial derivative of Phi by time ``(nl,)``."""
-    numbers = spec.numbers_of(type(scene))
-    defaults: dict[str, Any] = {name: field.default for name, field in numbers.items()}
-    program = _program(scene.with_parameters(defaults))
-    return tuple(map(np.asarray, program(scene.parameters(), q, scene.interval[0])))
-
-
 @cache  # not `problems.compiled`, which asks for the sizes, that is, for the start
 def _program(template: MechatronicSystem) -> Callable[..., Any]:
-    def position(p: dict[str, Any], q: Any, t: Any) -> Any:
+    def constraints(p: dict[str, Any], q: Any, v: Any, t: Any) -> Any:
         scene, now = template.with_parameters(p), jnp.asarray(t, dtype=float)
-        phi, rate = jax.jvp(lambda t: scene.constraint(q, t), (now,), (jnp.ones_like(now),))
-        return phi, jax.jacfwd(lambda q: scene.constraint(q, now))(q), rate
+        positions = scene.constraint if scene.has("constraint") else lambda q, t: jnp.zeros(0)
 
-    return jax.jit(position)
+        def rates(v: Any) -> Any:
+            moving = q_rate(scene, q, v), jnp.ones_like(now)
+            rate = jax.jvp(positions, (q, now), moving)[1]
+            if not scene.has("velocity_constraint"):
+                return rate
+            return jnp.concatenate([rate, scene.velocity_constraint(q, v, now)])
+
+        of_q = jax.jacfwd(lambda q: positions(q, now))(q)
+        return positions(q, now), of_q, rates(v), jax.jacfwd(rates)(v)
+
+    return jax.jit(constraints)

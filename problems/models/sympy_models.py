@@ -10,17 +10,17 @@ from __future__ import annotations
 import keyword
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 import sympy as sm
 from sympy.core.function import AppliedUndef
-from sympy.physics.mechanics import KanesMethod, LagrangesMethod, dynamicsymbols
+from sympy.physics.mechanics import KanesMethod, LagrangesMethod, System, dynamicsymbols
 
 from problems import spec
 from problems.initial_values import CONSISTENCY_TOLERANCE
-from problems.models.starts import violation
+from problems.models.starts import completed, constraints_at, violation
 from problems.models.sympy_text import CLASS, class_of, code_of, function_text
 from problems.plain_text import said
 from problems.spec import SpecError
@@ -29,10 +29,19 @@ from problems.system import MechatronicSystem
 #: Time in the text of a class, and in models.
 _TIME = sm.Symbol("t")
 _MODELS_TIME: Any = vars(dynamicsymbols)["_t"]
+#: Tags of scenes, and the blocks that they go with.
+_TAGS = (
+    ("multibody", "mass"),
+    ("constrained", "constraint"),
+    ("constrained", "velocity_constraint"),
+    ("index 3", "constraint"),
+    ("nonholonomic", "velocity_constraint"),
+    ("conservative", "energy"),
+)
 
 
 def from_sympy(
-    method: LagrangesMethod | KanesMethod,
+    method: LagrangesMethod | KanesMethod | System,
     *,
     constants: Mapping[Any, Any],
     initial: Mapping[Any, Any],
@@ -47,8 +56,9 @@ def from_sympy(
     Parameters
     ----------
     method
-        Lagrange's method, perhaps with ``hol_coneqs``; or Kane's with speeds u = q', perhaps with
-        ``configuration_constraints``, once ``kanes_equations`` was called.
+        Lagrange's method, perhaps with ``hol_coneqs`` and ``nonhol_coneqs``; Kane's method, perhaps
+        with ``configuration_constraints`` and ``velocity_constraints``, once ``kanes_equations``
+        was called; or a `System`, once ``form_eoms`` was called.
     constants
         A number for each symbol that is no coordinate: the default of a parameter of the scene.
         Symbols and specified functions of time may also be given expressions of t and of other
@@ -75,53 +85,61 @@ def from_sympy(
     Raises
     ------
     SpecError
-        If the model has quasi-speeds or velocity constraints, a symbol has no value or a value no
-        symbol, or the initial values violate the constraints.
+        If equations do not have the form of a scene, a symbol has no value or a value no symbol, or
+        the initial values violate the constraints.
     """
-    if isinstance(method, LagrangesMethod):
-        model = _lagrange(method)
-    elif isinstance(method, KanesMethod):
-        model = _kane(method)
-    else:
-        kind = type(method).__name__
-        raise SpecError(f"from_sympy takes a LagrangesMethod or a KanesMethod, not {kind}.")
+    own: Any = getattr(method, "eom_method", method)
+    if own is None:
+        raise SpecError("Call form_eoms() of the System first.")
+    if not isinstance(own, LagrangesMethod | KanesMethod):
+        kind = type(own).__name__
+        raise SpecError(f"from_sympy takes a LagrangesMethod, KanesMethod or System, not {kind}.")
+    model = _lagrange(own) if isinstance(own, LagrangesMethod) else _kane(own)
     symbols = _Symbols(model, constants)
     blocks = _blocks(model, symbols)
     start = symbols.start("guess", guess or {}) | (given := symbols.start("initial", initial))
     symbols.check_use()
     units = dict(units or {})
-    if unknown := units.keys() - symbols.numbers.keys() - {*model.q}:
+    if unknown := units.keys() - symbols.numbers.keys() - {*model.q, *model.v}:
         raise SpecError(f"units names {_listed(unknown)}: neither a constant nor a coordinate.")
-    size, names = range(len(model.q)), [q.name for q in model.q]
-    facts = {
+    sizes = {"q": len(model.q), "v": len(model.v)}
+    facts: dict[str, Any] = {
         "name": name,
         "cls": "".join(part[:1].upper() + part[1:] for part in name.split("_")),
-        "doc": f"A SymPy model ({type(method).__name__}); coordinates: "
-        + ", ".join(f"q{k} = {q}" for k, q in enumerate(names)),
+        "doc": f"A SymPy model ({type(own).__name__}); coordinates: "
+        + ", ".join(f"q{k} = {q.name}" for k, q in enumerate(model.q)),
         "interval": tuple(_number("interval", t) for t in np.ravel(interval)),
         "nominal_step": _number("nominal_step", nominal_step),
-        "coordinates": tuple(f"{q.name} [{units[q]}]" if q in units else q.name for q in model.q),
-        "tags": ("multibody", *["constrained", "index 3"] * ("constraint" in blocks))
-        + ("conservative",) * ("energy" in blocks),
+        "names": _names_of("coordinates", model.q, units),
         "fields": "".join(
             f"    {key.name}: float = "
             f"parameter({value!r}, {units.get(key, 'SI')!r}, {f'{key} of the model'!r})\n"
             for key, value in symbols.numbers.items()
         ),
-        "blocks": "\n".join(
-            function_text(block, *parts, len(names)) for block, parts in blocks.items()
-        ),
     }
-    for group in "qv":
+    if "kinematics" in blocks:
+        facts["names"] += _names_of("velocities", model.v, units)
+    for group, size in sizes.items():
         facts[group] = ", ".join(
-            code_of(start.get((group, k), sm.Float(0)), "initial") for k in size
+            code_of(start.get((group, k), sm.Float(0)), "initial") for k in range(size)
         )
-        facts[f"open_{group}"] = [k for k in size if (group, k) not in given]
+        facts[f"open_{group}"] = [k for k in range(size) if (group, k) not in given]
     if not (spec.is_name(name) and facts["cls"].isidentifier()):
         raise SpecError(f"name={name!r} is no name of a scene, such as 'four_bar'.")
     module = sys._getframe(1).f_globals.get("__name__", __name__)  # as `collections.namedtuple`
-    cls = class_of(CLASS.format(**facts), facts["cls"], module)
+
+    def written() -> type[MechatronicSystem]:
+        facts["tags"] = tuple(dict.fromkeys(tag for tag, block in _TAGS if block in blocks))
+        texts = [function_text(block, *parts, sizes) for block, parts in blocks.items()]
+        return class_of(CLASS.format(**facts, blocks="\n".join(texts)), facts["cls"], module)
+
+    cls = written()
     _check_start(cls)
+    if {"constraint", "velocity_constraint"} <= blocks.keys():
+        arguments, rows = blocks.pop("velocity_constraint")
+        if found := _independent(cls):
+            blocks["velocity_constraint"] = arguments, rows.extract(found, [0])
+        cls = written()
     return cls
 
 
@@ -130,66 +148,71 @@ class _Model(NamedTuple):
     """Equations in SymPy's symbols.
 
     ``q``, ``v``
-        coordinates q(t) and their derivatives
+        coordinates q(t), and their derivatives or the speeds of ``kinematics``
     ``names``
         all expressions that stand for a coordinate or a velocity, with ("q" or "v", index)
-    ``mass``, ``force``, ``constraint``
-        M ``(n, n)``, g ``(n, 1)`` and Phi ``(nl, 1)``
+    ``mass``, ``force``, ``constraint``, ``velocity_constraint``
+        M ``(nv, nv)``, g ``(nv, 1)``, Phi ``(nh, 1)`` and A v - b ``(nl - nh, 1)``
+    ``kinematics``
+        T v ``(nq, 1)`` if v is not dq/dt, else empty
     ``lagrangian``
         L where no other force acts, else None
     """
 
     q: list[Any]
+    v: list[Any]
     names: dict[Any, tuple[str, int]]
     mass: Any
     force: Any
     constraint: Any
+    velocity_constraint: Any
+    kinematics: Any = ()
     lagrangian: Any = None
 
 
-def _names(q: Sequence[Any]) -> dict[Any, tuple[str, int]]:
-    rates = {x.diff(_MODELS_TIME): ("v", k) for k, x in enumerate(q)}
-    return rates | {x: ("q", k) for k, x in enumerate(q)}
-
-
-def _not_supported(what: str) -> SpecError:
-    """The sentence on models that need the blocks ``kinematics`` and ``velocity_constraint``: what
-    `_kane` and `_lagrange` refuse by it would be two more fields of `_Model`."""
-    return SpecError(
-        f"{what} are not supported: a model from SymPy has speeds u = q' and holonomic constraints."
-    )
-
-
 def _lagrange(method: Any) -> _Model:
-    if len(method.coneqs) > len(method._hol_coneqs):
-        raise _not_supported("Velocity constraints (nonhol_coneqs)")
     if method.eom is None:
         method.form_lagranges_equations()
-    q, n = list(method.q), len(method.q)
+    q, n, holonomic = list(method.q), len(method.q), method._hol_coneqs
+    v = [x.diff(_MODELS_TIME) for x in q]
     no_multipliers = dict.fromkeys(method.lam_vec, 0)
     return _Model(
         q,
-        _names(q),
+        v,
+        _names(q, v),
         method.mass_matrix[:, :n],
         method.forcing[:n, :].xreplace(no_multipliers),
-        method._hol_coneqs,
-        None if method.forcelist else method._L[0],
+        holonomic,
+        method.coneqs[len(holonomic) :, :],
+        lagrangian=None if method.forcelist else method._L[0],
     )
 
 
 def _kane(method: Any) -> _Model:
-    if method._udep:
-        raise _not_supported("Dependent speeds and velocity constraints (u_dependent)")
+    if not method.bodies:
+        raise SpecError("Call kanes_equations(bodies, loads) of the KanesMethod first.")
     q, u, rates = list(method.q), list(method.u), method.kindiffdict()
+    holonomic, further = method._f_h, method._f_nh
+    if further:  # equations of dependent speeds lack the forces of constraints
+        further, given = further + method._k_nh * method.u, method
+        ways = [rate - value for rate, value in rates.items()]
+        method = KanesMethod(method._inertial, q, u, kd_eqs=ways, u_auxiliary=method._uaux)
+        method.kanes_equations(given.bodies, given.loads)
+    mass, force = method.mass_matrix, method.forcing.xreplace(rates)
     if {*rates.values()} != {*u}:
-        raise _not_supported("Quasi-speeds (kd_eqs other than u = q')")
+        ways = sm.Matrix([rates[x.diff(_MODELS_TIME)] for x in q])
+        if ways.xreplace(dict.fromkeys(u, 0)).expand() != sm.zeros(len(q), 1):
+            raise SpecError("The kd_eqs have terms without speeds; a scene has dq/dt = T(q) u.")
+        return _Model(q, u, _names(q, u), mass, force, holonomic, further, ways)
     order = [u.index(rates[x.diff(_MODELS_TIME)]) for x in q]
-    try:
-        mass, force = method.mass_matrix, method.forcing
-    except ValueError:
-        raise SpecError("Call kanes_equations(bodies, loads) of the KanesMethod first.") from None
-    names = _names(q) | {u[k]: ("v", i) for i, k in enumerate(order)}
-    return _Model(q, names, mass.extract(order, order), force.extract(order, [0]), method._f_h)
+    v = [u[k] for k in order]
+    names = _names(q, v) | _names(q, rates)
+    mass, force = mass.extract(order, order), force.extract(order, [0])
+    return _Model(q, v, names, mass, force, holonomic, further)
+
+
+def _names(q: Iterable[Any], v: Iterable[Any]) -> dict[Any, tuple[str, int]]:
+    return {x: (group, k) for group, of in (("v", v), ("q", q)) for k, x in enumerate(of)}
 
 
 # ---- values of symbols -------------------------------------------------------------------
@@ -265,6 +288,12 @@ def _unknowns(value: Any) -> set[Any]:
     return value.free_symbols | value.atoms(AppliedUndef, sm.Derivative)
 
 
+def _names_of(group: str, symbols: Iterable[Any], units: Mapping[Any, str]) -> str:
+    """The line of a class that names coordinates or velocities."""
+    names = (f"{x.name} [{units[x]}]" if x in units else x.name for x in symbols)
+    return f"    {group} = {tuple(names)!r}\n"
+
+
 def _listed(symbols: Any) -> str:
     return ", ".join(sorted(map(str, symbols)))
 
@@ -294,8 +323,8 @@ def _number(where: str, value: Any) -> float:
 
 def _blocks(model: _Model, symbols: _Symbols) -> dict[str, tuple[tuple[str, ...], Any]]:
     """Arguments and values of the blocks of a scene."""
-    n = range(len(model.q))
-    v = [sm.Symbol(f"v{k}") for k in n]
+    v = [sm.Symbol(f"v{k}") for k in range(len(model.v))]
+    still = dict.fromkeys(v, 0)
     mass = symbols.written("The mass matrix", model.mass)
     if mass.free_symbols & {_TIME, *v}:
         raise SpecError("The mass matrix depends on time or velocities; a scene's is M(q).")
@@ -303,22 +332,51 @@ def _blocks(model: _Model, symbols: _Symbols) -> dict[str, tuple[tuple[str, ...]
         "mass": (("q",), mass),
         "force": (("q", "v", "t"), symbols.written("The force", model.force)),
     }
-    moving = False
+    working = False  # whether constraints move bodies
     if model.constraint:
         phi = symbols.written("The constraint", model.constraint)
         if phi.free_symbols & {*v}:
-            raise _not_supported("Constraints of velocities")
+            raise SpecError(
+                "The holonomic constraints contain velocities; give these as nonhol_coneqs of "
+                "Lagrange's method, or as velocity_constraints of Kane's."
+            )
         blocks["constraint"] = (("q", "t"), phi)
-        moving = _TIME in phi.free_symbols
+        working = _TIME in phi.free_symbols
+    if model.velocity_constraint:
+        rows = symbols.written("The velocity constraint", model.velocity_constraint)
+        if rows.jacobian(v).expand().free_symbols & {*v}:
+            raise SpecError("The velocity constraints are not linear in velocities: A v = b.")
+        blocks["velocity_constraint"] = (("q", "v", "t"), rows)
+        working |= any(row != 0 for row in rows.xreplace(still).expand())
+    if model.kinematics:
+        blocks["kinematics"] = (("q", "v"), symbols.written("The kd_eqs", model.kinematics))
     if model.lagrangian is not None:
         lagrangian = symbols.written("The Lagrangian", model.lagrangian)
         momenta = [lagrangian.diff(rate) for rate in v]
         # Without terms that are linear in v, T is v M v / 2, and the rest the potential energy.
-        linear = any(sm.expand(p.xreplace(dict.fromkeys(v, 0))) != 0 for p in momenta)
-        if not (moving or linear or _TIME in lagrangian.free_symbols):
+        linear = any(sm.expand(p.xreplace(still)) != 0 for p in momenta)
+        if not (working or linear or _TIME in lagrangian.free_symbols):
             energy = sum(p * rate for p, rate in zip(momenta, v, strict=True)) - lagrangian
             blocks["energy"] = (("q", "v"), energy)
     return blocks
+
+
+def _independent(cls: type[MechatronicSystem]) -> list[int]:
+    """Which velocity constraints do not follow from Phi = 0 and those before them.
+
+    Kane's method wants the rates of Phi among them. The rank shows it, at a random position near
+    the start, as the start may be a special one.
+    """
+    scene, found = cls(), []
+    q, v, _ = scene.initial_state()
+    near = q + np.random.default_rng(0).uniform(-0.01, 0.01, len(q))
+    phi, _, _, rows = constraints_at(scene, completed(scene, near, v, range(len(q)), []).q, v)
+    rows = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)
+    for k in range(len(phi), len(rows)):
+        chosen = [*range(len(phi)), *found, k]
+        if np.linalg.svd(rows[chosen], compute_uv=False)[-1] > 1e-7:
+            found.append(k)
+    return [k - len(phi) for k in found]
 
 
 def _check_start(cls: type[MechatronicSystem]) -> None:

@@ -31,8 +31,7 @@ class {cls}(MechatronicSystem):
     name = {name!r}
     interval = {interval!r}
     nominal_step = {nominal_step!r}
-    coordinates = {coordinates!r}
-    tags = {tags!r}
+{names}    tags = {tags!r}
 
 {fields}
 {blocks}
@@ -74,11 +73,11 @@ def code_of(value: Any, where: str) -> str:
     return text.replace("jax.numpy.", "jnp.")
 
 
-def function_text(block: str, arguments: tuple[str, ...], value: Any, n: int) -> str:
+def function_text(block: str, arguments: tuple[str, ...], value: Any, sizes: dict[str, int]) -> str:
     """The text of a block: names of the coordinates, common subexpressions, the value."""
     shared, (value,) = sm.cse([value], symbols=sm.numbered_symbols("c"))
     lines = [
-        f"[{', '.join(f'{group}{k}' for k in range(n))}] = {group}"
+        f"[{', '.join(f'{group}{k}' for k in range(sizes[group]))}] = {group}"
         for group in arguments
         if group != "t"
     ]
