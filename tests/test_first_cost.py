@@ -168,7 +168,7 @@ def test_page_markdown_card_and_terminal_take_the_same_cost_first(folders, tmp_p
 def test_the_front_page_says_how_well_times_repeat(folders, name, sentence):
     for file, place in (("report.html", 'id="panels-head"'), ("report.md", "## Answer")):
         text = (folders[name] / file).read_text(encoding="utf-8")
-        assert f"Times were repeatable to {sentence}" in text.partition(place)[0]
+        assert f"Repeated times scatter by {sentence}" in text.partition(place)[0]
 
 
 def test_the_sentence_beside_is_about_the_same_scenes():

@@ -135,10 +135,60 @@ def start_a_program():
 )
 def test_a_sample_counts_what_a_run_computes_and_not_what_it_waits(monkeypatch, execute, low, high):
     """A starved process waits, too; threads and programs of the run compute for it."""
-    monkeypatch.setattr("bench.running.worker.TIMING_SECONDS", 0.1)
+    monkeypatch.setattr("bench.running.measure.TIMING_SECONDS", 0.1)
     worker, cell = Worker(Registry([])), Cell("pendulum", "newmark", 1.0, Steps(0.1))
     worker.prepared[cell.key] = SimpleNamespace(execute=execute)
     assert low <= worker.time(cell) < high
+
+
+class _Machine:
+    """A processor whose clock takes ``cost`` s to read and goes in ``ticks`` of s; every ``often``
+    s of its time another process disturbs it for 2 ms."""
+
+    def __init__(self, monkeypatch, cost=1.5e-6, ticks=0.0, often=math.inf):
+        self.now, self.cost, self.ticks, self.often = 0.0, cost, ticks, often
+        self.runs = 0
+        monkeypatch.setattr("time.process_time", self.read)
+
+    def compute(self, seconds):
+        disturbed = (self.now + seconds) // self.often - self.now // self.often
+        self.now += seconds + 2e-3 * disturbed
+
+    def read(self):
+        self.compute(self.cost)
+        return self.now // self.ticks * self.ticks if self.ticks else self.now
+
+    def sample(self, seconds):
+        """A timing sample of a run that takes so many s."""
+
+        def execute():
+            self.runs += 1
+            self.compute(seconds)
+
+        worker, cell = Worker(Registry([])), Cell("pendulum", "newmark", 1.0, Steps(0.1))
+        worker.prepared[cell.key] = SimpleNamespace(execute=execute)
+        return worker.time(cell)
+
+
+@pytest.mark.parametrize("seconds", [2e-7, 3e-6, 4e-5, 3e-4, 2e-3, 9e-3])
+@pytest.mark.parametrize("often", [2.5e-3, 7e-3, math.inf])
+def test_a_sample_is_the_least_run_whatever_disturbs_others_and_however_short(
+    monkeypatch, seconds, often
+):
+    machine = _Machine(monkeypatch, often=max(often, 1.5 * seconds))
+    # Reading the clock takes a part of a reading, which has to be long enough for that.
+    assert machine.sample(seconds) == pytest.approx(seconds, rel=0.04)
+
+
+def test_a_clock_that_hardly_moves_gives_times_above_zero(monkeypatch):
+    assert 1e-5 < _Machine(monkeypatch, ticks=4e-3).sample(3e-5) < 1e-4
+
+
+@pytest.mark.parametrize(("seconds", "runs"), [(4e-3, 3), (9e-3, 3), (2e-2, 2), (0.1, 1)])
+def test_a_run_that_fills_a_sample_is_repeated_while_that_is_cheap(monkeypatch, seconds, runs):
+    machine = _Machine(monkeypatch)
+    machine.sample(seconds)
+    assert machine.runs == runs
 
 
 def two_records(tmp_path, one, two):

@@ -298,7 +298,9 @@ def card_(folder: Path, out: Path | None, **question: Any) -> None:
     multiple=True,
     help="Error at which costs are compared; repeatable; 1e-2, 1e-4 and 1e-6 if not given.",
 )
-@click.option("--cost", metavar="|".join(COSTS), help="seconds if times repeat, else operations.")
+@click.option(
+    "--cost", metavar="|".join(COSTS), help="seconds if they scatter little, else operations."
+)
 @options.with_as_json
 @options.with_file("Page that ends in .html, or figure in .svg, .png, .pdf or .json (Vega-Lite).")
 def versus_(

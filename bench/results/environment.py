@@ -37,7 +37,7 @@ def environment() -> Environment:
         versions={"python": platform.python_version()}
         | _versions(("stepbench",))
         | library_versions(),
-        clock="processor time of the process, all of its threads together",
+        clock="processor time of all threads of the process, the least of single runs",
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import statistics
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,13 +11,14 @@ import numpy as np
 from bench.results.gradients import ExactGradient, GradientRun, Gradients
 from bench.running.entries import check_parameters, components
 from bench.running.errors import finite
-from bench.running.worker import SAMPLE_SECONDS, Worker
+from bench.running.measure import least_seconds
+from bench.running.worker import Worker
 from integrators.contract import Gradient, Integrator, Wanted
 from integrators.resolutions import Steps
 from problems.reference import ReferenceFailed
 from problems.sensitivities import size_of
 from problems.spec import SpecError, options_of
-from problems.usage import computed_seconds, undisturbed
+from problems.usage import undisturbed
 from problems.variables import VARIABLES
 
 #: Samples of a plain run and of its gradient, in turns; one is enough if they take this time in s.
@@ -170,19 +170,13 @@ def side_by_side(plain: Callable[[], Any], other: Callable[[], Any]) -> tuple[fl
 
     Both are sampled in turns, and the median counts.
     """
+
+    def pair() -> list[float]:
+        return [least_seconds(plain), least_seconds(other)]
+
     with undisturbed():
-        first = [_seconds(call, 1) for call in (plain, other) * 2][2:]  # the second calls are warm
-        repeats = [math.ceil(SAMPLE_SECONDS / max(s, 1e-6)) for s in first]
-        samples = [first]
-        if sum(first) < _LONG:
-            pairs = list(zip((plain, other), repeats, strict=True))
-            samples = [[_seconds(*pair) for pair in pairs] for _ in range(_SAMPLES)]
+        samples = [pair() for _ in range(2)][1:]  # the second calls are warm
+        if sum(samples[0]) < _LONG:
+            samples = [pair() for _ in range(_SAMPLES)]
     seconds = statistics.median(one for one, _ in samples)
     return seconds, statistics.median(two / one for one, two in samples)
-
-
-def _seconds(call: Callable[[], Any], repeats: int) -> float:
-    before = computed_seconds()
-    for _ in range(repeats):
-        call()
-    return max(computed_seconds() - before, 1e-9) / repeats

@@ -1,16 +1,18 @@
-"""Constraint residuals, invariants and stored rows of a trajectory; errors from later starts."""
+"""Constraint residuals, invariants and stored rows of a trajectory; errors from later starts;
+timing samples."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+import time
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from bench.results.published import Digits
 from bench.results.quantities import GROUPS, LEVELS, NORM, error_note
-from bench.results.records import Rows
+from bench.results.records import TIMING_SECONDS, Rows
 from bench.running.errors import constraint_errors, finite, relative_errors
 from integrators import answers
 from integrators.contract import Integrator, Trajectory
@@ -34,6 +36,11 @@ _UNITS = {"N": "m", "N m": "rad", "N/m": "m²"}
 LATER = (0.01, 0.02, 0.03)
 #: Processor time in s up to which a run is repeated.
 _LONGEST = 0.25
+#: Processor time in s of a timing sample, and of one that has fewer than `_FEWEST` readings yet.
+SAMPLE_SECONDS, _LONGER = 1e-2, 3e-2
+_FEWEST = 3
+#: Processor time in s of the shortest reading: reading the clock takes 1 to 2 us of it.
+SHORTEST_READING = 5e-5
 
 
 def violations(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.ndarray, " k"]]:
@@ -189,6 +196,38 @@ def errors_from_later_starts(
             errors = {g: norms[NORM] for each in tables for g, norms in each.errors.items()}
         found.append(errors)
     return found
+
+
+def readings(execute: Callable[[], object]) -> list[float]:
+    """Measure the processor time of a call in s, for the length of a timing sample.
+
+    A reading is of a single call, or of short ones of as many as last `SHORTEST_READING`. A call
+    that does nothing but wait has no such reading; then the mean of all is returned.
+    """
+    found, calls, count, used, begun = [], 1, 0, 0.0, time.monotonic()
+    # A call that waits for something else uses no processor time.
+    while time.monotonic() - begun < TIMING_SECONDS:
+        if used >= (SAMPLE_SECONDS if len(found) >= _FEWEST else _LONGER):
+            break
+        before = computed_seconds()
+        for _ in range(calls):
+            execute()
+        reading = computed_seconds() - before
+        used, count = used + reading, count + calls
+        if reading < SHORTEST_READING:
+            calls *= 2
+        else:
+            found.append(reading / calls)
+    return found or [used / count]
+
+
+def least_seconds(execute: Callable[[], object]) -> float:
+    """Return the processor time of a call in s: a timing sample, the least of its `readings`.
+
+    Other processes make a call longer, never shorter (`tests/benchmarks/widths.py` tells by how
+    much).
+    """
+    return min(readings(execute))
 
 
 def digits(

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import gc
 import os
-import time
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -21,7 +20,7 @@ from bench.plugins.facts import Sources, component_texts, method_facts, scene_fa
 from bench.plugins.reasons import why
 from bench.plugins.registry import Registry
 from bench.results.quantities import PARTS, point_notes
-from bench.results.records import TIMING_SECONDS, Record, Rows, SceneRecord
+from bench.results.records import Record, Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import (
     constraint_errors,
@@ -47,9 +46,6 @@ from problems.system import MechatronicSystem
 from problems.usage import computed_seconds, undisturbed
 from problems.witnesses import named_points
 
-#: Processor time in s for which a timing sample repeats short runs; longer ones warm their caches
-#: themselves. Beside busy processes, seven samples of 1 ms spread by 30 %, those of 10 ms by 12 %.
-SAMPLE_SECONDS = 1e-2
 #: Objects made before garbage is looked for. Tracing makes very many that stay: to look through
 #: them as often as Python does by itself takes a tenth of the time.
 _GARBAGE = 100_000
@@ -274,7 +270,7 @@ class Worker:
         return self._found
 
     def time(self, cell: Cell) -> float:
-        """Return processor seconds per bare run, averaged over as many runs as fit a sample.
+        """Take a timing sample: processor seconds of a bare run, by `measure.least_seconds`.
 
         A wait for a processor that is busy with others is no cost of a method.
         """
@@ -282,18 +278,8 @@ class Worker:
             self.notify(PREPARING, "tracing and compiling")
             self.run(cell)
             self.notify(RUNNING, "running")
-        run = self.prepared[cell.key]
         with undisturbed():
-            if self._seconds.get(cell.key, 0.0) < SAMPLE_SECONDS:
-                run.execute()  # warms caches after whatever ran in between
-            repeats, seconds, begun, before = 0, 0.0, time.monotonic(), computed_seconds()
-            # A run that waits for something else uses no processor time.
-            while seconds < SAMPLE_SECONDS and time.monotonic() - begun < TIMING_SECONDS:
-                run.execute()
-                repeats += 1
-                seconds = computed_seconds() - before
-        self._seconds[cell.key] = seconds / repeats
-        return self._seconds[cell.key]
+            return measure.least_seconds(self.prepared[cell.key].execute)
 
     def scene(self, problem: str, t_end: float, lacking: str = "") -> SceneRecord:
         """Make the record of a scene; without a reference if ``lacking`` says why."""

@@ -74,19 +74,20 @@ def times_sentence(times: Repeatability) -> str:
         return f"Times were taken on {of} and cannot be compared, {first}."
     of = f"median width of the intervals of {counted(times.runs, 'run')}"
     limit = "" if times.cost == "seconds" else f"; at most {100 * REPEATABLE:g} % is asked for"
-    return f"Times were repeatable to {100 * times.width:.2g} % ({of}{limit}), {first}."
+    return f"Repeated times scatter by {100 * times.width:.2g} % ({of}{limit}), {first}."
 
 
 def method_of_measurement(plan: Plan | None) -> list[str]:
     """Sentences about times, costs, errors and orders."""
     samples = f"{plan.samples} samples were asked for per run" if plan else "Samples per run vary"
     return [
-        "Timed is the bare solve from start to end, warmed up, in processor seconds: a wait for a "
+        "Timed is the bare solve from start to end, in processor seconds: a wait for a "
         "processor that is busy with others does not count, the work of further threads does. "
         "Tracing, compiling and consistent initial values are done before and listed apart.",
+        "A sample is the least of the runs that fit in some hundredths of a second: another "
+        "process makes a run longer, never shorter. "
         f"{samples}, fewer of runs that last long; they are taken in rounds over all runs, those "
-        "of a scene one after the other: a slow minute of the machine hits all alike, noise that "
-        "is shorter than a round does not. "
+        "of a scene one after the other: a slow minute of the machine hits all alike. "
         "Shown is the median, as bars the fastest and the slowest sample.",
         "Two runs differ in time if the 95 % interval of the median of their quotients within "
         f"rounds (order statistics) lies on one side of 1 and the median is beyond "
