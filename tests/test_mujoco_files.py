@@ -262,7 +262,7 @@ def test_a_model_that_is_no_scene_is_one_sentence(tmp_path, text, words):
     [
         (
             '<actuator><general name="lag" joint="j" dyntype="filter" dynprm="0.1"/></actuator>',
-            r"actuators that are no affine force of a joint \('lag'\)",
+            r"actuators that are no affine force of a joint \('lag', by its dyntype\)",
         ),
         (
             '<tendon><fixed name="cable"><joint joint="j" coef="1"/></fixed></tendon>',

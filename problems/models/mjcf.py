@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import re
 import sys
 from pathlib import Path
 from typing import Any, ClassVar
@@ -24,7 +25,7 @@ from problems.models.mjcf_objects import (
     velocity_names,
 )
 from problems.models.mjcf_parts import lacking, without
-from problems.plain_text import said
+from problems.models.mjcf_read import read
 from problems.rotations import quaternion_rate, turned
 from problems.runtime import Array, Float, jnp
 from problems.spec import SpecError, is_name
@@ -119,6 +120,7 @@ def from_mjcf(
     name: str | None = None,
     interval: tuple[float, float] = (0.0, 2.0),
     nominal_step: float | None = None,
+    meshes: str | Path | None = None,
 ) -> type[MechatronicSystem]:
     """Return the scene class of a model of MuJoCo or a URDF.
 
@@ -136,6 +138,9 @@ def from_mjcf(
         Start and end in s.
     nominal_step
         Largest step of a convergence study in s; by default five steps of the model's own.
+    meshes
+        Folder in which meshes are looked for, too. One that is not there is left out, unless it
+        gives a body its mass.
 
     Raises
     ------
@@ -144,21 +149,23 @@ def from_mjcf(
         violates the equalities, or MuJoCo computes other numbers.
     """
     path = Path(file)
-    name = path.stem.replace("-", "_").replace(".", "_") if name is None else name
+    name = scene_name(path) if name is None else name
     cls = "".join(part[:1].upper() + part[1:] for part in name.split("_"))
     if not (is_name(name) and cls.isidentifier()):
         raise SpecError(f"{name!r} is no name of a scene, such as 'robot'; give another one.")
-    mujoco = load_mujoco()
-    try:
-        compiled = mujoco.MjModel.from_xml_path(str(path))
-    except (ValueError, RuntimeError, OSError) as error:
-        raise SpecError(f"MuJoCo cannot read {path}: {said(error)}") from None
+    compiled, notes = read(path, None if meshes is None else Path(meshes))
     try:
         left_out, model = lacking(compiled), Model(compiled)
         digest = _digest(compiled)
-        start = checked_start(model, digest)
+        start, is_new = checked_start(model, digest)
     except SpecError as error:
         raise SpecError(f"{name}: {error}") from None
+    if following := [row for k, row in enumerate(model.rows) if k not in start.rows]:
+        names = ", ".join(following)
+        notes.append(f"Equations of equalities are left out that follow from others ({names}).")
+    if is_new:  # every process loads the model; one tells
+        for note in notes:
+            print(f"{name}: {note}", file=sys.stderr)
     controls, values = control_names(compiled), reset(compiled).ctrl
     fields: list[Any] = [(key, str, _choice(part)) for key, part in left_out.items()]
     for k, control in enumerate(controls):
@@ -177,7 +184,8 @@ def from_mjcf(
         frozen=True,
         namespace={
             "__doc__": f"A model of MuJoCo: {compiled.nbody - 1} bodies, {compiled.njnt} joints, "
-            f"{compiled.nu} actuators, {len(start.rows)} constraints.",
+            f"{compiled.nactuator} actuators, {len(start.rows)} constraints."
+            + "".join(f"\n\n{note}" for note in notes),
             "name": name,
             "model": model,
             "at_start": start,
@@ -198,6 +206,12 @@ def from_mjcf(
     # As `collections.namedtuple`; newer Pythons have set that of the call above.
     made.__module__ = sys._getframe(1).f_globals.get("__name__", __name__)
     return made
+
+
+def scene_name(path: Path) -> str:
+    """Return the name of a scene that is made of a file: letters, digits and '_'."""
+    word = re.sub(r"\W+", "_", path.stem, flags=re.ASCII).strip("_")
+    return word if word[:1].isalpha() else f"model_{word}".rstrip("_")
 
 
 def _digest(m: Any) -> str:

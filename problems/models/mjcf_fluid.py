@@ -12,15 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from problems.models.mjcf_objects import is_off, matrix_of
+from problems.models.mjcf_objects import matrix_of, passive_off
 from problems.models.trees import Tree
 from problems.runtime import Array, jnp
 
 
 def is_immersed(m: Any) -> bool:
     """Whether a fluid pushes the bodies."""
-    off = is_off(m, "SPRING") and is_off(m, "DAMPER")  # MuJoCo leaves all passive forces out then
-    return bool(m.opt.density or m.opt.viscosity) and not off
+    return bool(m.opt.density or m.opt.viscosity) and not passive_off(m)
 
 
 def ellipsoid(m: Any) -> int | None:

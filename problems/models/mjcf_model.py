@@ -10,7 +10,7 @@ import numpy as np
 
 from problems.models.mjcf_fluid import Fluid, ellipsoid, is_immersed
 from problems.models.mjcf_objects import called, is_off, matrix_of, numbers
-from problems.models.mjcf_parts import affine_actuators, rigid_equalities
+from problems.models.mjcf_parts import affine_actuators, lost_actuators, rigid_equalities
 from problems.models.mjcf_tree import branches
 from problems.rotations import quaternion_rate
 from problems.runtime import Array, Float, jnp
@@ -28,17 +28,16 @@ class Model:
     @property
     def dissipates(self) -> bool:
         """Whether the energy changes: there are dampers, a fluid or actuators."""
-        m = self.m
-        damped = m.dof_damping.any() or m.dof_dampingpoly.any()
-        return bool(damped or self._fluid or len(affine_actuators(m)))
+        given = len(affine_actuators(self.m)) or self._by_actuators.any()
+        return bool(self._damping.any() or self._fluid or given)
 
     def mass(self, q: Float[Array, " nq"]) -> Float[Array, "nv nv"]:
         """Return M(q) with the armatures."""
-        return self.tree.mass_matrix(q) + np.diag(self.m.dof_armature)
+        return self.tree.mass_matrix(q) + np.diag(self._armature)
 
     def mass_product(self, q: Array, a: Array) -> Float[Array, " nv"]:
         """Return M(q) a with the armatures, with fewer operations."""
-        return self.tree.mass_product(q, a) + self.m.dof_armature * a
+        return self.tree.mass_product(q, a) + self._armature * a
 
     def moved(
         self, q: Array, w: Array, turn: Callable[[Array, Array], Array]
@@ -53,6 +52,34 @@ class Model:
         return jnp.concatenate(parts)
 
     # ---- forces
+    def _reflected(self, own: np.ndarray, of_actuators: np.ndarray) -> np.ndarray:
+        """Numbers of velocities with what actuators add, times the squares of their gears."""
+        m, total, ways = self.m, np.array(own), numbers("mjtTrn")
+        at_joint = np.isin(m.actuator_trntype, [ways.mjTRN_JOINT, ways.mjTRN_JOINTINPARENT])
+        for k in np.flatnonzero(at_joint & ~lost_actuators(m)):
+            gear = m.actuator_gear[m.actuator_outadr[k], 0]
+            total[m.jnt_dofadr[m.actuator_trnid[k, 0]]] += gear**2 * of_actuators[k]
+        return total
+
+    @cached_property
+    def _armature(self) -> np.ndarray:
+        """Inertias of rotors ``(nv,)``."""
+        return self._reflected(self.m.dof_armature, self.m.actuator_armature)
+
+    @cached_property
+    def _damping(self) -> np.ndarray:
+        """Coefficients of the dampers ``(nv, 3)``."""
+        m = self.m
+        own = np.column_stack([m.dof_damping, m.dof_dampingpoly])
+        added = np.column_stack([m.actuator_damping, m.actuator_dampingpoly])
+        return self._reflected(own, added) * (not is_off(m, "DAMPER"))
+
+    @cached_property
+    def _by_actuators(self) -> np.ndarray:
+        """Whether forces that hold up weights count as those of actuators ``(nv,)``."""
+        m = self.m
+        return m.jnt_actgravcomp[m.dof_jntid].astype(bool) & self.tree.weightless.any()
+
     @cached_property
     def _springs(self) -> tuple[np.ndarray, ...]:
         """Coordinates, velocities, rests and stiffnesses ``(k, 3)`` of hinges and slides."""
@@ -66,10 +93,9 @@ class Model:
     def passive(self, q: Array, v: Array) -> Array:
         """Return the forces of springs, dampers and a fluid, in N (or N m)."""
         at_q, at_v, rest, stiff = self._springs
-        m, force = self.m, jnp.zeros(self.m.nv)
-        damping = np.column_stack([m.dof_damping, m.dof_dampingpoly]) * (not is_off(m, "DAMPER"))
-        if damping.any():
-            force -= v * _polynomial(damping, jnp.abs(v))
+        force = jnp.zeros(self.m.nv)
+        if self._damping.any():
+            force -= v * _polynomial(self._damping, jnp.abs(v))
         if len(at_q):
             way = q[at_q] - rest
             force = force.at[at_v].add(-way * _polynomial(stiff, way))
@@ -83,28 +109,38 @@ class Model:
         return jnp.sum(way**2 * _polynomial(parts, way)) if len(at_q) else jnp.zeros(())
 
     def actuators(self, q: Array, v: Array, control: Float[Array, " nu"]) -> Array:
-        """Return the forces of the actuators at a control, in N (or N m)."""
+        """Return the forces of the actuators at a control, in N (or N m).
+
+        Weights that actuators hold up are in the bias forces: here is what bounds take away.
+        """
         m, own, force = self.m, affine_actuators(self.m), jnp.zeros(self.m.nv)
-        if not len(own) or is_off(m, "ACTUATION"):
-            return force
-        joint, gear = m.actuator_trnid[own, 0], m.actuator_gear[own, 0]
+        held = self.tree.held(q) * self._by_actuators if self._by_actuators.any() else 0.0
+        if is_off(m, "ACTUATION"):
+            return force - held
+        of = m.dof_jntid
+        joint, gear = m.actuator_trnid[own, 0], m.actuator_gear[m.actuator_outadr[own], 0]
         length, speed = gear * q[m.jnt_qposadr[joint]], gear * v[m.jnt_dofadr[joint]]
+        at = m.actuator_ctrladr[own]
 
         def within(values: Array, limited: np.ndarray, limits: np.ndarray) -> Array:
-            low, high = np.where(limited[own, None], limits[own], [-np.inf, np.inf]).T
-            return jnp.clip(values, low, high) if limited[own].any() else values
+            low, high = np.where(limited[:, None], limits, [-np.inf, np.inf]).T
+            return jnp.clip(values, low, high) if limited.any() else values
 
         def affine(given: np.ndarray, varies: np.ndarray) -> Any:
             """The first number, and, where it varies, those of length and speed."""
             more = np.where(varies[own, None], given[own, 1:3], 0.0)
             return given[own, 0] + more[:, 0] * length + more[:, 1] * speed
 
-        control = within(control[own], m.actuator_ctrllimited, m.actuator_ctrlrange)
-        gain = affine(m.actuator_gainprm, m.actuator_gaintype == numbers("mjtGain").mjGAIN_AFFINE)
-        biased = m.actuator_biastype == numbers("mjtBias").mjBIAS_AFFINE
-        given = gain * control + biased[own] * affine(m.actuator_biasprm, biased)
-        given = within(given, m.actuator_forcelimited, m.actuator_forcerange)
-        return force.at[m.jnt_dofadr[joint]].add(gear * given)
+        if len(own):
+            clamped = m.actuator_ctrllimited[at] & (not is_off(m, "CLAMPCTRL"))
+            control = within(control[at], clamped, m.actuator_ctrlrange[at])
+            varies = m.actuator_gaintype == numbers("mjtGain").mjGAIN_AFFINE
+            biased = m.actuator_biastype == numbers("mjtBias").mjBIAS_AFFINE
+            given = affine(m.actuator_gainprm, varies) * control
+            given += biased[own] * affine(m.actuator_biasprm, biased)
+            given = within(given, m.actuator_forcelimited[own], m.actuator_forcerange[own])
+            force = force.at[m.jnt_dofadr[joint]].add(gear * given)
+        return within(force + held, m.jnt_actfrclimited[of], m.jnt_actfrcrange[of]) - held
 
     # ---- equalities
     @cached_property
@@ -118,8 +154,12 @@ class Model:
             for row in range(sizes[self.m.eq_type[k]])
         ]
 
-    def equalities(self, q: Array) -> Array:
-        """Return the residuals of all equalities, in m and rad (as MuJoCo's ``efc_pos``)."""
+    def equalities(self, q: Array, in_space: bool = False) -> Array:
+        """Return the residuals of all equalities, in m and rad.
+
+        Gaps are in the axes of the nearest link that carries both bodies, where those of a plane
+        loop stay in a plane; or in space, as MuJoCo's ``efc_pos``.
+        """
         m, types = self.m, numbers("mjtEq")
         at = self.tree.poses(q)
         parts = []
@@ -130,27 +170,38 @@ class Model:
                 continue
             (axes, origin), (others, other) = (self._frame(at, k, second) for second in (0, 1))
             site = m.eq_objtype[k] == numbers("mjtObj").mjOBJ_SITE
-            if m.eq_type[k] == types.mjEQ_CONNECT:
-                first, second = (np.zeros(3), np.zeros(3)) if site else (data[:3], data[3:6])
-                parts.append(origin + axes @ first - other - others @ second)
-                continue
-            anchor, relative = (np.zeros(3), np.zeros(3)) if site else (data[:3], data[3:6])
-            turn = np.eye(3) if site else matrix_of(data[6:10])
-            parts.append(origin + axes @ relative - other - others @ anchor)
-            parts.append(data[10] * _vector_part(others.T @ axes @ turn))
+            tied = m.eq_type[k] == types.mjEQ_CONNECT
+            places = (np.zeros(3), np.zeros(3)) if site else (data[:3], data[3:6])
+            first, second = places if tied else places[::-1]
+            gap = origin + axes @ first - other - others @ second
+            carrier = -1 if in_space else self._carrier(k)
+            parts.append(at.axes[carrier].T @ gap if carrier >= 0 else gap)
+            if not tied:
+                turn = np.eye(3) if site else matrix_of(data[6:10])
+                parts.append(data[10] * _vector_part(others.T @ axes @ turn))
         return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
     def _frame(self, at: Any, equality: int, second: int) -> tuple[Any, Any]:
         """Axes and origin of the first or second body, or site, of an equality."""
+        m, link = self.m, self._link(equality, second)
+        axes, origin = (at.axes[link], at.origins[link]) if link >= 0 else (np.eye(3), np.zeros(3))
+        if m.eq_objtype[equality] != numbers("mjtObj").mjOBJ_SITE:
+            return axes, origin
+        k = int((m.eq_obj2id if second else m.eq_obj1id)[equality])
+        return axes @ matrix_of(m.site_quat[k]), origin + axes @ np.array(m.site_pos[k])
+
+    def _link(self, equality: int, second: int) -> int:
+        """The link of the first or second body, or of that of a site, of an equality."""
         m = self.m
         k = int((m.eq_obj2id if second else m.eq_obj1id)[equality])
         site = m.eq_objtype[equality] == numbers("mjtObj").mjOBJ_SITE
-        body = int(m.site_bodyid[k]) if site else k
-        link = self._link_of[body]
-        axes, origin = (at.axes[link], at.origins[link]) if link >= 0 else (np.eye(3), np.zeros(3))
-        if not site:
-            return axes, origin
-        return axes @ matrix_of(m.site_quat[k]), origin + axes @ np.array(m.site_pos[k])
+        return self._link_of[int(m.site_bodyid[k]) if site else k]
+
+    def _carrier(self, equality: int) -> int:
+        """The nearest link that moves and carries both bodies of an equality, or -1."""
+        lines = [self.tree.line(self._link(equality, second)) for second in (0, 1)]
+        both = sorted({*lines[0]} & {*lines[1]})
+        return both[-1] if any(self.tree.kind[link] != "fixed" for link in both) else -1
 
     def _coupling(self, k: int, q: Array, data: np.ndarray) -> Array:
         """A joint that is a polynomial of another one, both from their places in qpos0."""

@@ -36,7 +36,16 @@ def numbers(enumeration: str) -> Any:
 
 def is_off(m: Any, part: str) -> bool:
     """Return whether an option of the model disables a part, such as "CONTACT"."""
-    return bool(m.opt.disableflags & getattr(numbers("mjtDisableBit"), f"mjDSBL_{part}"))
+    bits = numbers("mjtDisableBit")
+    off = getattr(bits, f"mjDSBL_{part}")
+    if part in ("EQUALITY", "FRICTIONLOSS", "LIMIT", "CONTACT"):
+        off |= bits.mjDSBL_CONSTRAINT
+    return bool(m.opt.disableflags & off)
+
+
+def passive_off(m: Any) -> bool:
+    """Return whether options of the model disable all passive forces, with the held weights."""
+    return is_off(m, "SPRING") and is_off(m, "DAMPER")
 
 
 def called(m: Any, kind: str, k: int) -> str:
@@ -79,7 +88,11 @@ def _names(m: Any, units: tuple[str, str], turning: list[str]) -> tuple[str, ...
 
 def control_names(m: Any) -> tuple[str, ...]:
     """Return the names of the parameters that are controls of actuators."""
-    own = [called(m, "ACTUATOR", k).removeprefix("actuator ") for k in range(m.nu)]
+    own = []
+    for k in range(m.nactuator):
+        one = called(m, "ACTUATOR", k).removeprefix("actuator ")
+        several = [f"{one}_{i}" for i in range(m.actuator_ctrlnum[k])]
+        own += several if len(several) > 1 else [one] * len(several)
     names = ["control_" + "".join(c if c.isalnum() else "_" for c in name) for name in own]
     unique = len({*names}) == len(names)
     return tuple(names) if unique else tuple(f"control_{k}" for k in range(m.nu))

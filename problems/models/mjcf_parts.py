@@ -3,15 +3,32 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
+from problems.models.mjcf_fields import odd, plain_fields
 from problems.models.mjcf_fluid import ellipsoid
 from problems.models.mjcf_objects import called, is_off, numbers
 from problems.runtime import Int
 from problems.spec import SpecError
+
+#: Words for the parts of a model, by the parameter that leaves one out.
+_PARTS = {
+    "contacts": "contacts",
+    "limits": "limits of joints",
+    "friction_loss": "frictionloss",
+    "tendons": "tendons",
+    "fluid": "forces of a fluid on an ellipsoid",
+    "plasticity": "springs that yield",
+    "ball_springs": "springs of ball or free joints",
+    "actuators": "actuators that are no affine force of a joint",
+    "equalities": "equalities other than connect, weld, joint",
+    "mocap": "mocap bodies that a keyframe moves",
+    "sleep": "bodies that fall asleep",
+}
+#: Parts that cannot be left out.
+_WHOLE = {"flexes": "flexes", "plugins": "plugins of MuJoCo"}
 
 
 def lacking(m: Any) -> dict[str, str]:
@@ -22,70 +39,115 @@ def lacking(m: Any) -> dict[str, str]:
     SpecError
         If the model has one that cannot be left out either.
     """
-    if m.nflex or m.nplugin:
-        part = f"flexes ({called(m, 'FLEX', 0)!r})" if m.nflex else "plugins of MuJoCo"
-        raise SpecError(f"The model has {part}; a scene can neither state nor leave out these.")
-    return dict(_lacking(m))
+    found = _found(m)
+    for part in sorted(_WHOLE.keys() & found.keys()):
+        raise SpecError(
+            f"The model has {_WHOLE[part]} ({found[part]}); a scene can neither state nor leave "
+            f"out these."
+        )
+    return {part: f"{words} ({found[part]})" for part, words in _PARTS.items() if part in found}
 
 
-def _lacking(m: Any) -> Iterator[tuple[str, str]]:
+def _found(m: Any) -> dict[str, str]:
+    """The parts of a model that a scene cannot state, and the first object that is one."""
+    found = {}
     if pair := _contact(m):
-        yield "contacts", f"contacts ({pair})"
-    if where := _first(m, "JOINT", m.jnt_limited):
-        yield "limits", f"limits of joints ({where})"
-    if where := _first(m, "JOINT", m.dof_frictionloss, m.dof_jntid):
-        yield "friction_loss", f"frictionloss ({where})"
-    if m.ntendon:
-        yield "tendons", f"tendons ({called(m, 'TENDON', 0)!r})"
+        found["contacts"] = pair
     if (geom := ellipsoid(m)) is not None:
-        yield "fluid", f"forces of a fluid on an ellipsoid (geom {called(m, 'GEOM', geom)!r})"
-    if where := _first(m, "JOINT", m.jnt_springyield):
-        yield "plasticity", f"springs that yield ({where})"
-    if where := _first(m, "JOINT", _ball_springs(m)):
-        yield "ball_springs", f"springs of ball or free joints ({where})"
-    if where := _first(m, "ACTUATOR", ~_is_affine(m)):
-        yield "actuators", f"actuators that are no affine force of a joint ({where})"
-    if where := _first(m, "EQUALITY", ~_is_rigid(m)):
-        yield "equalities", f"equalities other than connect, weld, joint ({where})"
+        found["fluid"] = f"geom {called(m, 'GEOM', geom)!r}"
+    for part, kind, those in (
+        ("ball_springs", "JOINT", _ball_springs(m)),
+        ("mocap", "BODY", _moved_by_hand(m)),
+        ("actuators", "ACTUATOR", _acts_on_balls(m)),
+    ):
+        if those.any():
+            found[part] = repr(called(m, kind, int(np.argmax(those))))
+    if m.opt.enableflags & numbers("mjtEnableBit").mjENBL_SLEEP:
+        found["sleep"] = "flag sleep"
+    for field, plain in plain_fields().items():
+        those = odd(m, field, plain) & _acts(m, field)
+        if plain.part not in found and those.any():
+            k = int(np.argmax(those))
+            kind = _KINDS[field.partition("_")[0]]
+            name = called(m, kind, int(m.dof_jntid[k]) if field.startswith("dof_") else k)
+            found[plain.part] = repr(name) + f", by its {plain.word}" * bool(plain.word)
+    return found
+
+
+#: Objects that own fields, by the beginnings of these.
+_KINDS = {
+    "jnt": "JOINT", "dof": "JOINT", "eq": "EQUALITY", "actuator": "ACTUATOR", "ntendon": "TENDON",
+    "nflex": "FLEX", "nplugin": "PLUGIN",
+}  # fmt: skip
+
+
+def _acts(m: Any, field: str) -> Any:
+    """Whether objects that own a field do anything at all."""
+    if field == "eq_type":
+        return m.eq_active0.astype(bool)
+    if field.startswith("actuator_"):
+        # A group beyond 30 has no bit, and cannot be disabled.
+        return ~np.array([m.opt.disableactuator >> g & 1 for g in m.actuator_group], dtype=bool)
+    return True
+
+
+def _is_odd(m: Any, part: str) -> np.ndarray:
+    """Whether the owners of the fields of a part do something that a scene cannot state."""
+    fields = {field: plain for field, plain in plain_fields().items() if plain.part == part}
+    return np.any([odd(m, field, plain) & _acts(m, field) for field, plain in fields.items()], 0)
+
+
+def lost_actuators(m: Any) -> np.ndarray:
+    """Return whether actuators are left out."""
+    return _is_odd(m, "actuators") | _acts_on_balls(m)
 
 
 def affine_actuators(m: Any) -> Int[np.ndarray, " k"]:
     """Return the numbers of the actuators that a scene states."""
-    return np.flatnonzero(_is_affine(m))
+    own = _acts(m, "actuator_group") & ~lost_actuators(m)
+    return np.flatnonzero(own & (not is_off(m, "ACTUATION")))
 
 
 def rigid_equalities(m: Any) -> Int[np.ndarray, " k"]:
     """Return the numbers of the equalities that a scene states."""
-    active = m.eq_active0.astype(bool) & (not is_off(m, "EQUALITY"))
-    return np.flatnonzero(_is_rigid(m) & active)
+    own = m.eq_active0.astype(bool) & ~_is_odd(m, "equalities")
+    return np.flatnonzero(own & (not is_off(m, "EQUALITY")))
 
 
 def without(m: Any) -> Any:
     """Return a copy of a model that has what a scene states, and nothing else."""
-    m, off = copy.copy(m), numbers("mjtDisableBit")
-    m.opt.disableflags |= off.mjDSBL_CONTACT | off.mjDSBL_LIMIT | off.mjDSBL_FRICTIONLOSS
-    if ellipsoid(m) is not None:
+    out, m = _found(m), copy.copy(m)
+    for part, flag in (
+        ("contacts", "CONTACT"), ("limits", "LIMIT"), ("friction_loss", "FRICTIONLOSS"),
+        ("tendons", "LIMIT"), ("tendons", "FRICTIONLOSS"),
+    ):  # fmt: skip
+        if part in out:
+            m.opt.disableflags |= getattr(numbers("mjtDisableBit"), f"mjDSBL_{flag}")
+    if "fluid" in out:
         m.opt.density = m.opt.viscosity = 0.0
-    for values in (m.jnt_springyield, m.tendon_stiffness, m.tendon_damping, m.tendon_armature):
-        values[:] = 0.0
-    springs, lost = _ball_springs(m), ~_is_affine(m)
-    m.jnt_stiffness[springs] = 0.0
-    m.jnt_stiffnesspoly[springs] = 0.0
-    m.actuator_gaintype[lost], m.actuator_biastype[lost] = (
-        numbers("mjtGain").mjGAIN_FIXED, numbers("mjtBias").mjBIAS_NONE
-    )  # fmt: skip
-    m.actuator_gainprm[lost] = 0.0
-    m.eq_active0[~_is_rigid(m)] = 0
+    flags = numbers("mjtEnableBit")  # that of flexes asks for one of MuJoCo's integrators
+    m.opt.enableflags &= ~(flags.mjENBL_SLEEP | flags.mjENBL_IPC)
+    for k in np.flatnonzero(_moved_by_hand(m)):
+        at = m.body_mocapid[k]
+        m.key_mpos[:, 3 * at : 3 * at + 3] = m.body_pos[k]
+        m.key_mquat[:, 4 * at : 4 * at + 4] = m.body_quat[k]
+    springs = _ball_springs(m)
+    for values, those in (
+        (m.jnt_springyield, slice(None)), (m.jnt_stiffness, springs),
+        (m.jnt_stiffnesspoly, springs), (m.tendon_stiffness, slice(None)),
+        (m.tendon_damping, slice(None)), (m.tendon_armature, slice(None)),
+    ):  # fmt: skip
+        values[those] = 0.0
+    m.eq_active0[_is_odd(m, "equalities")] = 0
+    lost = lost_actuators(m)
+    m.actuator_gaintype[lost] = numbers("mjtGain").mjGAIN_FIXED
+    m.actuator_biastype[lost] = numbers("mjtBias").mjBIAS_NONE
+    for values in (
+        m.actuator_gainprm, m.actuator_armature, m.actuator_damping, m.actuator_dampingpoly
+    ):  # fmt: skip
+        values[lost] = 0.0
     m.opt.jacobian = numbers("mjtJacobian").mjJAC_DENSE
     return m
-
-
-def _first(m: Any, kind: str, values: np.ndarray, owner: np.ndarray | None = None) -> str:
-    """The name of the first object with a value, in quotes, or nothing."""
-    found = np.flatnonzero([np.any(value) for value in values])
-    if not len(found):
-        return ""
-    return repr(called(m, kind, int(found[0] if owner is None else owner[found[0]])))
 
 
 def _contact(m: Any) -> str:
@@ -118,27 +180,25 @@ def _contact(m: Any) -> str:
 def _ball_springs(m: Any) -> np.ndarray:
     """Whether joints are springs that a scene does not have."""
     kinds = numbers("mjtJoint")
-    wide = np.isin(m.jnt_type, [kinds.mjJNT_FREE, kinds.mjJNT_BALL])
+    wide = np.isin(m.jnt_type, [kinds.mjJNT_FREE, kinds.mjJNT_BALL]) & (not is_off(m, "SPRING"))
     return wide & ((m.jnt_stiffness != 0) | m.jnt_stiffnesspoly.any(1))
 
 
-def _is_affine(m: Any) -> np.ndarray:
-    """Whether actuators are forces of hinges and slides, affine in control, length and speed."""
-    ways, joints, own = map(numbers, ("mjtTrn", "mjtJoint", "mjtDyn"))
-    gains, biases = map(numbers, ("mjtGain", "mjtBias"))
+def _acts_on_balls(m: Any) -> np.ndarray:
+    """Whether actuators that do something act on ball or free joints."""
+    ways, kinds = numbers("mjtTrn"), numbers("mjtJoint")
     at_joint = np.isin(m.actuator_trntype, [ways.mjTRN_JOINT, ways.mjTRN_JOINTINPARENT])
-    joint = np.where(at_joint, m.actuator_trnid[:, 0], 0)
-    return (
-        at_joint
-        & np.isin(m.jnt_type[joint], [joints.mjJNT_HINGE, joints.mjJNT_SLIDE])
-        & (m.actuator_dyntype == own.mjDYN_NONE)
-        & np.isin(m.actuator_gaintype, [gains.mjGAIN_FIXED, gains.mjGAIN_AFFINE])
-        & np.isin(m.actuator_biastype, [biases.mjBIAS_NONE, biases.mjBIAS_AFFINE])
-        & (m.jnt_actfrclimited[joint] == 0)
-    )
+    types = m.jnt_type[np.where(at_joint, m.actuator_trnid[:, 0], 0)]
+    wide = np.isin(types, [kinds.mjJNT_FREE, kinds.mjJNT_BALL]) & (not is_off(m, "ACTUATION"))
+    return at_joint & wide & _acts(m, "actuator_group")
 
 
-def _is_rigid(m: Any) -> np.ndarray:
-    """Whether equalities are constraints that a scene states."""
-    kinds = numbers("mjtEq")
-    return np.isin(m.eq_type, [kinds.mjEQ_CONNECT, kinds.mjEQ_WELD, kinds.mjEQ_JOINT])
+def _moved_by_hand(m: Any) -> np.ndarray:
+    """Whether bodies are of mocap, and are not at their places in a keyframe."""
+    moved = np.zeros(m.nbody, dtype=bool)
+    for k in np.flatnonzero(m.body_mocapid >= 0):
+        at = m.body_mocapid[k]
+        places = m.key_mpos[:, 3 * at : 3 * at + 3], m.key_mquat[:, 4 * at : 4 * at + 4]
+        own = m.body_pos[k], m.body_quat[k]
+        moved[k] = any((place != same).any() for place, same in zip(places, own, strict=True))
+    return moved

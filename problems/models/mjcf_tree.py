@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from problems.models.mjcf_objects import called, is_off, matrix_of, numbers
+from problems.models.mjcf_objects import called, is_off, matrix_of, numbers, passive_off
 from problems.models.trees import Tree
 from problems.spec import SpecError
 
@@ -86,7 +86,7 @@ def branches(m: Any) -> Branches:
             "mass": float(m.body_mass[body]),
             "centre": np.array(m.body_ipos[body]),
             "inertia": turn @ np.diag(m.body_inertia[body]) @ turn.T,
-            "weightless": float(m.body_gravcomp[body]),
+            "weightless": float(m.body_gravcomp[body]) * (not passive_off(m)),
         }
         last[body] = above
         named[called(m, "BODY", body)] = above

@@ -91,6 +91,10 @@ class Tree:
                 above[k] += above[parent]
         return above
 
+    def line(self, link: int) -> list[int]:
+        """Return a link and all those above it."""
+        return np.flatnonzero(self._above[link]).tolist() if link >= 0 else []
+
     @cached_property
     def _of(self) -> np.ndarray:
         """The link of each velocity ``(nv,)``."""
@@ -222,6 +226,12 @@ class Tree:
         turning = jnp.einsum("nij,nj->ni", inertias, w)
         spin = jnp.einsum("nij,nj->ni", inertias, angular) + jnp.cross(w, turning)
         return self.on_joints(at, force, spin)
+
+    def held(self, q: Float[Array, " nq"]) -> Float[Array, " nv"]:
+        """Return the forces of joints that hold up the weightless parts, in N (or N m)."""
+        at = self.poses(q)
+        force = -(self.mass * self.weightless)[:, None] * self.gravity
+        return self.on_joints(at, force, jnp.zeros_like(at.origins))
 
     def centres(self, q: Float[Array, " nq"]) -> Float[Array, "n 3"]:
         """Return the centres of mass, in m."""

@@ -1,0 +1,216 @@
+"""Files as people have them: each is loaded with MuJoCo's accelerations, or refused by name."""
+
+from __future__ import annotations
+
+import re
+
+import mujoco
+import numpy as np
+import pytest
+from helpers import long
+from model_files import FILES, LOOPS, URDF, four_bar, hinge, joint, link, mesh, mjcf, urdf
+from model_files import body as rod
+
+from integrators import Tolerances
+from integrators.adapters.ida import IDA
+from problems import from_mjcf
+from problems.engines.mujoco_models import hard_acceleration
+from problems.models import mjcf_fields
+from problems.models.mjcf_parts import lacking
+from problems.models.mjcf_read import read
+from problems.runtime import jax, jnp
+from problems.spec import SpecError
+
+#: The flags of MuJoCo that switch off what a scene leaves out.
+RIGID = {"contacts": "CONTACT", "limits": "LIMIT", "friction_loss": "FRICTIONLOSS"}
+VALUED = [name for name, file in FILES.items() if not file.refusal and {*file.left_out} <= {*RIGID}]
+#: One of each kind.
+FEW = ["flag constraint", "arm with a bound of its joints", "four bar on a free base"]
+
+
+def saved(tmp_path, name: str):
+    path = tmp_path / f"robot{FILES[name].suffix}"
+    path.write_text(FILES[name].text)
+    return path
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_each_is_loaded_or_refused_by_name(tmp_path, name):
+    file, path = FILES[name], saved(tmp_path, name)
+    if file.refusal:
+        with pytest.raises(SpecError, match=file.refusal):
+            lacking(read(path, None)[0])
+        return
+    parts = lacking(read(path, None)[0])
+    assert {*parts} == {*file.left_out}
+    assert all(re.search(r" \(.*\)$", words) for words in parts.values())
+
+
+def accelerations(scene):
+    """The accelerations of a scene at q and v, of constraints that may be redundant."""
+
+    def moved(q, w):
+        return scene.move(q, w) if scene.has("kinematics") else q + w
+
+    def jacobian(q):
+        zero = jnp.zeros(scene.sizes.nv)
+        return jax.jacfwd(lambda w: scene.constraint(moved(q, w), jnp.zeros(())))(zero)
+
+    def solved(q, v):
+        mass, force = scene.mass(q), scene.force(q, v, jnp.zeros(()))
+        if not scene.sizes.nl:
+            return jnp.linalg.solve(mass, force)
+        rate = scene.kinematics(q, v) if scene.has("kinematics") else v
+        bend = jax.jvp(lambda q: jacobian(q) @ v, (q,), (rate,))[1]
+        by, zero = jacobian(q), jnp.zeros((scene.sizes.nl, scene.sizes.nl))
+        whole = jnp.block([[mass, by.T], [by, zero]])
+        right = jnp.concatenate([force, -bend])
+        return jnp.linalg.lstsq(whole, right, rcond=1e-11)[0][: len(v)]
+
+    return jax.jit(solved)
+
+
+def of_mujoco(file) -> mujoco.MjModel:
+    """The model without what is left out; meshes and flags that ask for an integrator go."""
+    text = re.sub(r"<collision><geometry><mesh.*?</collision>", "", file.text)
+    text = re.sub(r'<asset>.*?</asset>|<geom type="mesh"[^>]*>', "", text)
+    m = mujoco.MjModel.from_xml_string(text)
+    for part in file.left_out:
+        m.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{RIGID[part]}"))
+    m.opt.enableflags, m.opt.jacobian, m.opt.integrator = 0, 0, 0
+    return m
+
+
+@pytest.mark.parametrize("name", [*FEW, *long(*(n for n in VALUED if n not in FEW))])
+def test_accelerations_are_those_of_mujoco(tmp_path, name):
+    file = FILES[name]
+    scene = from_mjcf(saved(tmp_path, name))(**dict.fromkeys(file.left_out, "left_out"))
+    m, ours, rng = of_mujoco(file), accelerations(scene), np.random.default_rng(3)
+    data = mujoco.MjData(m)
+    if m.nkey:
+        mujoco.mj_resetDataKeyframe(m, data, 0)
+    for _ in range(2):
+        data.qpos[:], data.qvel[:] = scene.initial_state().q, rng.normal(size=m.nv)
+        if scene.sizes.nl:  # velocities that keep loops closed
+            mujoco.mj_forward(m, data)
+            ties = data.efc_J.reshape(-1, m.nv)
+            data.qvel[:] -= np.linalg.pinv(ties, rcond=1e-9) @ ties @ data.qvel
+        else:
+            mujoco.mj_integratePos(m, data.qpos, rng.normal(size=m.nv), 1.0)
+        theirs = hard_acceleration(m, data)
+        size = np.abs(theirs).max() + np.abs(data.qacc_smooth).max()
+        found = np.asarray(ours(data.qpos.copy(), data.qvel.copy()))
+        assert np.abs(found - theirs).max() <= 1e-7 * size
+
+
+def test_every_field_and_flag_of_mujoco_is_known(monkeypatch):
+    m = mujoco.MjModel.from_xml_string(LOOPS["four bar turned "].text)
+    assert mjcf_fields.unknown(m) == []
+    monkeypatch.setattr(mjcf_fields, "READ", mjcf_fields.READ - {"body_mass", "opt.wind"})
+    less = mjcf_fields.FLAGS | {"mjtEnableBit": set()}
+    monkeypatch.setattr(mjcf_fields, "FLAGS", less)
+    found = mjcf_fields.unknown(m)
+    assert {"body_mass", "opt.wind", "mjENBL_SLEEP"} <= {*found}
+
+
+# ---- closed loops
+@pytest.mark.parametrize(
+    ("name", "rows", "free"),
+    [
+        ("four bar turned 20 35 50", 2, 1),
+        *long(
+            ("four bar on a free base", 2, 7),
+            ("legs with tarsus loops", 4, 12),
+            ("gripper that a weld carries", 6, 2),
+            ("spatial loop of balls", 3, 2),
+        ),
+    ],
+)
+def test_equations_that_follow_from_others_are_left_out(tmp_path, capsys, name, rows, free):
+    scene = from_mjcf(saved(tmp_path, name))()
+    assert (scene.sizes.nl, scene.sizes.nv - scene.sizes.nl) == (rows, free)
+    assert not scene.redundant
+    if name.startswith("four bar"):
+        # Of the three equations of the pin one follows, and a line says so.
+        assert re.search(r"follow from others \(pin [012]\)\.", type(scene).__doc__)
+
+
+@pytest.mark.long
+def test_a_turned_loop_moves_as_the_straight_one_under_turned_gravity(tmp_path):
+    angles = np.deg2rad([20.0, 35.0, 50.0])
+    axes = np.eye(3)
+    for k, angle in enumerate(angles):  # about the axes that have turned already
+        c, s = np.cos(angle), np.sin(angle)
+        turn = np.eye(3)
+        i, j = (k + 1) % 3, (k + 2) % 3
+        turn[[i, i, j, j], [i, j, i, j]] = c, -s, s, c
+        axes = axes @ turn
+    weight = " ".join(repr(float(g)) for g in axes.T @ [0.0, 0.0, -9.81])
+    straight = four_bar().replace("<option/>", f'<option gravity="{weight}"/>')
+    runs = []
+    for name, text in (("tilted", four_bar("20 35 50")), ("straight", straight)):
+        (tmp_path / f"{name}.xml").write_text(text)
+        scene = from_mjcf(tmp_path / f"{name}.xml")()
+        runs.append(IDA().prepare(scene, 0.3, Tolerances(1e-8)).measure())
+    assert np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < 1e-6
+    assert np.abs(runs[0].q[-1] - runs[0].q[0]).max() > 0.1
+
+
+# ---- bounds of joints
+def test_a_bound_of_a_joint_holds_for_the_sum_of_its_actuators(tmp_path):
+    text = mjcf(
+        rod(hinge("j", more='actuatorfrcrange="-88 88"'), ".4 0 0"),
+        '<actuator><motor name="a" joint="j"/><motor name="b" joint="j" gear="2"/></actuator>',
+    )
+    (tmp_path / "bound.xml").write_text(text)
+    cls, still = from_mjcf(tmp_path / "bound.xml"), (jnp.zeros(1), jnp.zeros(1), jnp.zeros(()))
+
+    def pushed(a: float, b: float) -> float:
+        other = cls(control_a=a, control_b=b).force(*still) - cls().force(*still)
+        return float(other[0])
+
+    assert pushed(30.0, 10.0) == pytest.approx(50.0)
+    assert pushed(60.0, 20.0) == pytest.approx(88.0)
+    assert pushed(-300.0, 20.0) == pytest.approx(-88.0)
+
+
+# ---- meshes, remarks and names
+def test_a_mesh_that_is_there_is_read(tmp_path):
+    file = "package://robot/meshes/arm.stl"
+    path = tmp_path / "arm.urdf"
+    parts = link("base", mass=0), link("arm", mesh(file)), joint("a", "continuous", "base", "arm")
+    path.write_text(urdf(*parts))
+    lost, notes = read(path, None)
+    assert notes == [f"Meshes and textures are left out that are not there ({file})."]
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype="<f4")
+    faces = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]].reshape(4, 9)
+    (tmp_path / "meshes").mkdir()
+    with (tmp_path / "meshes" / "arm.stl").open("wb") as stl:
+        stl.write(bytes(80) + (4).to_bytes(4, "little"))
+        for face in faces:
+            stl.write(bytes(12) + face.tobytes() + bytes(2))
+    found, notes = read(path, tmp_path)
+    assert (found.nmesh, lost.nmesh, notes) == (1, 0, [])
+    # The file states the mass: a mesh changes nothing of it.
+    assert found.body_mass.tolist() == lost.body_mass.tolist() == [0.0, 1.0]
+    assert found.body_inertia.tolist() == lost.body_inertia.tolist()
+
+
+def test_a_remark_of_mujoco_is_one_sentence_said_once(tmp_path, capfd, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shape = '<geometry><sphere radius=".01"/></geometry>'
+    twice = URDF["urdf that follows"].text.replace(
+        "</link>", f'<collision name="same">{shape}</collision></link>'
+    )
+    path = tmp_path / "my robot (2).urdf"
+    path.write_text(twice)
+    scene = from_mjcf(path)
+    assert scene.name == "my_robot_2"
+    assert from_mjcf(path).__doc__ == scene.__doc__  # what is known is not said again
+    told = capfd.readouterr()
+    sentence = "MuJoCo warns: Geom with duplicate name 'same' encountered in URDF, creating an "
+    assert told.err.count(sentence) == 1
+    assert told.out == ""
+    assert "WARNING" not in told.err
+    assert sentence in " ".join(scene.__doc__.split())
+    assert sorted(file.name for file in tmp_path.iterdir()) == [path.name]  # no log of MuJoCo
