@@ -10,7 +10,7 @@ beginning, with other ends, until the function is zero to the rounding of time.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -20,7 +20,17 @@ from integrators.resolutions import Steps
 from integrators.runs import PreparedRun, Trajectory, Work
 from problems.compiled import compiled
 from problems.initial_values import InconsistentStart, NoConsistentStart, consistent_start
-from problems.phases import Cut, EndlessEvents, Samples, crossing, falls, march, on_constraints
+from problems.phases import (
+    Cut,
+    EndlessEvents,
+    Fall,
+    Samples,
+    crossing,
+    falls,
+    march,
+    on_constraints,
+    same_instant,
+)
 from problems.runtime import jax
 from problems.sampled import followed, steps_over
 from problems.spec import SpecError
@@ -61,9 +71,8 @@ def prepared(
 
 @dataclass
 class _Piece:
-    """Rows of a phase, or of a part of it, with the run that made them."""
+    """Rows of a phase, or of a part of it."""
 
-    run: PreparedRun
     rows: Trajectory
     #: Number of the phase, and the held values.
     phase: int
@@ -151,7 +160,7 @@ class PhasedRun(PreparedRun):
 
     def _keep(self, phase: MechatronicSystem, rows: Trajectory) -> None:
         held = np.array([*phase.held_values().values()])
-        self._pieces.append(_Piece(self._runs[-1], rows, self._phase, held))
+        self._pieces.append(_Piece(rows, self._phase, held))
 
     def _flow(self, phase: MechatronicSystem, stop: float) -> Cut | None:
         cut = (self._to_event if phase.has("events") else self._to_sample)(phase, stop)
@@ -192,18 +201,16 @@ class PhasedRun(PreparedRun):
             self._ran.append(rows)
             self._keep(phase, rows)
             return Cut(_row(rows, -1)) if rows.status == "ok" else None
-        row, event, at = found
-        before = phase
-        if row > 1:  # the same steps, up to that in which the function falls
-            rows = self._measured(phase, float(rows.t[row - 1]))
-            self._keep(phase, rows)
-            if rows.status != "ok":
+        kept, before, event, at = found
+        if kept is not None:
+            self._keep(phase, kept)
+            if kept.status != "ok":
                 return None
-            before = _from_row(phase, rows, -1)
-        if at <= before.interval[0]:  # events that accumulate: no time is left to this one
+        rows = self._measured(before, at) if at > before.interval[0] else None
+        if rows is None or (rows.status != "ok" and same_instant(before.interval[0], at)):
+            # Events that accumulate: no time is left to this one.
             self._events.append((at, event))
             return Cut(jax.tree.map(np.asarray, consistent_start(before).z), event)
-        rows = self._measured(before, at)
         self._keep(phase, rows)
         if rows.status != "ok":
             return None
@@ -212,8 +219,9 @@ class PhasedRun(PreparedRun):
 
     def _first_event(
         self, phase: MechatronicSystem, rows: Trajectory
-    ) -> tuple[int, int, float] | None:
-        """The row before which the first event lies, its number, and its time in s."""
+    ) -> tuple[Trajectory | None, MechatronicSystem, int, float] | None:
+        """The rows before the step with the first event (None: it is the first step), the phase
+        from their end on, and the event's number and its time in s."""
         values, rates = _watched(phase, rows)
         if rows.status == "ok" and not np.isfinite(values).all():
             t = rows.t[np.argmin(np.isfinite(values).all(axis=1))]
@@ -221,21 +229,28 @@ class PhasedRun(PreparedRun):
                 "diverged",
                 (f"A function of `events` is not finite at t={t:.6g} s."),
             )
-        first: tuple[int, int, float] | None = None
+        first: tuple[Trajectory | None, MechatronicSystem, int, float] | None = None
+        row, kept, before = 1, None, phase
         for fall in falls(rows.t, values, rates):
-            if first and fall.row > first[0]:
-                break
-            before = phase if fall.row == 1 else _from_row(phase, rows, fall.row - 1)
-            t0 = before.interval[0]
+            if fall.row != row:
+                if first:
+                    break
+                # The same steps, up to that in which the function falls: where a method takes
+                # others up to another end, the event is that of the rows that are kept.
+                row, kept = fall.row, self._measured(phase, float(rows.t[fall.row - 1]))
+                before = _from_row(phase, kept, -1)
 
             def value(t: float, before: Any = before, event: int = fall.event) -> float:
                 if t <= before.interval[0]:
                     return float(_watched(before, before.start(), t)[0][0, event])
                 return float(_watched(phase, self._measured(before, t))[0][-1, event])
 
-            at = crossing(value, t0, fall.until)
-            if at is not None and (first is None or at < first[2]):
-                first = fall.row, fall.event, at
+            for until in _ends(fall, rows.t, values):
+                at = crossing(value, before.interval[0], until)
+                if at is not None:
+                    break
+            if at is not None and (first is None or at < first[3]):
+                first = kept, before, fall.event, at
         return first
 
     def _joined(self, status: str, message: str) -> Trajectory:
@@ -319,6 +334,16 @@ def _from_row(phase: MechatronicSystem, rows: Trajectory, k: int) -> Mechatronic
     z = _row(rows, k)
     state = State(np.asarray(z.q), np.asarray(z.v), np.asarray(z.x))
     return on_constraints(phase.phase(float(z.t), state, {}))
+
+
+def _ends(fall: Fall, t: np.ndarray, values: np.ndarray) -> Iterator[float]:
+    """Times in s by which the repeated step falls: it may do so a little later than the step did,
+    by the method's error."""
+    yield fall.until
+    row, ahead = fall.row, 1
+    while values[row, fall.event] <= 0 and row < len(t) - 1:
+        row, ahead = min(row + ahead, len(t) - 1), 2 * ahead
+        yield float(t[row])
 
 
 def _watched(

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -83,7 +83,7 @@ def march(
         if cut.event is None and (stop >= t_end or now >= t_end):  # a step may go over the stop
             return
         if cut.event is not None:
-            events, at_once = events + 1, 0 if now - t > 64 * np.spacing(abs(t)) else at_once + 1
+            events, at_once = events + 1, at_once + 1 if same_instant(t, now) else 0
             if events > MOST_EVENTS or at_once > _MOST_AT_ONCE:
                 raise EndlessEvents(
                     f"Events do not end at t={now:.9g} s: {events} so far. After the jump the "
@@ -91,6 +91,11 @@ def march(
                     f"a state of its own, by a held value{_OF_CONTACT * scene.has('gaps')}"
                 )
         phase = after(phase, cut.z, cut.event, cut.seen)
+
+
+def same_instant(t: float, later: float) -> bool:
+    """Whether a time in s is later than t by no more than rounding."""
+    return later - t <= 64 * np.spacing(abs(t))
 
 
 class Samples(NamedTuple):
@@ -241,21 +246,32 @@ def _least_of_cubic(
 def crossing(value: Callable[[float], float], t0: float, until: float) -> float | None:
     """Return the time in (t0, until] at which a function falls through zero, to rounding.
 
-    None if it has not fallen at ``until``.
+    A function that depends on the steps up to t may jump there, by the error of a method: the time
+    is then that before the jump. None if it has not fallen at ``until``.
     """
     from scipy.optimize import toms748  # slow to import
 
-    if value(until) > 0:
+    seen: dict[float, float] = {}
+
+    def f(t: float) -> float:
+        if t not in seen:
+            seen[t] = value(t)
+        return seen[t]
+
+    if f(until) > 0:
         return None
     low, high = t0, until
-    while low == t0 and not value(t0) > 0:  # it rises: look for a time at which it is positive
+    while low == t0 and not f(t0) > 0:  # it rises: look for a time at which it is positive
         middle = t0 + 0.5 * (high - t0)
         if not t0 < middle < high:
             return high
-        low, high = (middle, high) if value(middle) > 0 else (t0, middle)
-    if value(high) == 0.0:
+        low, high = (middle, high) if f(middle) > 0 else (t0, middle)
+    if f(high) == 0.0:
         return high
+    slope = (f(low) - f(high)) / (high - low)
     spacing = np.spacing(max(abs(t0), abs(until)))
     with np.errstate(all="ignore"):  # of equal values near the end
-        root: Any = toms748(value, low, high, xtol=spacing, rtol=4 * np.finfo(float).eps)
-    return float(root)
+        root = float(toms748(f, low, high, xtol=spacing, rtol=4 * np.finfo(float).eps))
+    if f(root) < -64 * spacing * slope:
+        return max(t for t, found in seen.items() if found > 0 and t < root)
+    return root

@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,9 @@ from helpers import long
 from bench.commands.main import main
 from bench.plugins.registry import Registry
 from bench.running.errors import event_errors, relative_errors
+from bench.running.measure import end_at_overlap
+from bench.running.plan import Cell
+from bench.running.worker import Worker
 from integrators.methods.half_explicit import PHEM56
 from integrators.methods.moreau_jean import MoreauJean
 from integrators.methods.stormer_verlet import StormerVerlet
@@ -270,6 +273,44 @@ def test_events_that_end_in_rest_name_the_method_that_goes_on():
     rests = run(MoreauJean(), _Soft(), Steps(0.01))
     assert rests.status == "ok"
     assert abs(rests.q[-1, 0]) < 0.05
+
+
+@dataclass(frozen=True)
+class _Through(StormerVerlet):
+    """A method that claims to pass impacts, and knows none."""
+
+    passes_impacts = True
+
+
+def test_no_run_is_ok_whose_bodies_overlap():
+    fallen = run(_Through(), BouncingBall(), Steps(0.05))
+    assert fallen.q[-1, 0] < -18  # free fall
+    kept = replace(fallen, t=fallen.t[:10], q=fallen.q[:10])  # up to t = 0.45 s: it has not hit
+    assert end_at_overlap(kept, BouncingBall(), False) == ""
+    assert kept.status == "ok"
+    for passes, first in ((False, 0.5), (True, 0.55)):  # up to 0.5 s it falls within a step
+        found = replace(fallen)
+        assert end_at_overlap(found, BouncingBall(), passes) == ""
+        assert found.status == "diverged"
+        assert f"Bodies overlap: at t={first} s" in found.message
+        assert found.t[-1] == pytest.approx(first - 0.05)
+
+
+def test_a_worker_ends_such_a_run_and_notes_how_far_steps_pass_impacts(tmp_path):
+    (tmp_path / "through.py").write_text(
+        "from dataclasses import dataclass\n"
+        "from integrators.methods.stormer_verlet import StormerVerlet\n"
+        "@dataclass(frozen=True)\n"
+        "class Through(StormerVerlet):\n"
+        "    passes_impacts = True\n"
+    )
+    worker = Worker(Registry([tmp_path / "through.py"]))
+    fallen, _ = worker.run(Cell("bouncing_ball", "through", 2.0, Steps(0.05)))
+    assert fallen.status == "diverged"
+    asked = Cell("bouncing_ball", "moreau_jean", 2.0, Steps(0.05))
+    record = worker.measure(asked, errors=False).record
+    assert record.status == "ok"
+    assert "Bodies overlap by up to 0.015, as steps pass impacts." in record.message
 
 
 def test_a_run_says_what_its_accelerations_are(without_processes):

@@ -7,6 +7,7 @@ import pytest
 from test_hybrid import run
 
 from bench.running.errors import event_errors
+from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
 from integrators.methods.bdf2 import BDF2
 from integrators.methods.generalized_alpha import GeneralizedAlpha
@@ -15,6 +16,7 @@ from integrators.methods.radau_iia import RadauIIA
 from integrators.methods.stormer_verlet import StormerVerlet
 from integrators.resolutions import Steps, Tolerances
 from problems import MechatronicSystem, State, held, jnp, parameter
+from problems.phases import crossing
 from problems.reference import Reference, ReferenceFailed
 from problems.scenes.bouncing_ball import BouncingBall
 from problems.scenes.rocking_block import RockingBlock
@@ -117,6 +119,23 @@ def test_events_that_accumulate_end_the_run_with_a_sentence():
     assert found.t[-1] == pytest.approx(end, abs=1e-12)
     with pytest.raises(ReferenceFailed, match="Events do not end"):
         Reference(scene, 1.0).error  # noqa: B018
+
+
+@pytest.mark.parametrize("method", [IDA(), CVODE()])
+def test_a_library_that_takes_other_steps_to_another_end_misses_no_event(method):
+    scene = BouncingBall(e=0.3)
+    end = np.sqrt(2 / scene.g) * (1 + scene.e) / (1 - scene.e)
+    found = run(method, scene, Tolerances(1e-3), 1.0)
+    assert found.status == "step_too_small"
+    assert found.message.startswith("Events do not end at t=")
+    assert found.t[-1] == pytest.approx(end, abs=0.01)
+    assert found.q.min() > -1e-12
+
+
+def test_an_event_where_its_function_jumps_lies_before_the_jump():
+    at = crossing(lambda t: 1e-5 + 1.0 - t if t < 1.0 else 1.0 - 1e-5 - t, 0.0, 2.0)
+    assert at is not None
+    assert 1.0 - 1e-14 < at < 1.0
 
 
 def test_an_event_without_time_left_for_its_step_is_one_of_those_that_do_not_end():

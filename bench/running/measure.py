@@ -22,7 +22,7 @@ from problems.answers import array
 from problems.compiled import compiled
 from problems.initial_values import InconsistentStart, NoConsistentStart
 from problems.reference import Reference
-from problems.runtime import Float
+from problems.runtime import Float, jax
 from problems.system import MechatronicSystem
 from problems.usage import computed_seconds
 from problems.variables import INVARIANTS, State
@@ -30,6 +30,8 @@ from problems.witnesses import published_digits
 
 #: A run whose speed or change of energy is so many times the motion's largest has blown up.
 BLOWN_UP = 100.0
+#: Part of the size of a motion by which gaps may fall below zero.
+OVERLAP = 1e-6
 #: Units of constraints by those of their multipliers: lam Phi is an energy.
 _UNITS = {"N": "m", "N m": "rad", "N/m": "m²"}
 #: The later starts, in parts of the interval.
@@ -117,17 +119,49 @@ def end_at_blow_up(
     beyond = np.abs(size) > BLOWN_UP
     if beyond.any():
         first = int(beyond.argmax())
-        run.status, run.message = (
-            "diverged",
-            (
-                f"It blew up: at t={run.t[first]:.6g} s {words} more than {BLOWN_UP:g} times the "
-                f"largest of the motion; take a smaller step or a method that damps more."
-            ),
+        _end_before(
+            run,
+            first,
+            f"It blew up: at t={run.t[first]:.6g} s {words} more than {BLOWN_UP:g} times the "
+            f"largest of the motion; take a smaller step or a method that damps more.",
         )
-        for name in ("t", *GROUPS, "xdot"):
-            setattr(run, name, getattr(run, name)[:first])
-        run.notes = {name: noted[:first] for name, noted in run.notes.items()}
-        run.phase = run.phase[:first]
+
+
+def _end_before(run: Trajectory, first: int, message: str) -> None:
+    """End a run as diverged before a row."""
+    run.status, run.message = "diverged", message
+    for name in ("t", *GROUPS, "xdot"):
+        setattr(run, name, getattr(run, name)[:first])
+    run.notes = {name: noted[:first] for name, noted in run.notes.items()}
+    run.phase = run.phase[:first]
+
+
+def end_at_overlap(run: Trajectory, scene: MechatronicSystem, passes_impacts: bool) -> str:
+    """End a run that is ok as diverged before the first row in which bodies overlap.
+
+    They do where a gap is below zero by more than `OVERLAP` times the largest gap or coordinate of
+    the run. If its steps pass impacts, a gap may fall as far as it has changed in a step: a note
+    that is returned then says how far it does.
+    """
+    if run.status != "ok" or not scene.has("gaps"):
+        return ""
+    gaps = np.asarray(jax.vmap(scene.gaps)(run.q, run.t))
+    below, limit = -gaps, OVERLAP * max(np.abs(gaps).max(), np.abs(run.q).max())
+    way = np.maximum.accumulate(np.abs(np.diff(gaps, axis=0, prepend=gaps[:1])))
+    allowed = np.maximum(limit, way if passes_impacts else 0.0)
+    beyond = (below > allowed).any(axis=1)
+    if beyond.any():
+        first = int(beyond.argmax())
+        _end_before(
+            run,
+            first,
+            f"Bodies overlap: at t={run.t[first]:.6g} s a gap is {gaps[first].min():.3g}, as an "
+            f"impact was missed; take a smaller step or tolerance.",
+        )
+        return ""
+    if below.max() <= limit:
+        return ""
+    return f"Bodies overlap by up to {below.max():.2g}, as steps pass impacts."
 
 
 def checked(trajectory: Trajectory, t_end: float) -> Trajectory:

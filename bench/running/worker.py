@@ -204,8 +204,10 @@ class Worker:
             return answers.checked_bill(self.prepared[record.key].bill(run), PARTS)
 
         def cautions() -> str:
-            caution = answers.refusal(self.registry.integrator(record.integrator), scene, "caution")
-            return f"{caution or ''} {uncontrolled(scene, run, record.rtol)}"
+            method = self.registry.integrator(record.integrator)
+            caution = answers.refusal(method, scene, "caution") or ""
+            overlap = measure.end_at_overlap(run, scene, bool(method.passes_impacts))
+            return f"{caution} {overlap} {uncontrolled(scene, run, record.rtol)}"
 
         def claims() -> dict[str, int]:
             stated = self.registry.integrator(record.integrator).claims(scene)
@@ -247,6 +249,7 @@ class Worker:
             measured = run.measure()
             seconds = computed_seconds() - measuring
             trajectory = answers.checked_trajectory(measured, scene.sizes, *span)
+            measure.end_at_overlap(trajectory, scene, bool(integrator.passes_impacts))
         except (InconsistentStart, NoConsistentStart, SpecError) as error:
             return Trajectory.failed("crashed", f"{said(error)}."), None
         except BaseException as error:  # of a plugin, which may even raise SystemExit
