@@ -106,3 +106,12 @@ def test_pairs_that_seconds_and_operations_order_differently_have_a_reason():
     assert lines[2] == "| `slow` | 100 | 3.00 | 30.00 |"
     assert "takes 1.5 times as long as `fast`, which takes 1.5 times as many" in lines[-1]
     assert "matrices are full" in lines[-1]
+
+
+def test_of_the_same_readings_the_least_repeats_where_the_mean_does_not():
+    import widths
+
+    # A run of 1 s, and its readings in six rounds: alone, and with one that is disturbed.
+    quiet, busy = [[[1.0] * 4] * 6], [[[1.0, 1.0, 1.0, 1.0 + 4 * n] for n in range(6)]]
+    assert widths.row("least", (quiet, busy)) == "| least | 0.0 % | 1.00 | 0.0 % | 1.00 |"
+    assert widths.row("mean", (quiet, busy)) == "| mean | 0.0 % | 1.00 | 142.9 % | 3.50 |"
