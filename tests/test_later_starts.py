@@ -41,7 +41,7 @@ def test_errors_from_later_starts_fall_with_the_order_of_the_method():
     scene = Pendulum()
     reference = Reference(scene, scene.interval[1])
     coarse, fine = (
-        errors_from_later_starts(GeneralizedAlpha(rho_inf=0.8), Steps(h), reference)
+        errors_from_later_starts(GeneralizedAlpha(rho_inf=0.8), Steps(h), reference)[0]
         for h in (0.02, 0.01)
     )
     assert len(coarse) == len(fine) == len(LATER)
@@ -50,7 +50,7 @@ def test_errors_from_later_starts_fall_with_the_order_of_the_method():
         assert before["q"] / after["q"] == pytest.approx(4.0, rel=0.1)
 
 
-def test_a_run_that_fails_from_a_later_start_has_no_errors():
+def test_a_run_that_fails_from_a_later_start_has_no_errors_and_is_named():
     class Breaks(GeneralizedAlpha):
         def prepare(self, scene, t_end, resolution):
             run = super().prepare(scene, t_end, resolution)
@@ -58,15 +58,19 @@ def test_a_run_that_fails_from_a_later_start_has_no_errors():
 
             def cut():
                 found = measure()
-                found.status, found.message = "diverged", "It was cut."
+                if scene.interval[0] == pytest.approx(0.37):
+                    found.status, found.message = "diverged", "It was cut."
                 return found
 
             run.measure = cut
             return run
 
     scene = Pendulum()
-    found = errors_from_later_starts(Breaks(), Steps(0.02), Reference(scene, 1.35))
-    assert found == [{}] * len(LATER)
+    found, failed = errors_from_later_starts(Breaks(), Steps(0.02), Reference(scene, 1.35))
+    assert [bool(errors) for errors in found] == [True, False, True]
+    assert failed == [
+        "Started 2% of the interval later, at t=0.37 s, it ends with diverged: It was cut."
+    ]
 
 
 def one(name, error, operations, later):

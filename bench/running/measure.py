@@ -199,19 +199,20 @@ def ignored_pattern(run: Trajectory, resolution: Any, t0: float, t_end: float) -
 
 def errors_from_later_starts(
     integrator: Integrator, resolution: Steps | Tolerances, reference: Reference
-) -> list[dict[str, float | None]]:
-    """Run from later starts; return the errors of all groups in the norm by which runs are judged.
+) -> tuple[list[dict[str, float | None]], list[str]]:
+    """Run from later starts; return the errors of all groups in the norm by which runs are judged,
+    and a sentence on each start from which the end is not reached.
 
     So it is seen how much of an error is luck. The places of the steps, and the steps that are
     rejected, change with the start, and errors with them: those of an adaptive method on a
     sensitive scene by a factor of ten. A later start needs no reference of its own.
 
-    A run that does not reach the end has no errors. The list is empty if a start does not exist or
-    a run takes long.
+    A run that does not reach the end has no errors. Both lists are empty if a start does not exist
+    or a run takes long.
     """
-    scene, t_end, found = reference.scene, reference.t_end, []
+    scene, t_end, found, failed = reference.scene, reference.t_end, [], []
     if scene.is_hybrid:  # its samples and held values belong to the start
-        return []
+        return [], []
     for part in LATER:
         t = scene.interval[0] + part * (t_end - scene.interval[0])
         z = reference(np.array([t]))
@@ -219,17 +220,22 @@ def errors_from_later_starts(
         try:
             run = answers.checked_run(integrator.prepare(later, t_end, resolution))
         except (InconsistentStart, NoConsistentStart):
-            return []
+            return [], []
         begun = computed_seconds()
         answer = answers.checked_trajectory(run.measure(), scene.sizes, t, t_end)
         if computed_seconds() - begun > _LONGEST:
-            return []
+            return [], []
         errors = {}
         if checked(answer, t_end).status == "ok":
             tables = relative_errors(answer, reference), constraint_errors(answer, reference)
             errors = {g: norms[NORM] for each in tables for g, norms in each.errors.items()}
+        else:
+            failed.append(
+                f"Started {part:.0%} of the interval later, at t={t:.6g} s, it ends with "
+                f"{answer.status}: {answer.message}"
+            )
         found.append(errors)
-    return found
+    return found, failed
 
 
 def readings(execute: Callable[[], object]) -> list[float]:

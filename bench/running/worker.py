@@ -222,8 +222,10 @@ class Worker:
         ):
             integrator = self.registry.integrator(record.integrator)
             with suppress(BaseException):  # a plugin's; `check` asks it for starts at any time
-                found = measure.errors_from_later_starts(integrator, cell.resolution, reference)
-                record.later = found
+                record.later, failed = measure.errors_from_later_starts(
+                    integrator, cell.resolution, reference
+                )
+                _add(record, " ".join(failed))
         record.claims = part("Its claimed orders are not known", claims, None)
         _add(record, part("Its cautions are not known", cautions, ""))
 
