@@ -13,7 +13,7 @@ from problems import answers, sparsity
 from problems.compiled import compiled
 from problems.constraints import constraint_velocity
 from problems.formulations import Start, with_rates
-from problems.runtime import Array, jax, jnp
+from problems.runtime import Array, Float, jax, jnp
 from problems.start_equations import least_start, sparse_start
 from problems.system import MechatronicSystem
 from problems.variables import State
@@ -22,6 +22,8 @@ from problems.variables import State
 CONSISTENCY_TOLERANCE = 1e-9
 #: Accelerations solve their equations if the constraints' residual is below this part of them.
 _SOLVED = 1e-6
+#: A million roundings: a motion that is smaller, relative to what moves it, is rounding.
+STILL = 1e6 * float(np.finfo(float).eps)
 
 
 class InconsistentStart(ValueError):
@@ -132,6 +134,42 @@ def _block_shapes(template: MechatronicSystem, nq: int, nv: int) -> dict[str, tu
     }
 
 
+def rests(scene: MechatronicSystem, t: Float[np.ndarray, " k"]) -> bool:
+    """Whether a scene stays where it starts, but for `STILL` of what moves it elsewhere.
+
+    It has no velocity then, and at all times no rates of its states and no accelerations: these are
+    measured by those at states in which one entry of q or v is larger by 1, because forces in
+    balance leave their rounding, or that of a file. Where values jump it is not known.
+
+    Parameters
+    ----------
+    t
+        Times in s, the first that of the start.
+    """
+    q, v, x = scene.start()
+    if scene.is_hybrid or not np.abs(v).max(initial=0.0) * np.ptp(t) <= STILL:
+        return False
+
+    def rates(q: np.ndarray, v: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        rows = np.broadcast_to(x, (len(t), len(x)))
+        z, xdot = compiled(scene).complete(scene.parameters(), q, v, rows, t)
+        return np.asarray(z.a), np.asarray(xdot)
+
+    moved = np.concatenate([q, v]) + np.eye(1 + len(q) + len(v), len(q) + len(v), -1)
+    a, xdot = rates(*np.split(moved, [len(q)], axis=1), np.full(len(moved), t[0]))
+    changes = np.linalg.norm(a[1:] - a[0], axis=1)
+    size = changes[np.isfinite(changes)].max(initial=0.0)
+
+    def still(a: np.ndarray, xdot: np.ndarray) -> bool:
+        sizes = np.maximum(1.0, np.abs(x))
+        drifts = np.abs(xdot) * np.ptp(t) <= STILL * sizes
+        return bool((np.linalg.norm(a, axis=1) <= STILL * size).all() and drifts.all())
+
+    if not still(a[:1], xdot[:1]):
+        return False
+    return still(*rates(*(np.broadcast_to(part, (len(t), len(part))) for part in (q, v)), t))
+
+
 # ---- many scenes of one kind ------------------------------------------------------------
 def consistent_starts(scenes: Sequence[MechatronicSystem]) -> tuple[Start, dict[int, str]]:
     """Compute `consistent_start` of k scenes that differ in float parameters alone.
@@ -149,7 +187,7 @@ def consistent_starts(scenes: Sequence[MechatronicSystem]) -> tuple[Start, dict[
         Indices of the scenes that have no consistent start, each with the reason.
     """
     count = len(scenes)
-    given = [(scene.parameters(), *scene.initial_state()) for scene in scenes]
+    given = [(scene.parameters(), *scene.start()) for scene in scenes]
     given += given[-1:] * ((1 << (count - 1).bit_length()) - count)  # few sizes are compiled
     stacked = jax.tree.map(lambda *rows: np.array(rows, dtype=float), *given)
     answer = _starts(scenes[0].template())(*stacked, scenes[0].interval[0])

@@ -21,7 +21,7 @@ import numpy as np
 from problems import answers
 from problems.collocation import Motion, TooSmallStep, gauss, integrate, radau
 from problems.compiled import compiled
-from problems.initial_values import consistent_start
+from problems.initial_values import consistent_start, rests
 from problems.layouts import state_layout
 from problems.phases import Cut, EndlessEvents, crossing, falls, march
 from problems.runtime import Float, Int, jax
@@ -140,25 +140,31 @@ class Reference:
     t_end: float
 
     @property
-    def _has_closed_form(self) -> bool:
-        return self.scene.has("exact") and not self.scene.is_hybrid
-
-    @property
     def method(self) -> str:
         """Method of its computation, in words for a report."""
-        if self._has_closed_form:
+        if self.scene.has_closed_form:
             return "closed form"
         return f"Gauss collocation of order 24, tolerance {_TOLERANCE:g}, on the explicit ODE"
 
     @property
     def missing(self) -> str:
         """Reason why the scene has no reference; empty if it has one."""
-        sizes = self.scene.sizes
-        if self._has_closed_form or sizes.nq + sizes.nl <= _MOST_UNKNOWNS:
+        scene, unknowns = self.scene, self.scene.sizes.nq + self.scene.sizes.nl
+        if not scene.has_closed_form and unknowns > _MOST_UNKNOWNS:
+            return (
+                f"No reference is made of {scene.spec}: it has {unknowns} unknowns, more than "
+                f"{_MOST_UNKNOWNS}."
+            )
+        return self.resting
+
+    @cached_property
+    def resting(self) -> str:
+        """The sentence on a scene that stays where it starts; empty if it moves."""
+        if not rests(self.scene, self.times):
             return ""
         return (
-            f"No reference is made of {self.scene.spec}: it has {sizes.nq + sizes.nl} unknowns, "
-            f"more than {_MOST_UNKNOWNS}."
+            f"{self.scene.spec} rests at its start: nothing moves that could be judged. Give "
+            f"another start, such as --set start.{self.scene.components('q')[0].name}=0.3."
         )
 
     def __call__(
@@ -186,7 +192,7 @@ class Reference:
             If the closed form lacks groups, or is not finite.
         """
         t = np.asarray(t, dtype=float)
-        if self._has_closed_form:
+        if self.scene.has_closed_form:
             return self._closed_form(t)
         return self._evaluate(self._known.phases, t, phase)
 
@@ -199,7 +205,7 @@ class Reference:
     @property
     def events(self) -> Float[np.ndarray, "n 2"]:
         """Times in s and numbers of all events, if they are known by integration."""
-        return np.zeros((0, 2)) if self._has_closed_form else self._known.phases.events
+        return np.zeros((0, 2)) if self.scene.has_closed_form else self._known.phases.events
 
     @property
     def times(self) -> Float[np.ndarray, " k"]:
@@ -228,7 +234,7 @@ class Reference:
 
     @cached_property
     def _known(self) -> _Known:
-        if self._has_closed_form:
+        if self.scene.has_closed_form:
             t = self.times
             return _known(self._closed_form(t), self._closed_form(np.nextafter(t, np.inf)))
         return once(self.scene, self.t_end, self._integrated, _read, _written)

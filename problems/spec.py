@@ -17,6 +17,8 @@ from typing import Any, TypeVar
 
 from problems.plain_text import described
 
+#: What options begin with that give a scene other values at its start.
+START = "start."
 _NAME = r"[A-Za-z_][\w.-]*"
 _SPEC = re.compile(rf"\s*({_NAME})\s*(?:\[(.*)\])?\s*", re.DOTALL)
 
@@ -143,13 +145,23 @@ def build(cls: type[_T], options: Mapping[str, object], name: str) -> _T:
         If an option is unknown (the message names the nearest one), a value is not allowed, or the
         class raises any exception.
     """
-    fields, values = options_of(cls), {}
+    fields, values, start = options_of(cls), {}, dict(getattr(cls, "given", ()))
     for key, value in options.items():
+        if key.startswith(START) and hasattr(cls, "given"):
+            number = dataclasses.field(metadata={"type": float})
+            number.name = key
+            start[key.removeprefix(START)] = convert(name, number, value)
+            continue
         if key not in fields:
             raise SpecError(f"{name} has no option {key!r}; {suggest(key, fields)}.")
         values[key] = convert(name, fields[key], value)
+    if start:
+        values["given"] = tuple(sorted(start.items()))
     try:
-        return cls(**values)
+        made: Any = cls(**values)
+        if start:
+            made.start()  # tells what cannot be given
+        return made
     except SpecError:
         raise
     except (Exception, SystemExit) as error:  # the class may be a plugin
@@ -197,7 +209,8 @@ def forget_derived(cls: type, base: type) -> None:
 
 
 def format_spec(name: str, instance: object, hidden: Iterable[str] = ()) -> str:
-    """Write ``name[option=value,...]``: options that are always shown, then changed ones.
+    """Write ``name[option=value,...]``: options that are always shown, then changed ones, and
+    values at the start of a scene.
 
     Those in ``hidden`` are shown only if they are changed.
     """
@@ -208,6 +221,10 @@ def format_spec(name: str, instance: object, hidden: Iterable[str] = ()) -> str:
         always = field.metadata.get("always") and field.name not in hidden
         if always or value != field.default:
             parts.append(f"{field.name}={format_value(value)}")
+    default = dict(getattr(type(instance), "given", ()))
+    for key, value in getattr(instance, "given", ()):
+        if value != default.get(key):
+            parts.append(f"{START}{key}={format_value(value)}")
     return f"{name}[{','.join(parts)}]" if parts else name
 
 

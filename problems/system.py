@@ -35,6 +35,7 @@ from typing import Any, ClassVar, Self, TypeVar
 import numpy as np
 
 from problems import answers, spec
+from problems.models import starts
 from problems.runtime import Array, Float, jax
 from problems.stray_blocks import fault_of_blocks
 from problems.variables import Component, Published, Sizes, State, Variables
@@ -118,6 +119,12 @@ class MechatronicSystem:
     ``restitution``, ``friction``
         of contacts: part of the approaching velocity with which a body leaves after an impact, and
         Coulomb's coefficient; a number for all gaps or one for each, perhaps parameters
+
+    Parameters
+    ----------
+    given
+        Values at the start in place of those of ``initial_state``, by names of coordinates
+        ("hinge") or of velocities ("hinge.v"); a specification writes ``start.hinge=0.3``.
     """
 
     name: ClassVar[str]
@@ -138,6 +145,7 @@ class MechatronicSystem:
     sampling = "hit"
     restitution = 0.0
     friction = 0.0
+    given: tuple[tuple[str, float], ...] = dataclasses.field(default=(), kw_only=True, repr=False)
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -267,7 +275,7 @@ class MechatronicSystem:
 
     @property
     def spec(self) -> str:
-        """The printed name with the parameters that are not default."""
+        """The printed name with the parameters and the values at the start that are not default."""
         return spec.format_spec(self.name, self)
 
     @cached_property  # copies with other parameter values keep it: they have the same dimensions
@@ -305,14 +313,18 @@ class MechatronicSystem:
         return Sizes(len(q), len(start.v), sum(rows.values()), nx, ny, rows["constraint"], nd)
 
     def start(self) -> State:
-        """Return the initial state as arrays of floats.
+        """Return the initial state as arrays of floats, with the values that are ``given``.
 
         Raises
         ------
         FalseAnswer
             If it is none.
+        SpecError
+            If there is no start with these values.
         """
-        return State(*answers.state(self.initial_state(), not self.has("kinematics")))
+        state = State(*answers.state(self.initial_state(), not self.has("kinematics")))
+        later = "initial_state" in vars(self)
+        return starts.started(self, state, dict(self.given)) if self.given and not later else state
 
     def actuation_at(
         self, q: Float[Array | np.ndarray, " nq"]
@@ -340,6 +352,11 @@ class MechatronicSystem:
         They do, too, if runs ignore samples: the motion does not.
         """
         return (self.has("sample") or self.has("events")) and "in_phase" not in vars(self)
+
+    @property
+    def has_closed_form(self) -> bool:
+        """Whether ``exact`` is the motion: nothing jumps, and the start is the scene's own."""
+        return self.has("exact") and not self.is_hybrid and not self.given
 
     def components(self, group: str) -> list[Component]:
         """Return the components of a group, named by numbers where the scene gives no names."""
@@ -396,4 +413,4 @@ class MechatronicSystem:
             )
         numbers = spec.numbers_of(type(self))
         defaults: dict[str, Any] = {name: field.default for name, field in numbers.items()}
-        return self.with_parameters(defaults)
+        return self.with_parameters(defaults | {"given": ()})

@@ -206,7 +206,7 @@ def check_constraints(registry: Registry, scene: MechatronicSystem) -> str:
 def check_reference(registry: Registry, scene: MechatronicSystem) -> str:
     """The reference is accurate, and a closed form solves the equations of motion."""
     known = reference(scene, scene.interval[1])
-    if scene.has("exact"):
+    if scene.has_closed_form:
         _check_closed_form(scene)
     own = relative_reference_error(known)
     for group in ("q", "v"):

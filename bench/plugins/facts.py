@@ -124,7 +124,7 @@ def method_facts(registry: Registry, text: str) -> MethodFacts:
 def scene_weight(registry: Registry, text: str) -> float:
     """Estimate how long runs of a scene take: steps times the square of its states."""
     scene = registry.problem(text)
-    states = sum(np.size(part) for part in scene.initial_state())
+    states = sum(np.size(part) for part in scene.start())
     start, end = scene.interval
     return float((end - start) / scene.nominal_step * states**2)
 

@@ -123,7 +123,7 @@ def drifts_of(
     violations = measure.violations(scene, run)
     violations.pop("acceleration", None)
     drifts = measure.invariant_changes(scene, run, reference) | violations
-    if scene.has("energy") and scene.has("exact"):
+    if scene.has("energy") and scene.has_closed_form:
         drifts["phase"] = phase(scene, run)
     return drifts
 

@@ -14,9 +14,11 @@ from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, Suite, planned
 from bench.running.profiles import FIGURES
-from bench.running.runner import Runner
+from bench.running.runner import Runner, Task
 from bench.running.search import Sizes
 from bench.running.session import measure_suite, missing_cells, time_suite
+from bench.running.worker import Worker
+from problems.spec import SpecError
 
 
 @dataclass
@@ -114,7 +116,13 @@ class Search:
             `bench.running.race.Race`); by default the next one of each candidate.
         after_run
             Called when candidates have got new runs.
+
+        Raises
+        ------
+        SpecError
+            If no scene moves.
         """
+        self._refuse_rest()
 
         def of_all() -> list[Cell]:
             return [cell for c in self.candidates if (cell := c.next())]
@@ -139,6 +147,16 @@ class Search:
         suite = self._restricted(cells[run.key] for run in runs)
         time_suite(suite, self.store, self.registry, self.runner)
         self._take()
+
+    def _refuse_rest(self) -> None:
+        scenes = {(c.scene.spec, c.t_end): c.scene.sources for c in self.candidates}
+        tasks = [
+            Task(Worker.resting, scene, f"start of {scene[0]}", sources=sources)
+            for scene, sources in scenes.items()
+        ]
+        answers = [answer for _, answer in self.runner.run([[task] for task in tasks])]
+        if all(isinstance(answer, str) and answer for answer in answers) and answers:
+            raise SpecError(answers[0])
 
     def _take(self) -> None:
         records = self.store.records()

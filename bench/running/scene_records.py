@@ -123,12 +123,12 @@ def _published(reference: Reference) -> list[Digits]:
 
 
 def _missing_rank(scene: MechatronicSystem) -> int:
-    return missing_rank(scene, np.asarray(scene.initial_state().q), scene.interval[0])
+    return missing_rank(scene, np.asarray(scene.start().q), scene.interval[0])
 
 
 def first_energy(scene: MechatronicSystem) -> float:
     """Return the energy of a scene at its start, in J."""
-    q, v, _ = map(jnp.asarray, scene.initial_state())
+    q, v, _ = map(jnp.asarray, scene.start())
     return answers.number(scene.energy(q, v), "energy()")
 
 

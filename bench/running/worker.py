@@ -300,6 +300,10 @@ class Worker:
         scene = self.problem(problem)
         return drawings(scene, self.reference(scene, t_end), count)
 
+    def resting(self, problem: str, t_end: float) -> str:
+        """Return the sentence on a scene that rests up to t_end in s, or nothing."""
+        return Reference(self.problem(problem), t_end).resting
+
     def components(self, problem: str) -> dict[str, list[str]]:
         """Return the names of the components of each group of a scene."""
         return component_texts(self.registry, problem)

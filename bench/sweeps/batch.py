@@ -137,7 +137,7 @@ class Batch:
         self._template, self._sizes = scenes[0].template(), scenes[0].sizes
         self._times = times_of(runs, t_end, every_row)
         program = kinds[0].pop()
-        q, t = np.asarray(scenes[0].initial_state().q), scenes[0].interval[0]
+        q, t = np.asarray(scenes[0].start().q), scenes[0].interval[0]
         # Why steps fail is told by the constraints at the first start: a map has thousands of them.
         self._cause = cache(partial(program.cause, scene=scenes[0], rows={"q": [q], "t": [t]}))
         self._states_only, self._every_row = methods[0].states_only, every_row

@@ -104,7 +104,7 @@ def map_job(
     scene, method, found, fixed = request.prepared(worker, of_axes)
     x, y = found.values()
     points = [
-        POINTS_INTEGRATED if r.quantity.owner == "scene" and not scene.has("exact") else POINTS
+        POINTS_INTEGRATED if r.quantity.owner == "scene" and not scene.has_closed_form else POINTS
         for r in (x, y)
     ]
     return outcome_map(

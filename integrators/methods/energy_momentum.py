@@ -187,7 +187,7 @@ def _fault(scene: MechatronicSystem) -> str | None:
             f"its equations use {operation}, whose discrete gradient is not known; write them "
             f"without it, or take generalized_alpha."
         )
-    q, v, _ = scene.initial_state()
+    q, v, _ = scene.start()
     faster, later = v + np.linspace(0.7, 1.3, len(v)), t0 + 0.37 * (t_end - t0)
     explained, p = _explained_on(template), scene.parameters()
     if all(explained(p, *at) for at in ((q, v, t0), (q, faster, t0), (q, v, later))):

@@ -1,25 +1,86 @@
-"""Starts of models: initial values that are left out follow from the constraints."""
+"""Starts of scenes: initial values that are left out follow from the constraints."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from typing import Any
 
 import numpy as np
 
 from problems import spec
-from problems.kinematics import q_rate
 from problems.runtime import Float, jax, jnp
-from problems.system import MechatronicSystem
-from problems.variables import State
+from problems.variables import Component, State
 
 #: Newton's method takes less than ten iterations, or does not converge.
 _ITERATIONS = 50
+#: A start violates the constraints if Phi or its rate is larger than this, relative to q or v.
+_VIOLATED = 1e-9
+
+
+def started(scene: Any, state: State, given: Mapping[str, float]) -> State:
+    """Return the start of a scene at which some coordinates or velocities have other values.
+
+    Parameters
+    ----------
+    scene
+        A `problems.system.MechatronicSystem`.
+    state
+        Its own start.
+    given
+        Values by "name" of a coordinate or "name.v" of a velocity; a blank may be written as "_".
+        Quaternions are normalised, all others that constraints bind are `completed`.
+
+    Raises
+    ------
+    SpecError
+        If there is no such name, or no such position satisfies the constraints.
+    """
+    own = scene.velocities if scene.has("kinematics") else scene.coordinates
+    names = _names(scene.coordinates, len(state.q)), _names(own, len(state.v))
+    places = {n: (0, k) for k, n in enumerate(names[0])}
+    places |= {f"{n}.v": (1, k) for k, n in enumerate(names[1])}
+    written = {name.replace(" ", "_"): name for name in places}
+    values, fixed = (np.array(state.q), np.array(state.v)), ([], [])
+    for name, value in given.items():
+        key = written.get(name.replace(" ", "_"))
+        if key is None:
+            raise spec.SpecError(
+                f"{scene.name} has no coordinate to start from {name!r}; "
+                f"{spec.suggest(name, places)}."
+            )
+        group, k = places[key]
+        values[group][k] = value
+        fixed[group].append(k)
+    q, v = values
+    for k in (k for k, name in enumerate(names[0]) if name.endswith("p0")):
+        four = range(k, min(k + 4, len(q)))
+        if [names[0][j][-2:] for j in four] == ["p0", "p1", "p2", "p3"]:
+            q[four] /= np.linalg.norm(q[four]) or 1.0
+            fixed[0].extend(four if scene.has("kinematics") else ())  # no constraint holds the norm
+    free = [
+        np.setdiff1d(np.arange(len(part)), own) for part, own in zip(values, fixed, strict=True)
+    ]
+    found = completed(scene, q, v, *free)._replace(x=state.x)
+    sizes = (max(1.0, np.abs(part).max()) for part in found[:2])
+    off = [part / size for part, size in zip(violation(scene, found), sizes, strict=True)]
+    if not all(part <= _VIOLATED for part in off):
+        told = ", ".join(f"{name}={value:g}" for name, value in given.items())
+        raise spec.SpecError(
+            f"{scene.name} has no start near its own with {told}: its constraints are violated by "
+            f"{max(off):.2g}; give other values, or values of more coordinates."
+        )
+    return found
+
+
+def _names(texts: Iterable[str], count: int) -> list[str]:
+    """Names of all entries of a group; numbers where the scene gives none."""
+    named = [Component.read(str(text)).name for text in texts][:count]
+    return named + [str(k + 1) for k in range(len(named), count)]
 
 
 def completed(
-    scene: MechatronicSystem,
+    scene: Any,
     q: Sequence[float] | Float[np.ndarray, " nq"],
     v: Sequence[float] | Float[np.ndarray, " nv"],
     open_q: Sequence[int],
@@ -52,14 +113,14 @@ def completed(
     return State(q, v)
 
 
-def violation(scene: MechatronicSystem, state: State) -> tuple[float, float]:
+def violation(scene: Any, state: State) -> tuple[float, float]:
     """Return the largest entries of Phi, and of d/dt Phi and A v - b, at the start."""
     phi, _, rate, _ = constraints_at(scene, state.q, state.v)
     return np.abs(phi).max(initial=0.0), np.abs(rate).max(initial=0.0)
 
 
 def constraints_at(
-    scene: MechatronicSystem, q: Float[np.ndarray, " nq"], v: Float[np.ndarray, " nv"]
+    scene: Any, q: Float[np.ndarray, " nq"], v: Float[np.ndarray, " nv"]
 ) -> tuple[np.ndarray, ...]:
     """Compute the constraints at the start of the interval.
 
@@ -73,7 +134,7 @@ def constraints_at(
         return np.zeros(0), np.zeros((0, len(q))), np.zeros(0), np.zeros((0, len(v)))
     numbers = spec.numbers_of(type(scene))
     defaults: dict[str, Any] = {name: field.default for name, field in numbers.items()}
-    program = _program(scene.with_parameters(defaults))
+    program = _program(scene.with_parameters(defaults | {"given": ()}))
     return tuple(map(np.asarray, program(scene.parameters(), q, v, scene.interval[0])))
 
 
@@ -84,13 +145,14 @@ def _shortest(matrix: np.ndarray, residual: np.ndarray) -> np.ndarray:
 
 
 @cache  # not `problems.compiled`, which asks for the sizes, that is, for the start
-def _program(template: MechatronicSystem) -> Callable[..., Any]:
+def _program(template: Any) -> Callable[..., Any]:
     def constraints(p: dict[str, Any], q: Any, v: Any, t: Any) -> Any:
         scene, now = template.with_parameters(p), jnp.asarray(t, dtype=float)
         positions = scene.constraint if scene.has("constraint") else lambda q, t: jnp.zeros(0)
+        turns = scene.has("kinematics")
 
         def rates(v: Any) -> Any:
-            moving = q_rate(scene, q, v), jnp.ones_like(now)
+            moving = (scene.kinematics(q, v) if turns else v), jnp.ones_like(now)
             rate = jax.jvp(positions, (q, now), moving)[1]
             if not scene.has("velocity_constraint"):
                 return rate

@@ -1,0 +1,200 @@
+"""Starts that are given by names of coordinates, and scenes that rest at theirs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.special import ellipj
+
+from bench.plugins.registry import Registry
+from bench.running.plan import Cell
+from bench.running.worker import Worker
+from integrators import Steps
+from problems import MechatronicSystem, State, jnp, parameter
+from problems.initial_values import consistent_start, consistent_starts
+from problems.reference import Reference
+from problems.spec import SpecError
+
+REGISTRY = Registry(packages=())
+#: A rod that stands on its hinge.
+STANDING = """
+<mujoco>
+  <worldbody>
+    <body name="rod" pos="0 0 1">
+      <joint name="foot" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 {off} 0 .5" size=".03" mass="2"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+#: A rod that hangs on its hinge: of 2 kg, 0.4 m below it, with 0.1 kg m^2 about its centre.
+HANGING = """
+<robot name="hanging">
+  <link name="base"/>
+  <link name="rod">
+    <inertial>
+      <origin xyz="0 0 -0.4"/><mass value="2"/>
+      <inertia ixx="0.1" iyy="0.1" izz="0.01" ixy="0" ixz="0" iyz="0"/>
+    </inertial>
+  </link>
+  <joint name="hip" type="continuous">
+    <parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>
+  </joint>
+</robot>
+"""
+
+
+def written(folder, name: str, text: str):
+    (file := folder / name).write_text(text)
+    return file
+
+
+def end_of(scene, t_end: float) -> np.ndarray:
+    return Reference(scene, t_end).end()[0]["q"]
+
+
+def test_a_standing_rod_falls_from_an_angle_as_in_mujoco(tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    file = written(tmp_path, "standing.xml", STANDING.format(off=0))
+    m = mujoco.MjModel.from_xml_path(str(file))
+    m.opt.timestep, m.opt.integrator = 2e-4, mujoco.mjtIntegrator.mjINT_RK4
+    data = mujoco.MjData(m)
+    data.qpos[0], data.qvel[0] = 0.3, -0.5
+    for _ in range(5000):
+        mujoco.mj_step(m, data)
+    scene = Registry([file], ()).problem("standing[start.foot=0.3,start.foot.v=-0.5]")
+    assert end_of(scene, 1.0) == pytest.approx(data.qpos, rel=1e-9)
+
+
+def test_a_hanging_rod_of_a_urdf_swings_from_an_angle_as_the_pendulum_does(tmp_path):
+    pytest.importorskip("mujoco")
+    file = written(tmp_path, "hanging.urdf", HANGING)
+    scene = Registry([file], ()).problem("hanging", **{"start.hip": "0.3"})
+    k, w = np.sin(0.15), np.sqrt(2 * 9.81 * 0.4 / (0.1 + 2 * 0.4**2))
+    _, cn, dn, _ = ellipj(w * 1.0, k**2)
+    assert end_of(scene, 1.0) == pytest.approx(2 * np.arcsin(k * cn / dn), rel=1e-12)
+
+
+def test_constraints_complete_a_start_and_the_closed_form_is_another_motion():
+    own, scene = REGISTRY.problem("pendulum"), REGISTRY.problem("pendulum[start.X=0.5]")
+    z = consistent_start(scene).z
+    assert z.q[0] == 0.5
+    assert np.hypot(*z.q) == pytest.approx(scene.length, rel=1e-15)
+    assert abs(z.q @ z.v) < 1e-15
+    t_end = scene.interval[1]
+    end, _ = Reference(scene, t_end).end()
+    energy = [
+        float(scene.energy(*map(jnp.asarray, qv))) for qv in ((z.q, z.v), (end["q"], end["v"]))
+    ]
+    assert energy[0] == pytest.approx(energy[1], rel=1e-12)
+    assert Reference(scene, t_end).method != Reference(own, t_end).method == "closed form"
+    starts, refused = consistent_starts([scene, scene.with_parameters({"m": 2.0})])
+    assert not refused
+    assert starts.z.q.tolist() == [z.q.tolist()] * 2
+
+
+def test_a_start_belongs_to_the_printed_name_and_compiles_nothing():
+    scene = REGISTRY.problem("pendulum[start.X=0.5,start.X.v=1]")
+    assert scene.spec == "pendulum[start.X=0.5,start.X.v=1.0]"
+    assert REGISTRY.problem(scene.spec) == scene != REGISTRY.problem("pendulum")
+    assert scene.template() == REGISTRY.problem("pendulum").template()
+    later = State(np.array([0.0, -1.0]), np.zeros(2))
+    assert scene.later(0.5, later).start().q.tolist() == [0.0, -1.0]
+
+
+def test_velocities_that_are_not_given_follow_from_the_constraints():
+    scene = REGISTRY.problem("chaplygin_sleigh[start.heading=1,start.along.v=2]")
+    q, v, _ = scene.start()
+    assert (q[2], v[0]) == (1.0, 2.0)
+    assert abs(scene.velocity_constraint(q, v, 0.0)).max() < 1e-15
+    turned, _, _ = REGISTRY.problem("heavy_top_so3[start.p1=0.5]").start()
+    assert np.linalg.norm(turned) == pytest.approx(1.0)
+    assert turned[1] > 0.3
+
+
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        ("pendulum[start.Z=1]", "no coordinate to start from 'Z'; known: X, X.v, Y, Y.v"),
+        ("pendulum[start.X=5]", "no start near its own with X=5"),
+        ("pendulum[start.X=nan]", "start.X=nan is not a finite number"),
+        ("pendulum[start.X=one]", "start.X=one is not a float"),
+    ],
+)
+def test_a_start_that_does_not_exist_is_refused_in_a_sentence(spec, words):
+    with pytest.raises(SpecError, match=words):
+        REGISTRY.problem(spec)
+
+
+@dataclass(frozen=True)
+class Poised(MechatronicSystem):
+    """A pendulum poised near its highest position, beside a state that may drift."""
+
+    interval = (0.0, 1.0)
+    nominal_step = 0.01
+    q0: float = parameter(0.0, "rad", "angle at the start")
+    v0: float = parameter(0.0, "rad/s", "velocity at the start")
+    held: float = parameter(0.0, "rad", "angle at which a torque bears the weight")
+    push: float = parameter(0.0, "rad/s^2", "acceleration from 0.5 s on")
+    drift: float = parameter(0.0, "1/s", "rate of the state")
+
+    def mass(self, q):
+        return jnp.eye(1)
+
+    def force(self, q, v, t):
+        return 9.81 * (jnp.sin(q) - jnp.sin(self.held)) + jnp.where(t > 0.5, self.push, 0.0)
+
+    def state_rate(self, z):
+        return self.drift * jnp.ones(1)
+
+    def initial_state(self):
+        return State(np.array([self.q0]), np.array([self.v0]), np.zeros(1))
+
+
+@pytest.mark.parametrize(
+    ("moves", "values"),
+    [
+        (False, {}),
+        (False, {"q0": 1e-12}),
+        (False, {"held": 0.7, "q0": np.nextafter(0.7, 1)}),
+        (True, {"q0": 1e-9}),
+        (True, {"v0": 1e-9}),
+        (True, {"held": 0.7}),
+        (True, {"push": 1e-6}),
+        (True, {"drift": 1e-9}),
+    ],
+)
+def test_a_scene_rests_where_roundings_alone_move_it(moves, values):
+    missing = Reference(Poised(**values), 1.0).missing
+    assert ("rests at its start" in missing) is not moves
+    assert bool(missing) is not moves
+
+
+@pytest.mark.parametrize("off", ["0", "1e-12"])
+def test_a_run_at_rest_has_no_errors_and_asks_for_a_start(tmp_path, off):
+    pytest.importorskip("mujoco")
+    file = written(tmp_path, "standing.xml", STANDING.format(off=off))
+    worker = Worker(Registry([file], ()))
+    for spec, is_judged in (("standing", False), ("standing[start.foot=0.3]", True)):
+        record, _ = worker.measure(Cell(spec, "newmark", 0.5, Steps(0.01)))
+        assert record.status == "ok"
+        assert bool(record.errors) is is_judged
+        words = "standing rests at its start: nothing moves that could be judged. Give another "
+        assert (f"{words}start, such as --set start.foot=0.3." in record.message) is not is_judged
+
+
+HANGS = [word for name in ("X=0", "Y=-1", "X.v=0", "Y.v=0") for word in ("--set", f"start.{name}")]
+
+
+@pytest.mark.usefixtures("without_processes")
+@pytest.mark.parametrize(
+    "search",
+    [["recommend", "pendulum"], ["rate", "pendulum", "newmark", "--error", "energy:1e-3"]],
+)
+def test_a_search_on_a_scene_at_rest_ends_in_a_sentence(stepbench, tmp_path, search):
+    result = stepbench(*search, *HANGS, "--out", tmp_path)
+    assert result.exit_code
+    assert "rests at its start: nothing moves that could be judged." in result.stderr
+    assert "Traceback" not in result.output
