@@ -257,6 +257,35 @@ def test_the_rounds_that_are_missing_are_taken_once(tmp_path, taken):
     assert len(runner.asked) == len(missing)
 
 
+def test_long_runs_that_may_win_get_as_many_samples_as_an_interval_takes(tmp_path):
+    """A run of 0.4 s has three samples in a second; times are told apart from six on."""
+    found = {  # step: error in q and in a, s, number of samples
+        0.1: (1e-2, 1e-2, 1e-3, 6),
+        0.05: (1e-2, 1e-1, 0.4, 3),  # another run has errors as small in a four-hundredth
+        0.04: (1e-1, 1e-3, 0.4, 6),
+        0.02: (2e-1, 1e-3, 0.7, 6),  # the other one takes more than half of its time
+        0.01: (2e-1, 1e-3, 0.9, 2),
+        0.005: (1e-5, 1e-5, 1.5, 1),  # six of these would last too long
+        0.004: (None, None, 0.4, 3),
+    }
+    study = StudyFile(problems=["pendulum"], integrators=["newmark"], steps=[*found])
+    registry, runner = Inventory(), _Clock()
+    suite = make_suite("x", ProfileFile(study=[study], samples=7), registry)
+    cells = {cell.resolution.h: cell for cell in suite.cells.values()}
+    with Store(tmp_path, create=True) as store:
+        store.save_environment(environment())
+        for h, (q, a, seconds, _) in found.items():
+            record = cells[h].record(*cells[h].facts(registry), "ok")
+            record.errors = {"q": {"max": q}, "a": {"max": a}}
+            store.save(record, NO_ROWS)
+            runner.seconds[record.key] = seconds
+        for _ in range(2):
+            time_suite(suite, store, registry, runner)
+        counts = {r.h: len(r.run_s) for r in store.records().values()}
+    assert counts == {h: n + (h == 0.1) for h, (*_, n) in found.items()}
+    assert len(runner.asked) == sum(counts.values())
+
+
 def cheapest(folder: Path) -> dict[tuple, set[str]]:
     """Integrators that win or tie, by group, accuracy, scene and cost."""
     with Store(folder) as store:

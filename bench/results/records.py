@@ -31,8 +31,8 @@ UNSUPPORTED = "unsupported"
 #: Statuses of cells whose integrator was not tried: nothing is known of its result.
 NOT_TRIED = {INTERRUPTED, UNSUPPORTED}
 
-#: No more timing samples of a run are taken once they have lasted this long, in s: a long run
-#: averages the machine's noise itself.
+#: No more timing samples of a run are taken once they have lasted this long, in s, unless it may
+#: win (`bench.results.timings.contenders`): a long run averages the machine's noise itself.
 TIMING_SECONDS = 1.0
 
 #: Numbers within their bounds, which are checked when a value is read.

@@ -7,11 +7,12 @@ leaves their quotient as it is. The interval of a median is that of order statis
 from __future__ import annotations
 
 import math
+import operator
 import statistics
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-from bench.results.quantities import COST, COSTS
+from bench.results.quantities import COST, COSTS, NORM
 from bench.results.records import TIMING_SECONDS, Environment, Record, median
 
 #: Probability with which an interval holds the median, and the fewest samples that give one.
@@ -20,6 +21,8 @@ FEWEST = 6
 #: Times are told apart from this quotient on. With fewer samples than `FEWEST` there is no
 #: interval, and only a large quotient counts.
 LEAST_QUOTIENT, LEAST_OF_FEW = COSTS["seconds"].tie, 2.0
+#: Longest run in s that gets `FEWEST` samples where it may win.
+LONGEST = 1.0
 #: Timing samples in s by invocation and round.
 Samples = Mapping[Hashable, float]
 #: Integrators are ranked by seconds if the median `interval_width` of their runs is at most this.
@@ -90,6 +93,31 @@ def repeatability(
     used = (environments.get(r.environment) for r in timed)
     machines = {(e.cpu, e.cores, e.clock, *e.versions.items()) for e in used if e}
     return Repeatability(median(widths), len(widths), len(machines))
+
+
+def contenders(records: Iterable[Record]) -> list[Record]:
+    """Choose the runs of up to `LONGEST` that last too long for `FEWEST` samples, and may win.
+
+    They may if no other run of their scene has errors as small, in all groups, in less than a
+    `LEAST_OF_FEW`-th of their time.
+    """
+    timed = [r for r in records if r.status == "ok" and r.run_s and r.errors]
+
+    def errors(record: Record) -> list[float]:
+        return [
+            math.inf if (e := norms.get(NORM)) is None else e for norms in record.errors.values()
+        ]
+
+    def beaten(one: Record) -> bool:
+        return any(
+            LEAST_OF_FEW * statistics.median(two.run_s) < statistics.median(one.run_s)
+            and (two.problem, two.t_end, [*two.errors]) == (one.problem, one.t_end, [*one.errors])
+            and all(map(operator.le, errors(two), errors(one)))
+            for two in timed
+        )
+
+    long = [r for r in timed if len(r.run_s) < FEWEST and sum(r.run_s) > TIMING_SECONDS]
+    return [r for r in long if max(r.run_s) <= LONGEST and not beaten(r)]
 
 
 def quotient(one: Record, two: Record) -> Quotient | None:

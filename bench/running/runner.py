@@ -162,7 +162,11 @@ class Runner:
         return {task.label for w in self.workers for task in (w.task, *w.group) if task}
 
     def time(
-        self, tasks: list[Task], samples: int, have: Mapping[str, Mapping[int, float]]
+        self,
+        tasks: list[Task],
+        samples: int,
+        have: Mapping[str, Mapping[int, float]],
+        most: float = TIMING_SECONDS,
     ) -> Iterator[tuple[Task, int, float]]:
         """Yield (task, round, seconds): a sample of each task in every round, one at a time.
 
@@ -170,7 +174,7 @@ class Runner:
         time and can be compared by their quotient.
 
         ``have`` are the samples, in s by their rounds, that were taken before, by the labels of the
-        tasks.
+        tasks. A task has no more rounds once its samples have lasted for ``most`` s.
         """
         spent = {task.label: sum(have.get(task.label, {}).values()) for task in tasks}
         scenes = list(dict.fromkeys(task.scene for task in tasks))
@@ -178,7 +182,7 @@ class Runner:
         for number in range(samples):
             for task in tasks:
                 key = task.label
-                if number in have.get(key, ()) or spent[key] > TIMING_SECONDS:
+                if number in have.get(key, ()) or spent[key] > most:
                     continue
                 if not self._wanted():
                     return

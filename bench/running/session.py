@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 from bench.guard.limits import Limits
@@ -12,6 +13,7 @@ from bench.results.measurements import Measurement
 from bench.results.quantities import NORM, NORMS
 from bench.results.records import INTERRUPTED, TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.results.store import Store
+from bench.results.timings import FEWEST, contenders
 from bench.running.cluster import ClusterRunner
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, Suite
@@ -83,7 +85,9 @@ def measure_suite(
     store.save_plan(suite.plan)
     store.forget_spoilt_samples()
     number = 0
-    if cells or further or _samples_due(suite, store.records()):
+    records = store.records()
+    due = any(_samples_due(suite, records, last) for last in (False, True))
+    if cells or further or due:
         number = store.save_environment(environment())
 
     def keep(cell: Cell, answer: CellResult | NoAnswer) -> None:
@@ -130,21 +134,26 @@ def measure_suite(
 
 
 def time_suite(suite: Suite, store: Store, registry: Inventory, runner: Runner) -> None:
-    """Take the timing samples that the store lacks, of the cells that reached the end."""
-    records = store.records()
-    due = _samples_due(suite, records)
-    if not due:
-        return
-    good = {key for key, record in records.items() if record.status == "ok"}
-    cells = [cell for key, cell in suite.cells.items() if key in good]
-    have = {cell.key: _samples_of(records[cell.key]) for cell in cells}
-    invocation = max(store.environments(), default=0)  # kept as there were samples to be taken
-    tasks = [time_task(cell, cell.sources(registry)) for cell in cells]
-    runner.progress.phase("timing, one run at a time", due)
-    for task, sample, seconds in runner.time(tasks, suite.plan.samples, have):
-        runner.progress.working(task.label)
-        store.add_sample(task.label, sample, seconds, invocation)
-        runner.progress.advance()
+    """Take the timing samples that the store lacks, of the cells that reached the end.
+
+    Runs that last long have few of them; in the end those that may win get more.
+    """
+    for last, most in ((False, TIMING_SECONDS), (True, math.inf)):
+        records = store.records()
+        due = _samples_due(suite, records, last)
+        if not due:
+            continue
+        have = {key: _samples_of(records[key]) for key in due}
+        invocation = max(store.environments(), default=0)  # kept as there are samples to be taken
+        tasks = [
+            time_task(cell, cell.sources(registry)) for cell in (suite.cells[key] for key in due)
+        ]
+        runner.progress.phase("timing, one run at a time", sum(due.values()))
+        samples = FEWEST if last else suite.plan.samples
+        for task, sample, seconds in runner.time(tasks, samples, have, most):
+            runner.progress.working(task.label)
+            store.add_sample(task.label, sample, seconds, invocation)
+            runner.progress.advance()
 
 
 def solve_cells(
@@ -228,14 +237,14 @@ def _in_words(record: Record) -> str:
     return f"{text}: {record.integrator} on {record.problem}, {record.resolution}"
 
 
-def _samples_due(suite: Suite, records: Mapping[str, Record]) -> int:
-    """Count the timing samples that the measured cells still lack."""
+def _samples_due(suite: Suite, records: Mapping[str, Record], last: bool) -> dict[str, int]:
+    """Count the timing samples that measured cells lack, by key; the ``last`` are of contenders."""
     good = [records[key] for key in suite.cells if key in records and records[key].status == "ok"]
-    return sum(
-        len(set(range(suite.plan.samples)) - _samples_of(record).keys())
-        for record in good
-        if sum(record.run_s) <= TIMING_SECONDS
-    )
+    samples, due = suite.plan.samples, [r for r in good if sum(r.run_s) <= TIMING_SECONDS]
+    if last:
+        samples, due = FEWEST, contenders(good) if samples >= FEWEST else []
+    lacking = {r.key: len(set(range(samples)) - _samples_of(r).keys()) for r in due}
+    return {key: count for key, count in lacking.items() if count}
 
 
 def _samples_of(record: Record) -> dict[int, float]:
