@@ -11,7 +11,8 @@ from helpers import long
 from model_files import FILES, LOOPS, URDF, four_bar, hinge, joint, link, mesh, mjcf, urdf
 from model_files import body as rod
 
-from integrators import Tolerances
+from bench.plugins.registry import Registry
+from integrators import Steps, Tolerances
 from integrators.adapters.ida import IDA
 from problems import from_mjcf
 from problems.engines.mujoco_models import hard_acceleration
@@ -172,6 +173,22 @@ def test_a_bound_of_a_joint_holds_for_the_sum_of_its_actuators(tmp_path):
     assert pushed(30.0, 10.0) == pytest.approx(50.0)
     assert pushed(60.0, 20.0) == pytest.approx(88.0)
     assert pushed(-300.0, 20.0) == pytest.approx(-88.0)
+
+
+# ---- the engine
+def test_the_engine_steps_as_the_file_says(tmp_path):
+    text = mjcf(
+        rod(hinge("j0"), ".4 0 0"),
+        '<actuator><velocity joint="j0" kv="0.4"/></actuator>',
+        '<option integrator="implicitfast"/>',
+    )
+    (tmp_path / "robot.xml").write_text(text)
+    scene, ends = from_mjcf(tmp_path / "robot.xml")(), []
+    for kind in ("file", "implicitfast", "euler"):
+        method = Registry().integrator(f"mujoco[integrator={kind}]")
+        ends.append(float(method.prepare(scene, 0.1, Steps(0.01)).measure().q[-1, 0]))
+    assert Registry().integrator("mujoco").spec == "mujoco[integrator=file]"
+    assert ends[0] == ends[1] != ends[2]
 
 
 # ---- meshes, remarks and names

@@ -50,10 +50,11 @@ class Mujoco(Engine):
     source: ClassVar[str] = "Todorov, Erez & Tassa (2012), MuJoCo, doi:10.1109/IROS.2012.6386109"
 
     integrator: str = option(
-        "euler",
-        "euler: semi-implicit; implicitfast, implicit: forces of velocities implicit, the latter "
-        "with gyroscopic ones; discrete: positions implicit, too; rk4: explicit Runge-Kutta",
-        choices=("euler", "implicitfast", "implicit", "discrete", "rk4"),
+        "file",
+        "file: that which the model's file names, else euler; euler: semi-implicit; implicitfast, "
+        "implicit: forces of velocities implicit, the latter with gyroscopic ones; discrete: "
+        "positions implicit, too; rk4: explicit Runge-Kutta",
+        choices=("file", "euler", "implicitfast", "implicit", "discrete", "rk4"),
         always=True,
     )
     loop_steps: float = option(
@@ -67,8 +68,17 @@ class Mujoco(Engine):
         return None if isinstance(scene, MujocoScene) else super().supports(scene)
 
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
-        smooth = self.integrator == "rk4" and not isinstance(scene, LOOPS)
+        smooth = self.chosen(scene) == "rk4" and not isinstance(scene, LOOPS)
         return dict.fromkeys(("q", "v", "a", "lam"), 4 if smooth else 1)
+
+    def chosen(self, scene: MechatronicSystem) -> str:
+        """Return the integrator of MuJoCo that steps a scene."""
+        if self.integrator != "file":
+            return self.integrator
+        if not isinstance(scene, MujocoScene):
+            return "euler"
+        own = load_mujoco().mjtIntegrator(int(scene.model.m.opt.integrator))
+        return own.name.removeprefix("mjINT_").lower()
 
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Steps) -> PreparedRun:
         return _MujocoRun(self, scene, t_end, resolution)
@@ -79,7 +89,7 @@ class _MujocoRun(EngineRun):
         self, method: Mujoco, scene: MechatronicSystem, t_end: float, resolution: Steps
     ) -> None:
         super().__init__(method, scene, t_end, resolution)
-        self._method, self._mujoco = method, load_mujoco()
+        self._mujoco = load_mujoco()
         q, v = np.asarray(self.start.q), np.asarray(self.start.v)
         self._stated = mujoco_model(scene, q, v)
         self._model = model = self._stated.model
@@ -93,7 +103,8 @@ class _MujocoRun(EngineRun):
             a = self._stated.acceleration(hard_acceleration(model, self._data))
             check_agreement("MuJoCo", scene, self.start, q=q[0], v=v[0], a=a)
         # From here on: discrete takes forces at the end of a step, also for the acceleration.
-        kind = f"mjINT_{method.integrator.upper()}"
+        self._kind = method.chosen(scene)
+        kind = f"mjINT_{self._kind.upper()}"
         model.opt.integrator = getattr(self._mujoco.mjtIntegrator, kind)
 
     @contextlib.contextmanager
@@ -133,7 +144,7 @@ class _MujocoRun(EngineRun):
         at, qpos, qvel = (np.array(column) for column in zip(*rows, strict=True))
         q, v = self._stated.motion(qpos, qvel)
         q[0], v[0] = self.start.q, self.start.v
-        inner = self._method.integrator == "rk4" and data.nefc > 0
+        inner = self._kind == "rk4" and data.nefc > 0
         work = Work(
             steps=failed - 1 if failed else self.steps,
             residuals=data.timer[mujoco.mjtTimer.mjTIMER_FORWARD].number,
