@@ -231,3 +231,24 @@ def test_a_remark_of_mujoco_is_one_sentence_said_once(tmp_path, capfd, monkeypat
     assert "WARNING" not in told.err
     assert sentence in " ".join(scene.__doc__.split())
     assert sorted(file.name for file in tmp_path.iterdir()) == [path.name]  # no log of MuJoCo
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("without_processes")
+def test_what_is_left_out_can_be_set_once(stepbench, tmp_path):
+    floor = saved(tmp_path, "arm above a floor")
+    gone = [f"--set={part}=left_out" for part in FILES["arm above a floor"].left_out]
+    told = stepbench("list", "robot", "--plugins", floor, *gone, "--set=control_m0=0.5")
+    assert told.exit_code == 0, told.output
+    values = "contacts=left_out,limits=left_out,friction_loss=left_out,control_m0=0.5"
+    assert f"scene robot[{values}]" in " ".join(told.output.split())
+    wrong = stepbench("list", "robot", "--plugins", floor, "--set=contacts=gone")
+    assert wrong.exit_code
+    assert "contacts=gone is not allowed; known: left_out, refused" in wrong.output
+    assert stepbench("list", "--set=contacts=gone").exit_code
+    mine = tmp_path / "mine.py"
+    done = stepbench("new", "problem", "mine", "--from", floor, *gone, "--out", mine)
+    assert done.exit_code == 0, done.output
+    assert Registry([mine]).problem("mine").spec == "mine"
+    with pytest.raises(SpecError, match=r"has no parameter 'contact'; did you mean 'contacts'"):
+        from_mjcf(floor, defaults={"contact": "left_out"})

@@ -12,9 +12,8 @@ import msgspec
 from bench.commands import completion, options
 from bench.plugins.facts import PluginFacts
 from bench.results.table import Table
-from bench.running.inventory import Inventory
 from bench.running.profiles import built_in_profiles, read_profile, suite_titles
-from problems.spec import SpecError, suggest
+from problems.spec import SpecError, split_spec, suggest
 
 #: What there is, by the word for one of it.
 WORDS = {"problems": "scene", "integrators": "integrator", "suites": "suite"}
@@ -26,9 +25,12 @@ _LONGEST_NAME = 40
 
 @click.command("list")
 @click.argument("names", nargs=-1, metavar="[KIND|NAME]...", shell_complete=completion.everything)
+@options.with_set
 @options.with_plugins
 @options.with_as_json
-def list_(names: tuple[str, ...], plugins: tuple[str, ...], as_json: bool) -> None:
+def list_(
+    names: tuple[str, ...], settings: dict[str, str], plugins: tuple[str, ...], as_json: bool
+) -> None:
     """List scenes, integrators and suites.
 
     Each has a line; one that is not available has a reason. KIND is scenes, integrators or suites.
@@ -40,14 +42,25 @@ def list_(names: tuple[str, ...], plugins: tuple[str, ...], as_json: bool) -> No
       stepbench list
       stepbench list integrators
       stepbench list pendulum generalized_alpha
+      stepbench list pendulum --set th0=3.0
       stepbench list --json
     """
     registry = options.inventory(plugins)
     every = {kind: getattr(registry, kind, built_in_profiles()) for kind in WORDS}
     whole, named = _chosen(names or ("all",), every)
+    if settings:
+        if whole or not named["problems"]:
+            raise SpecError("--set belongs to scenes: name one.")
+        every["problems"] = {
+            name: _at(plugin, registry.problem(name, **settings).spec)
+            for name, plugin in every["problems"].items()
+            if name in named["problems"]
+        }
     if as_json:
         told = {kind: every[kind] if kind in whole else named[kind] for kind in WORDS}
-        rows = {kind: [_row(kind, n, registry) for n in own] for kind, own in told.items() if own}
+        rows = {
+            kind: [_row(kind, n, every[kind]) for n in own] for kind, own in told.items() if own
+        }
         click.echo(json.dumps(rows, indent=2))
         return
     from bench.commands.terminal import show
@@ -78,12 +91,19 @@ def _chosen(
     }
 
 
-def _row(kind: str, name: str, registry: Inventory) -> dict[str, Any]:
+def _at(plugin: PluginFacts, spec: str) -> PluginFacts:
+    """A scene with its values in the place of defaults, by its printed name."""
+    values = split_spec(spec)[1]
+    own = [{**o, "default": values.get(o["name"], o["default"])} for o in plugin.options]
+    return msgspec.structs.replace(plugin, name=spec, options=own)
+
+
+def _row(kind: str, name: str, known: Mapping[str, PluginFacts]) -> dict[str, Any]:
     """A scene, an integrator or a suite for JSON."""
     if kind == "suites":
         suite = msgspec.to_builtins(read_profile(name)[1])
         return {"name": name, "available": True, "reason": ""} | suite
-    plugin = getattr(registry, kind)[name]
+    plugin = known[name]
     told = ("name", "summary", "description", "origin", "reason", "options")
     return {key: getattr(plugin, key) for key in told} | {"available": not plugin.reason}
 
@@ -111,7 +131,8 @@ def _plugin(kind: str, plugin: PluginFacts) -> list[Table | str]:
             unit = option.get("unit", "-")
             meaning = str(option["doc"]) + (f" in {unit}" if unit not in ("", "-") else "")
             rows.append([option["name"], _text(option["default"]), _allowed(option), meaning])
-        head = ["parameter" if kind == "problems" else "option", "default", "allowed", "meaning"]
+        word = "parameter" if kind == "problems" else "option"
+        head = [word, "value" if "[" in plugin.name else "default", "allowed", "meaning"]
         parts += ["", Table("", head, rows)]
     return [*parts, ""]
 

@@ -39,7 +39,7 @@ from problems import from_mjcf
     name={name!r},
     interval=(0.0, 2.0),
     nominal_step=0.01,
-)
+{more})
 '''
 
 
@@ -113,17 +113,32 @@ def _line(result: CheckResult) -> Text:
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Model of MuJoCo or URDF that the scene is made of.",
 )
-def new(kind: str, name: str, out: Path | None, model: Path | None) -> None:
+@click.option(
+    "--meshes",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Folder in which meshes of the model are looked for, too.",
+)
+@options.with_set
+def new(
+    kind: str,
+    name: str,
+    out: Path | None,
+    model: Path | None,
+    meshes: Path | None,
+    settings: dict[str, str],
+) -> None:
     """Write a small scene or integrator, which runs at once.
 
     \b
     Examples:
       stepbench new integrator my_method
       stepbench new problem my_scene --out scenes/my_scene.py
-      stepbench new problem my_robot --from robot.xml
+      stepbench new problem my_robot --from robot.xml --set contacts=left_out
     """
     if model is not None and (kind != "problem" or model.suffix not in SUFFIXES):
         raise SpecError(f"--from takes a model ({', '.join(SUFFIXES)}) for a new problem.")
+    if model is None and (meshes or settings):
+        raise SpecError("--set and --meshes belong to a model: name it by --from.")
     _require_free(name)
     path = out or Path(f"{name}.py")
     if path.suffix != ".py":
@@ -136,7 +151,10 @@ def new(kind: str, name: str, out: Path | None, model: Path | None) -> None:
     skeleton = resources.files("bench.plugins.skeletons") / f"{kind}.py"
     text = skeleton.read_text(encoding="utf-8").replace(_SKELETONS[kind], _class_name(name))
     if model is not None:
-        text = _FROM_MODEL.format(cls=_class_name(name), name=name, file=str(model.resolve()))
+        given = {"meshes": meshes and str(meshes.resolve()), "defaults": settings}
+        more = "".join(f"    {key}={value!r},\n" for key, value in given.items() if value)
+        file = str(model.resolve())
+        text = _FROM_MODEL.format(cls=_class_name(name), name=name, file=file, more=more)
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)

@@ -11,6 +11,7 @@ import dataclasses
 import hashlib
 import re
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -28,7 +29,7 @@ from problems.models.mjcf_parts import lacking, without
 from problems.models.mjcf_read import read
 from problems.rotations import quaternion_rate, turned
 from problems.runtime import Array, Float, jnp
-from problems.spec import SpecError, is_name
+from problems.spec import SpecError, convert, is_name, suggest
 from problems.system import MechatronicSystem, parameter
 from problems.variables import State
 
@@ -121,6 +122,7 @@ def from_mjcf(
     interval: tuple[float, float] = (0.0, 2.0),
     nominal_step: float | None = None,
     meshes: str | Path | None = None,
+    defaults: Mapping[str, Any] | None = None,
 ) -> type[MechatronicSystem]:
     """Return the scene class of a model of MuJoCo or a URDF.
 
@@ -141,12 +143,14 @@ def from_mjcf(
     meshes
         Folder in which meshes are looked for, too. One that is not there is left out, unless it
         gives a body its mass.
+    defaults
+        Defaults of parameters of the scene, such as ``{"contacts": "left_out"}``.
 
     Raises
     ------
     SpecError
         If MuJoCo does not take the file, the model has something that cannot be left out, its start
-        violates the equalities, or MuJoCo computes other numbers.
+        violates the equalities, MuJoCo computes other numbers, or a default is none.
     """
     path = Path(file)
     name = scene_name(path) if name is None else name
@@ -163,7 +167,8 @@ def from_mjcf(
     if following := [row for k, row in enumerate(model.rows) if k not in start.rows]:
         names = ", ".join(following)
         notes.append(f"Equations of equalities are left out that follow from others ({names}).")
-    if is_new:  # every process loads the model; one tells
+    caller = sys._getframe(1).f_globals.get("__name__", __name__)
+    if is_new and not caller.startswith("problems."):  # every process loads it; one tells
         for note in notes:
             print(f"{name}: {note}", file=sys.stderr)
     controls, values = control_names(compiled), reset(compiled).ctrl
@@ -171,6 +176,12 @@ def from_mjcf(
     for k, control in enumerate(controls):
         told = parameter(float(values[k]), "1", f"control of actuator {k}")
         fields.append((control, float, told))
+    named = {key: field for key, _, field in fields}
+    for key, value in (defaults or {}).items():
+        if key not in named:
+            raise SpecError(f"{name} has no parameter {key!r}; {suggest(key, named)}.")
+        named[key].name = key
+        named[key].default = convert(name, named[key], value)
     absent = {
         "kinematics": not model.balls,
         "move": not model.balls,
@@ -204,7 +215,7 @@ def from_mjcf(
         },
     )
     # As `collections.namedtuple`; newer Pythons have set that of the call above.
-    made.__module__ = sys._getframe(1).f_globals.get("__name__", __name__)
+    made.__module__ = caller
     return made
 
 

@@ -138,7 +138,7 @@ def _stand_in(spec: Any, geom: Any, path: Path, file: str) -> None:
     if not (stated or path.suffix == ".urdf" or geom.parent == spec.worldbody):
         raise SpecError(
             f"{path}: the mesh {file} is not there, which gives the body {geom.parent.name!r} its "
-            f"mass; name the folder of the meshes by meshes= of from_mjcf."
+            f"mass; name its folder: stepbench new problem NAME --from FILE --meshes FOLDER."
         )
     geom.meshname, geom.mass = "", 0.0
     geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [0.01, 0.0, 0.0]
