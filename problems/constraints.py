@@ -158,7 +158,8 @@ def least_multipliers(
     lam: Float[Array, " nl"],
 ) -> Float[Array, " nl"]:
     """Compute the least multipliers that exert the same force."""
-    idle = idle_multipliers(scene, jax.jacfwd(lambda q: scene.constraint(q, t))(q))
+    still = jnp.zeros(scene.sizes.nv)
+    idle = idle_multipliers(scene, jax.jacfwd(lambda w: constraint_change(scene, q, t, w))(still))
     lam = lam - idle @ lam
     return lam - idle @ lam  # what the powers' rounding left
 

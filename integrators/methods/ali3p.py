@@ -23,7 +23,7 @@ from problems.constraints import (
     least_multipliers,
 )
 from problems.dependence import output_takes
-from problems.kinematics import advance
+from problems.kinematics import displaced, q_rate
 from problems.runtime import Array, coarseness, jax, jnp
 from problems.system import MechatronicSystem
 from problems.variables import Variables
@@ -39,6 +39,7 @@ class ALI3P(StageMethod, ImplicitStepMethod):
 
         q+ = q + h v + h^2/4 (a + a+),   v+ = v + h/2 (a + a+),   x+ = x + h/2 (xdot + xdot+)
 
+    Where velocities are no rates of q, q moves by this displacement in one movement.
     Each iteration takes the displacement dq of a penalty method, and adds its force to the
     multipliers, lam <- lam + alpha_p (Phi + Phi_q dq). That is Newton's method with a tangent
     whose row of the constraint is Phi_q dq - dlam/alpha_p. This tangent is regular with redundant
@@ -59,6 +60,7 @@ class ALI3P(StageMethod, ImplicitStepMethod):
     family: ClassVar[str] = "augmented Lagrangian"
     formulation: ClassVar[str] = "index3"  # pyright: ignore[reportIncompatibleVariableOverride]
     drift = "projected"
+    takes: ClassVar[tuple[str, ...]] = ("kinematics", "velocity_constraint")
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
     source: ClassVar[str] = (
         "Bayo & Ledesma (1996), doi:10.1007/BF01833296; multipliers after projections: Dopico, "
@@ -81,7 +83,7 @@ class ALI3P(StageMethod, ImplicitStepMethod):
         self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
     ) -> StageState:
         now = state.shown
-        q = advance(scene, now.q, h * now.v, h**2 / 4 * now.a)
+        q = displaced(scene, now.q, h * now.v, h**2 / 4 * now.a)
         base = Base(q, now.v + h / 2 * now.a, now.x + h / 2 * now.xdot)
         slopes = Slopes(h**2 / 4, h / 2, h / 2)
         e = stage_equations(scene, "index3", base, slopes, t, (now.q, t - h))
@@ -137,7 +139,8 @@ class ALI3P(StageMethod, ImplicitStepMethod):
             def residual(u: Array) -> Array:
                 new, mu, *others = jnp.split(u, cuts)
                 (force, *rest), d = rows(new, mu, *others), new - w
-                inner = formulations.inertia(scene, q, d) - force_along(h**2 / 4 * d, h / 2 * d)
+                along = force_along(q_rate(scene, q, h**2 / 4 * d), h / 2 * d)
+                inner = formulations.inertia(scene, q, d) - along
                 outer = constraint_force(scene, q, t, mu)
                 return jnp.concatenate([inner + outer - force, *rest])
 

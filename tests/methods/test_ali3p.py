@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import long
+from helpers import long, slope
 from proofs import Bent, orders
+from scipy.integrate import solve_ivp
 
 from bench.conformance.scenes import check_mass
 from bench.conformance.verdicts import Failed
@@ -22,12 +23,24 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.half_explicit import PHEM56
 from integrators.methods.rattle import VariationalMidpoint
 from integrators.methods.rodas5p import Rodas5P
-from problems import MechatronicSystem, jax, jnp
-from problems.constraints import least_multipliers
+from problems import (
+    GROUND,
+    Body,
+    MechatronicSystem,
+    Prismatic,
+    Revolute,
+    RigidBodies,
+    jax,
+    jnp,
+    parameter,
+)
+from problems.constraints import constraint_change, least_multipliers
 from problems.formulations import complete
 from problems.initial_values import NoConsistentStart, consistent_start
 from problems.scenes.bricard import Bricard
+from problems.scenes.chaplygin_sleigh import ChaplyginSleigh
 from problems.scenes.double_pendulum import DoublePendulumControlled
+from problems.scenes.heavy_top_lie import HeavyTopR3SO3
 from problems.scenes.pendulum import Pendulum
 from problems.spec import SpecError
 
@@ -78,6 +91,15 @@ def test_controllers_see_projected_accelerations_so_that_no_group_loses_an_order
     assert sorted(found) == sorted(ALI3P().claims(scene))
     for group, order in found.items():
         assert order.order_of_largest == pytest.approx(2, abs=0.03), group
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("scene", "steps"), [(ChaplyginSleigh(), 100), (HeavyTopR3SO3(), 1000)], ids=["sleigh", "top"]
+)
+def test_rotations_and_constraints_of_velocities_keep_order_two(scene, steps):
+    for group, order in orders(ALI3P(), steps, (scene, 0.2)).items():
+        assert order.order_of_largest == pytest.approx(2, abs=0.15), group
 
 
 @pytest.mark.long
@@ -161,6 +183,123 @@ def test_the_check_counts_redundant_constraints(stated, sentence):
     with pytest.raises(Failed, match=sentence):
         check_mass(Registry(), wrong())
     assert "lacks 1 rank," in check_mass(Registry(), Stated())
+
+
+@dataclass(frozen=True)
+class Turning(Stated):
+    """The same, whose velocities are those along the rod and across it."""
+
+    def _axes(self, q):
+        return jnp.stack([q, jnp.stack([-q[1], q[0]])]) / jnp.sqrt(q @ q)
+
+    def kinematics(self, q, v):
+        return v @ self._axes(q)
+
+    def force(self, q, v, t):
+        turning = v[1] / jnp.sqrt(q @ q) * jnp.stack([v[1], -v[0]])
+        return self._axes(q) @ super().force(q, v, t) + self.m * turning
+
+    def exact(self, t):
+        found = super().exact(t)
+        across = np.stack([-found["q"][:, 1], found["q"][:, 0]], axis=1) / self.length
+        for group in "va":
+            along = np.sum(across * found[group], axis=1)
+            found[group] = np.stack([0 * along, along], axis=1)
+        # Rows of the constraints go as the length to one.
+        least = np.array([self.length, 1.0]) / (self.length**2 + 1) * self.length
+        return found | {"lam": found["lam"] * least}
+
+
+def test_redundant_constraints_are_taken_where_velocities_are_no_rates():
+    scene, steps = Turning(length=2.0), [0.02, 0.01, 0.005]
+    off = {g: [] for g in ("q", "v", "a", "lam")}
+    for h in steps:
+        found = run(ALI3P(), scene, h)
+        assert found.status == "ok", found.message
+        exact = scene.exact(found.t)
+        for group, errors in off.items():
+            errors.append(np.abs(getattr(found, group) - exact[group]).max())
+        assert np.abs(np.sum(found.q**2, axis=1) - 4.0).max() < 1e-13
+    for group, errors in off.items():
+        assert slope(steps, errors) == pytest.approx(2.0, abs=0.05), group
+
+
+@dataclass(frozen=True)
+class Scissors(RigidBodies):
+    """Two crossed bars between the ground and a platform: a mechanism in a plane, with the joints
+    of one in space."""
+
+    interval = (0.0, 0.3)
+    nominal_step = 0.005
+    redundant = 13
+    angle: float = parameter(0.6, "rad", "angle of the bars at the start")
+
+    def _corners(self):
+        x, z = jnp.cos(self.angle), jnp.sin(self.angle)
+        return [jnp.stack([a, 0 * x, b]) for a, b in ((0 * x, 0 * x), (x, 0), (0, z), (x, z))]
+
+    def bodies(self):
+        low, right, left, high = self._corners()
+        shoe = 0.5, (1e-3, 1e-3, 1e-3)
+        return (
+            Body.rod("rising", 3.0, (low, high), 0.02),
+            Body.rod("falling", 3.0, (right, left), 0.02),
+            Body("lower shoe", *shoe, right),
+            Body("upper shoe", *shoe, high),
+            Body("platform", 10.0, (0.2, 0.4, 0.5), (left + high) / 2),
+        )
+
+    def joints(self):
+        low, right, left, high = self._corners()
+        across, along = (0, 1, 0), (1, 0, 0)
+        return (
+            Revolute(GROUND, "rising", low, across),
+            Revolute("rising", "falling", high / 2, across),
+            Prismatic(GROUND, "lower shoe", right, along),
+            Revolute("lower shoe", "falling", right, across),
+            Revolute("falling", "platform", left, across),
+            Revolute("rising", "upper shoe", high, across),
+            Prismatic("platform", "upper shoe", high, along),
+        )
+
+
+@pytest.mark.long
+def test_scissors_fall_as_their_one_angle_does():
+    """By Lagrange: J(f) f'' + J'(f)/2 f'^2 + V'(f) = 0 for bars of 1 m at the angle f."""
+    bars = 2 * 3.0 * (1 / 4 + 1 / 12 + 0.02**2 / 4)
+
+    def bend(f, rate):
+        inertia = bars + 0.5 + 0.5 * np.sin(f) ** 2 + 10.0 * np.cos(f) ** 2
+        changing = (0.5 - 10.0) * np.sin(2 * f)
+        return -(changing / 2 * rate**2 + (3.0 + 0.5 + 10.0) * 9.81 * np.cos(f)) / inertia
+
+    def exact(t):
+        found = solve_ivp(lambda _, s: [s[1], bend(*s)], (0, 0.3), [0.6, 0.0], "DOP853", t,
+                          rtol=1e-13, atol=1e-14)  # fmt: skip
+        f, rate = found.y
+        c, s, again = np.cos(f), np.sin(f), bend(f, rate)
+        return {
+            "q": np.stack([c, s], axis=1),
+            "v": rate[:, None] * np.stack([-s, c], axis=1),
+            "a": again[:, None] * np.stack([-s, c], axis=1)
+            - rate[:, None] ** 2 * np.stack([c, s], axis=1),
+        }
+
+    scene, steps, off = Scissors(), [0.01, 0.005, 0.0025], {g: [] for g in "qva"}
+    for h in steps:
+        run = ALI3P().prepare(scene, 0.3, Steps(h)).measure()
+        assert run.status == "ok", run.message
+        wanted, places = exact(run.t), {"q": [21, 23], "v": [18, 20], "a": [18, 20]}
+        for group, at in places.items():
+            errors = getattr(run, group)[:, at] - wanted[group]
+            off[group].append(np.abs(errors).max())
+    for group, errors in off.items():
+        assert slope(steps, errors) == pytest.approx(2.0, abs=0.05), group
+        assert errors[-1] < 1e-4
+    q, lam, still = run.q[-1], run.lam[-1], jnp.zeros(scene.sizes.nv)
+    rows = np.asarray(jax.jacfwd(lambda w: constraint_change(scene, q, 0.3, w))(still))
+    least = np.linalg.lstsq(rows.T, rows.T @ lam, rcond=1e-9)[0]
+    assert lam == pytest.approx(least, abs=1e-7)
 
 
 def test_a_start_with_redundant_constraints_has_the_least_multipliers():
