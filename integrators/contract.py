@@ -191,6 +191,10 @@ class Integrator(ABC):
         """Return the method at constant steps, for measuring its order; None if it has none."""
         return self if self.controls == "step" else None
 
+    def keeping_tangents(self) -> Integrator:
+        """Return the method as it runs by default on scenes with ``dear_tangents``."""
+        return self
+
     def multistep_form(self) -> MultistepForm | None:
         """Return the linear multistep formulas of the method for its stability; None if unknown."""
         return None

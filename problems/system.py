@@ -109,8 +109,9 @@ class MechatronicSystem:
     ``source``
         publication of the equations and data
     ``redundant``
-        number of constraints that depend on the others at every position; multipliers are not
-        unique then, and the least ones are taken
+        number of constraints that depend on the others everywhere; the least lam is taken then
+    ``dear_tangents``
+        whether each column of a tangent costs as much as the equations, as on trees of bodies
     ``published``
         published digits, which runs are shown beside and the reference is checked by
     ``sample_time``, ``sampling``
@@ -139,6 +140,7 @@ class MechatronicSystem:
     outputs: ClassVar[tuple[str, ...]] = ()
     source: ClassVar[str] = ""
     redundant: ClassVar[int] = 0
+    dear_tangents: ClassVar[bool] = False
     published: ClassVar[tuple[Published, ...]] = ()
     # Without annotations: a subclass may replace these by parameters.
     sample_time = 0.0

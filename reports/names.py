@@ -127,7 +127,9 @@ _FORMS = {
 }
 _VALUES = {(option, k): v for option in ("formulation", "constraints") for k, v in _FORMS.items()}
 _VALUES |= {
+    ("newton", "full"): "full Newton",
     ("newton", "modified"): "modified",
+    ("newton", "modified_exact"): "modified, exact",
     ("start", "corrected"): "corrected start",
     ("gamma", "updated"): "γ updated",
     ("gamma", "guarded"): "γ guarded",

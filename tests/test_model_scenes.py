@@ -17,9 +17,11 @@ from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import read_profile
 from integrators import Steps, Tolerances
+from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import MechatronicSystem, State, jax, jnp
 from problems.formulations import complete
 from problems.models import examples
+from problems.scenes.slider_crank import SliderCrank
 
 FILES = Path(examples.__file__).parent
 OF_MUJOCO = ("mjcf_four_bar", "mjcf_arm", "mjcf_quadruped")
@@ -205,3 +207,62 @@ def test_neither_library_is_loaded_for_other_scenes():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.stdout.strip(), done.stderr) == ("", "")
+
+
+# ---- dear tangents -------------------------------------------------------------------------
+@dataclass(frozen=True)
+class DearCrank(SliderCrank):
+    """A scene that says of itself what trees of bodies say."""
+
+    name = "dear_crank"
+    dear_tangents = True
+
+
+def test_tangents_are_kept_by_default_where_they_are_dear_and_the_name_says_it():
+    registry = Inventory()
+    suite = make_suite(*read_profile("models"), registry)
+    own = "generalized_alpha[rho_inf=0.8"
+    names = {(c.problem, c.integrator) for c in suite.cells.values() if own in c.integrator}
+    kept = f"{own},newton=modified_exact]"
+    assert names >= {("mjcf_four_bar", kept), ("mjcf_arm", kept), ("sympy_four_bar", f"{own}]")}
+    assert len(names) == 4
+    arm = registry.problem("mjcf_arm")
+    for name, there in (
+        ("bdf2", "bdf2[newton=modified_exact]"),
+        *((chosen, chosen) for chosen in ("bdf2[newton=full]", "phem56")),
+    ):
+        assert registry.integrator_on(registry.integrator(name), arm).spec == there
+
+    def settings(scene, **options):
+        program, _ = GeneralizedAlpha().program(scene, **options)
+        return program.keeps_tangents, program.to_rounding
+
+    assert settings(DearCrank()) == (True, True)
+    assert settings(SliderCrank()) == settings(DearCrank(), sparse=False) == (False, False)
+
+
+def test_kept_tangents_end_where_new_ones_do():
+    full, kept, fast = (
+        GeneralizedAlpha(newton=newton).prepare(scene, 5.0, Steps(5e-4)).measure()
+        for scene, newton in (
+            (SliderCrank(), "full"), (DearCrank(), "auto"), (SliderCrank(), "modified")
+        )
+    )  # fmt: skip
+    assert kept.work.jacobians < 0.2 * kept.work.steps
+    size = np.abs(full.q).max()
+    assert np.abs(kept.q - full.q).max() < 3e-11 * size
+    assert np.abs(fast.q - full.q).max() > 3e-10 * size
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["mjcf_four_bar", "mjcf_arm"])
+def test_kept_tangents_end_where_new_ones_do_on_models(name):
+    scene = scene_or_skip(name)
+    full, kept = (
+        GeneralizedAlpha(newton=newton).prepare(scene, scene.interval[1], Steps(1e-3)).measure()
+        for newton in ("full", "auto")
+    )
+    assert kept.work.jacobians < 0.3 * kept.work.steps
+    for group, bound in (("q", 1e-11), ("v", 1e-10)):
+        theirs = getattr(full, group)
+        assert np.abs(getattr(kept, group) - theirs).max() < bound * np.abs(theirs).max()

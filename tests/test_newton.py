@@ -51,7 +51,7 @@ class Solved(NamedTuple):
 
 def solve(
     residual, slope, guess, kept=None, old=None, tol=1e-12, most=20, rounding=0.0, noise=0.0,
-    solved_after=math.inf, cuts=(),
+    solved_after=math.inf, cuts=(), to_rounding=False,
 ):  # fmt: skip
     """Newton's method in Python's own time: nothing is compiled."""
     guess, groups, linear = np.atleast_1d(guess).astype(float), len(cuts) + 1, Slopes(slope)
@@ -61,6 +61,7 @@ def solve(
             residual, jnp.asarray(guess), jnp.asarray(old),
             Bounds(list(cuts), tol, (rounding,) * groups, (noise,) * groups), most,
             None if kept is None else jnp.full(guess.shape, kept), linear, solved_after,
+            to_rounding=to_rounding,
         )  # fmt: skip
     assert report.jacobians == linear.log.count("t") or kept is None
     assert report.newton == report.residuals == report.solves == linear.log.count("u")
@@ -186,6 +187,24 @@ def test_the_rounding_of_a_group_counts_eightfold_for_a_new_tangent():
                 kept=kept, rounding=1e-6, most=2,
             )  # fmt: skip
             assert (found.report.solved, found.report.newton) == (True, iterations)
+
+
+def test_updates_by_an_old_tangent_go_on_to_rounding_where_it_is_asked_for():
+    def left(to_rounding):
+        found = solve(
+            lambda u: u - 1, lambda u: 1 + 0 * u, 1.5, kept=1.05, rounding=1e-8,
+            to_rounding=to_rounding,
+        )  # fmt: skip
+        assert found.report.solved
+        assert "t" not in found.log
+        return abs(found.u[0] - 1)
+
+    assert left(to_rounding=True) < 2e-11 < left(to_rounding=False) < 1e-8
+    # Rounding within the bounds ends it, and no new tangent is computed for that.
+    noisy = solve(alternating(1e-9), lambda u: NEVER * u, 1.5, kept=1.0, rounding=1e-8,
+                  to_rounding=True)  # fmt: skip
+    assert noisy.report.solved
+    assert noisy.log == "u" * noisy.report.newton
 
 
 def test_at_rest_updates_within_the_noise_of_forces_are_nothing():

@@ -82,6 +82,7 @@ def solve_(
         return
     sweeps.refuse_alone(vary, seed, jobs, cluster, out)
     end = options.end_time(scene, t_end)
+    method = registry.integrator_on(method, scene)
     resolution = resolution_of(scene, method, step, pattern, rtol, atol)
     if isinstance(resolution, Steps):
         count = resolution.count(scene.interval[0], end)
@@ -268,6 +269,7 @@ def order_(
       stepbench order spring_mass "generalized_alpha[gamma=updated]" --pattern 0.3,0.7 --t-end 5
     """
     registry, scene, method = options.asked_for(problem, integrator, settings, plugins)
+    method = registry.integrator_on(method, scene)
     cells = order_cells(scene, method, steps, pattern, t_end)
     from bench.commands.terminal import RunProgress, show
     from bench.running.session import solve_cells

@@ -82,6 +82,7 @@ def solve(
     """
     _check(budget=budget, samples=samples)
     registry, scene, method = options.asked_for(problem, integrator, parameters, plugins)
+    method = registry.integrator_on(method, scene)
     fractions = tuple(pattern) if pattern else None
     taken = resolution_of(scene, method, step, fractions, rtol, atol)
     cell = Cell(scene.spec, method.spec, options.end_time(scene, t_end), taken)
@@ -138,6 +139,7 @@ def order(
     """
     _check(budget=budget)
     registry, scene, method = options.asked_for(problem, integrator, parameters, plugins)
+    method = registry.integrator_on(method, scene)
     cells = order_cells(scene, method, steps, tuple(pattern) if pattern else None, t_end)
     results, _ = solve_cells(cells, registry, 0, budget_s=budget, progress=OnStandardError())
     records = [record for record, _ in results]

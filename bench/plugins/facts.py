@@ -35,7 +35,7 @@ class PluginFacts(msgspec.Struct, frozen=True, kw_only=True):
 
 class SceneFacts(msgspec.Struct, frozen=True, kw_only=True):
     """A scene: printed name, interval and nominal step in s, fingerprint; whether it is
-    constrained, names points, and states an energy."""
+    constrained, names points, states an energy, and has dear tangents."""
 
     spec: str
     name: str
@@ -45,12 +45,14 @@ class SceneFacts(msgspec.Struct, frozen=True, kw_only=True):
     fingerprint: str
     points: bool = False
     energy: bool = False
+    dear_tangents: bool = False
     sources: Sources = Sources()
 
 
 class MethodFacts(msgspec.Struct, frozen=True, kw_only=True):
     """An integrator's own statements (see `integrators.contract.Integrator`), and fingerprint;
-    ``fault`` is the sentence on a false one."""
+    ``fault`` is the sentence on a false one, ``keeping_tangents`` the printed name where tangents
+    are dear."""
 
     spec: str
     name: str
@@ -66,6 +68,7 @@ class MethodFacts(msgspec.Struct, frozen=True, kw_only=True):
     fingerprint: str
     sources: Sources = Sources()
     fault: str = ""
+    keeping_tangents: str = ""
 
 
 def plugin_facts(plugin: Plugin) -> PluginFacts:
@@ -100,6 +103,7 @@ def scene_facts(registry: Registry, text: str, parameters: dict[str, Any]) -> Sc
         constrained=scene.has("constraint") or scene.has("velocity_constraint"),
         points=scene.has("points"),
         energy=scene.has("energy"),
+        dear_tangents=bool(scene.dear_tangents),
         fingerprint=fingerprint(type(scene)),
         sources=registry.problems[scene.name].sources,
     )
@@ -113,6 +117,7 @@ def method_facts(registry: Registry, text: str) -> MethodFacts:
     return MethodFacts(
         spec=_own_spec(method),
         name=method.name,
+        keeping_tangents=_own_spec(method.keeping_tangents()),
         title=tidy(plugin.summary),
         fingerprint=fingerprint(type(method)),
         sources=plugin.sources,

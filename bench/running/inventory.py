@@ -136,6 +136,11 @@ class Inventory:
         """
         return self._once("integrators", text, facts.method_facts)
 
+    def integrator_on(self, method: MethodFacts, scene: SceneFacts) -> MethodFacts:
+        """Return the facts of an integrator with what its defaults choose on a scene."""
+        kept = method.keeping_tangents if scene.dear_tangents else ""
+        return self.integrator(kept) if kept else method
+
     def components(self, text: str) -> dict[str, list[str]]:
         """Return the names of the components of each group of a scene, "xdot" included."""
         return self._ask("problems", text, facts.component_texts)

@@ -306,7 +306,7 @@ def _expand(
     }
     cells = {
         cell.key: cell
-        for integrator in integrators
+        for integrator in (registry.integrator_on(method, scene) for method in integrators)
         for resolution in resolutions[integrator.controls]
         if (cell := Cell(scene.spec, integrator.spec, t_end, resolution))
     }

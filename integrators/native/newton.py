@@ -5,13 +5,16 @@ each update, from the third on, is at most ``_CONTRACTION`` times the one before
 one if updates shrink too slowly, or are much larger than the unknowns. After the allowed iterations
 without success, or a value that is not a number, it tries full Newton from the start of the step.
 
-With updates d1, d2, ... that shrink by r = d_k/d_(k-1), the error left after d_k is at most
-d_k r/(1 - r). The iteration ends when this error (or d_k itself) is within the `Bounds`. It also
-ends when updates by new tangents are tiny and no longer shrink: they have met round-off. Tiny is
-below ``_STAGNANT`` times the size of the group. At rest the unknowns are zero, and what is left is
-the rounding of forces that balance, of which the unknowns know nothing: there updates within
-``Bounds.noise`` that shrink by less than quadratic convergence does have met it. Updates that go to
-and fro over a jump of the force do not shrink either; they are larger, and a failure.
+With updates d1, d2, ... that shrink by r = d_k/d_(k-1), the error left after d_k is at most d_k
+r/(1 - r). The iteration ends when this error (or d_k itself) is within the `Bounds`. What an old
+tangent leaves there points the same way in every step and adds up: to meet full Newton to
+round-off, modified Newton goes on to ``_REST`` of the bounds, or until updates within them no
+longer shrink. The iteration also ends when updates by new tangents are tiny and no longer shrink:
+they have met round-off. Tiny is below ``_STAGNANT`` times the size of the group. At rest the
+unknowns are zero, and what is left is the rounding of forces that balance, of which the unknowns
+know nothing: there updates within ``Bounds.noise`` that shrink by less than quadratic convergence
+does have met it. Updates that go to and fro over a jump of the force do not shrink either; they are
+larger, and a failure.
 """
 
 from __future__ import annotations
@@ -33,6 +36,8 @@ _STAGNANT = 1e-7
 _CONTRACTION = 0.1
 #: and at most this multiple of the unknowns.
 _LARGEST_UPDATE = 10.0
+#: Part of the bounds that an old tangent may leave where round-off is asked for.
+_REST = 1e-3
 
 
 class Bounds(NamedTuple):
@@ -116,23 +121,32 @@ class Revision(NamedTuple):
     renew: Bool[Array, ""] | bool
 
 
-def is_solved(now: Iteration, tol: Scalar, solved_after: Scalar = math.inf) -> Bool[Array, ""]:
+def is_solved(
+    now: Iteration, tol: Scalar, solved_after: Scalar = math.inf, to_rounding: bool = False
+) -> Bool[Array, ""]:
     """Return whether the unknowns are a solution.
 
     Parameters
     ----------
     solved_after
         Number of exact updates after which they are one, whatever the sizes.
+    to_rounding
+        Whether updates by old tangents go on to round-off.
     """
     size, before = now.size, now.before
     left = jnp.where(jnp.isfinite(before), size * size / (before - size), size)
     small = (size <= 1.0) | ((size < before) & (left <= 1.0))
+    if to_rounding:
+        met = (size < before) & (left <= _REST) | (size <= 1.0) & (size > 0.5 * before)
+        small = jnp.where(now.exact, small, met)
     stagnant = now.exact & (size > 0.5 * before) & (size * tol < _STAGNANT * coarseness() ** 0.5)
     done = (now.k >= solved_after) & (now.exact | (now.k == 0)) & ~jnp.isnan(size)
     return small | stagnant | done
 
 
-def revision(now: Iteration, tol: Scalar, most: Scalar, known: Bool[Array, ""]) -> Revision:
+def revision(
+    now: Iteration, tol: Scalar, most: Scalar, known: Bool[Array, ""], to_rounding: bool = False
+) -> Revision:
     """Return what modified Newton changes before its next update.
 
     Parameters
@@ -141,12 +155,16 @@ def revision(now: Iteration, tol: Scalar, most: Scalar, known: Bool[Array, ""]) 
         Updates of the tries before full Newton, and of full Newton.
     known
         True if a tangent is kept.
+    to_rounding
+        Whether updates by old tangents go on to round-off, and need not shrink there.
     """
     restart = (now.remaining == most) | (now.exact & jnp.isnan(now.size))
     # The first update removes the error of the guess. Its distribution over the unknowns is not
     # that of an old tangent's error, so the second update may be larger. A NaN never contracts.
     limit = jnp.where(now.k == 2, 1 / _CONTRACTION, _CONTRACTION)
     stale = jnp.where(now.k == 0, ~known, ~(now.size <= limit * now.before))
+    if to_rounding:
+        stale = stale & ~(now.size <= 1.0)
     too_large = ~now.exact & (now.k > 0) & (now.size * tol > _LARGEST_UPDATE)
     back = ~now.exact & ((stale & ~(now.size <= now.before)) | too_large)
     remaining = jnp.where(restart, most, now.remaining)
@@ -163,6 +181,7 @@ def newton(
     linear: LinearSolver,
     solved_after: Scalar = math.inf,
     call: int = 0,
+    to_rounding: bool = False,
 ) -> tuple[Float[Array, " n"], Array | None, StepReport]:
     """Solve residual(u) = 0; can be traced.
 
@@ -188,6 +207,8 @@ def newton(
         the guess is one, 1 for linear equations.
     call
         Number of the call in its step.
+    to_rounding
+        Whether modified Newton ends at round-off, as full Newton does.
     """
     modified, tol = kept is not None, bounds.tol
 
@@ -196,11 +217,11 @@ def newton(
         failed = now.exact & jnp.isnan(now.size)
         if modified:
             failed = failed & (now.remaining < most)
-        return (now.remaining > 0) & ~is_solved(now, tol, solved_after) & ~failed
+        return (now.remaining > 0) & ~is_solved(now, tol, solved_after, to_rounding) & ~failed
 
     def prepared(now: Iteration) -> Iteration:
         """Modified Newton before an update: its place, and the tangent."""
-        change = revision(now, tol, most, linear.known(now.kept))
+        change = revision(now, tol, most, linear.known(now.kept), to_rounding)
         u = jnp.where(change.restart, old, jnp.where(change.back, guess, now.u))
         renew = partial(linear.renewed, residual)
         with turns(f"tangent{call}"):
@@ -238,7 +259,7 @@ def newton(
     with turns(f"newton{call}"):
         end = jax.lax.while_loop(go_on, iterate, start)
     solved, counts = (
-        is_solved(end, tol, solved_after),
+        is_solved(end, tol, solved_after, to_rounding),
         (end.k, end.k, end.tangents, end.tangents, end.k),
     )
     taken = {f"newton{call}": end.k, PIVOTS: end.repeated}

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import Field, dataclass
+from dataclasses import Field, dataclass, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
 from integrators.contract import Gradient, Integrator, PreparedRun, Wanted, option
@@ -41,6 +41,7 @@ class NewtonSettings(NamedTuple):
     most: int = 0
     modified: bool = False
     linear_solver: str = "dense"
+    to_rounding: bool = False
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,9 @@ class NativeMethod(Integrator):
     def notes_on(self, scene: MechatronicSystem) -> tuple[str, ...]:
         """Return the names of the notes of a `Reading` of a scene."""
         return self.noted
+
+    def keeping_tangents(self) -> NativeMethod:
+        return self
 
     @property
     def newton_settings(self) -> NewtonSettings:
@@ -89,10 +93,18 @@ class NativeMethod(Integrator):
         problems.spec.SpecError
             If the user demands sparse tangents and they are impossible.
         """
-        settings, numbers = self.newton_settings, self.numbers()
+        # Many runs side by side renew their tangents at different times, which costs all of them.
+        method = self.keeping_tangents() if sparse and scene.dear_tangents else self
+        settings, numbers = method.newton_settings, self.numbers()
         tangents = self._sparse_tangents(scene, sparse, numbers)
         patterns, explicit = tangents.patterns, not settings.most
-        program = StepProgram(self.functions(), settings.modified, patterns, explicit)
+        program = StepProgram(
+            self.functions(),
+            settings.modified,
+            patterns,
+            explicit,
+            to_rounding=settings.to_rounding,
+        )
         return program, Numbers(numbers, settings.tolerance, settings.most, tangents.analyses)
 
     def _sparse_tangents(
@@ -185,16 +197,21 @@ class NewtonOptions(NativeMethod):
     newton_max: int = option(20, "most Newton iterations in a step", low=1, high=1000)
 
     newton: str = option(
-        "full",
-        "full: a new tangent in every iteration; modified: kept over steps while it contracts",
-        choices=("full", "modified"),
+        "auto",
+        "full: a new tangent in every iteration; modified: kept over steps while it contracts; "
+        "modified_exact: the same to round-off; auto: this on models of MuJoCo and other scenes "
+        "with dear tangents, else full",
+        choices=("auto", "full", "modified", "modified_exact"),
     )
     linear_solver: str = linear_solver_option()
 
+    def keeping_tangents(self) -> NativeMethod:
+        return replace(self, newton="modified_exact") if self.newton == "auto" else self
+
     @property
     def newton_settings(self) -> NewtonSettings:
-        modified = self.newton == "modified"
-        return NewtonSettings(self.newton_tol, self.newton_max, modified, self.linear_solver)
+        modified, exact = self.newton.startswith("modified"), self.newton == "modified_exact"
+        return NewtonSettings(self.newton_tol, self.newton_max, modified, self.linear_solver, exact)
 
 
 @dataclass(frozen=True)

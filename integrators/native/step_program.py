@@ -69,6 +69,8 @@ class StepProgram:
         The method has no options of Newton's method, and may not ask for it.
     dense
         Solver of the equations that have no pattern.
+    to_rounding
+        Modified Newton ends at round-off, as full Newton does.
     """
 
     functions: StepFunctions
@@ -76,6 +78,7 @@ class StepProgram:
     patterns: tuple[Pattern, ...] = ()
     explicit: bool = False
     dense: LinearSolver = DENSE
+    to_rounding: bool = False
 
     def method(self, numbers: Numbers) -> StepFunctions:
         """The step functions with their numbers."""
@@ -100,7 +103,8 @@ class StepProgram:
     ) -> tuple[Carried, StepReport]:
         """Take a step of size h to time t; return what it passes on, and the work that was done."""
         kept = before.kept if self.keeps_tangents else None
-        work = StepWork(lambda k: self._solver(k, numbers), kept, numbers.tolerance, numbers.most)
+        limits = numbers.tolerance, numbers.most, self.to_rounding
+        work = StepWork(lambda k: self._solver(k, numbers), kept, *limits)
         state = self.method(numbers).step(scene, before.state, t, h, work)
         return Carried(state, tuple(work.kept) if self.keeps_tangents else ()), work.report()
 

@@ -36,6 +36,8 @@ class StepWork:
         Relative error that Newton's method may leave in each group of unknowns.
     most
         Most Newton iterations in a call of `solve`.
+    to_rounding
+        Whether modified Newton ends at round-off.
     """
 
     def __init__(
@@ -44,8 +46,9 @@ class StepWork:
         kept: Sequence[Array] | None,
         tolerance: Scalar,
         most: Scalar,
+        to_rounding: bool = False,
     ) -> None:
-        self._solvers, self._before = solvers, kept
+        self._solvers, self._before, self._to_rounding = solvers, kept, to_rounding
         self._tolerance, self._most = tolerance, most
         self._report: StepReport | None = None
         #: Tangents that modified Newton keeps for the next step.
@@ -104,8 +107,9 @@ class StepWork:
         noise = (0.0,) * len(rounding) if noise is None else noise
         bounds = Bounds(groups, self._tolerance, rounding, noise)
         u, kept, report = newton(
-            residual, guess, old, bounds, self._most, kept, solver, solved_after, k
-        )
+            residual, guess, old, bounds, self._most, kept, solver, solved_after, k,
+            self._to_rounding,
+        )  # fmt: skip
         self.kept.append(kept)
         of_tangent = 1 if solver is split else evaluations
         self._add(

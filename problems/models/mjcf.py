@@ -46,6 +46,7 @@ class MujocoScene(MechatronicSystem):
     constraints are MuJoCo's. A soft equality of MuJoCo is a rigid constraint here.
     """
 
+    dear_tangents = True
     model: ClassVar[Model]
     at_start: ClassVar[Start]
     #: Names of the parameters that are controls, and the parts that are refused, or left out.
