@@ -77,22 +77,23 @@ def checked_orders(value: object, what: str = "orders") -> dict[str, int]:
     return {group: whole(order, f"{what}[{group!r}]") for group, order in value.items()}
 
 
-def refusal(
-    integrator: Integrator, scene: MechatronicSystem, about: str = "supports"
-) -> str | None:
+def refusal(integrator: Integrator, scene: MechatronicSystem) -> str | None:
     """Ask an integrator whether it takes a scene; return None or its reason.
-
-    Parameters
-    ----------
-    about
-        The method that is asked: "supports", or "caution".
 
     Raises
     ------
     FalseAnswer
         If it answers neither None nor a sentence.
     """
-    reason = getattr(integrator, about)(scene)
+    return _sentence(integrator.why_not(scene), "supports")
+
+
+def caution(integrator: Integrator, scene: MechatronicSystem) -> str | None:
+    """Ask an integrator why its runs on a scene may be wrong; see `refusal`."""
+    return _sentence(integrator.caution(scene), "caution")
+
+
+def _sentence(reason: object, about: str) -> str | None:
     if reason is None:
         return None
     if not isinstance(reason, str) or not reason.strip():

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from functools import partial, wraps
 from typing import Any, ClassVar
 
+from integrators.advice import advice
 from integrators.multistep import MultistepForm
 from integrators.runs import STATUSES as STATUSES
 from integrators.runs import Gradient as Gradient
@@ -42,6 +43,8 @@ WIDER = {
     "velocity_constraint": "constraints of velocities alone",
     "coupled_force": "forces that depend on lam, x or y",
 }
+#: Methods that are named to users whose scene a method does not take, if they take it.
+_ABLE = ("generalized_alpha", "phem56", "ida", "ali3p", "dopri8")
 
 
 def option(
@@ -209,21 +212,24 @@ class Integrator(ABC):
     def why_not(self, scene: MechatronicSystem) -> str | None:
         """Return None if the integrator takes the scene, else the reason in one sentence.
 
-        The reason is a block that it does not handle, redundant constraints, or that of `supports`.
+        The reason is a block that it does not handle, redundant constraints, steps over samples, or
+        that of `supports`.
         """
         for block, meaning in WIDER.items():
             if scene.has(block) and block not in self.takes:
                 return (
-                    f"the scene states {block}, {meaning}, which the method does not handle; take "
-                    f"generalized_alpha, phem56 or ida."
+                    f"the scene states {block}, {meaning}, which the method does not "
+                    f"handle{advice(scene, *_ABLE)}."
                 )
         if scene.redundant and not (self.takes_redundant or self.formulation == "ode"):
             nl = scene.sizes.nl
             return (
                 f"its constraints are redundant (rank {nl - scene.redundant} of {nl}), so that the "
-                f"method's equations have no unique multipliers; take ali3p, or a method on the "
-                f"explicit ODE such as dopri8."
+                f"method's equations have no unique multipliers{advice(scene, *_ABLE)}."
             )
+        over = scene.has("sample") and scene.sampling == "interpolate"
+        if over and self.controls == "tolerance":
+            return "only constant steps can go over samples; take sampling=hit."
         return self.supports(scene)
 
     def supports(self, scene: MechatronicSystem) -> str | None:

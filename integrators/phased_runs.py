@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from integrators.advice import advice
 from integrators.resolutions import Steps
 from integrators.runs import PreparedRun, Trajectory, Work
 from problems.compiled import compiled
@@ -95,10 +96,6 @@ class PhasedRun(PreparedRun):
     ) -> None:
         self._prepare, self._scene, self._t_end = prepare, scene, float(t_end)
         self._resolution, self._over = resolution, scene.sampling == "interpolate"
-        if self._over and not isinstance(resolution, Steps):
-            raise SpecError(
-                f"{scene.spec}: only constant steps can go over samples; take sampling=hit."
-            )
         if self._over and scene.has("events"):
             raise SpecError(f"{scene.spec}: a scene with events takes sampling=hit alone.")
         self._samples = Samples.of(scene)
@@ -130,7 +127,8 @@ class PhasedRun(PreparedRun):
         try:
             march(self._scene, self._t_end, self._flow)
         except EndlessEvents as error:
-            status, message = "step_too_small", f"{error}."
+            able = advice(self._scene, "moreau_jean") if self._scene.has("gaps") else ""
+            status, message = "step_too_small", f"{error}{able}."
         except (InconsistentStart, NoConsistentStart) as error:
             status, message = "newton_failed", f"After a jump: {error}"
         if not self._pieces:

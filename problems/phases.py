@@ -31,8 +31,8 @@ MOST_EVENTS = 10_000
 _MOST_AT_ONCE = 16
 #: A sample that lies nearer to the end than this part of the sample time is that of the end.
 _SAME = 1e-9
-#: Remedy where a contact that lasts makes events without end.
-_OF_CONTACT = "; contact that lasts is no event: take moreau_jean"
+#: Where a contact that lasts makes events without end.
+_OF_CONTACT = "; contact that lasts is no event"
 
 
 class EndlessEvents(ArithmeticError):

@@ -13,7 +13,7 @@ from bench.running.linearisation import uncontrolled
 from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators import Steps, Tolerances, Trajectory
-from integrators.answers import refusal
+from integrators.answers import caution
 from integrators.methods.hht_i3 import HHTI3
 from problems.answers import FalseAnswer
 from problems.scenes.double_pendulum import DoublePendulum
@@ -133,7 +133,7 @@ def test_a_caution_is_none_or_a_sentence():
             return ""
 
     with pytest.raises(FalseAnswer, match="caution"):
-        refusal(Odd(), Pendulum(), "caution")
+        caution(Odd(), Pendulum())
 
 
 def test_errors_above_a_tenth_are_a_note_and_those_of_failed_runs_are_none():

@@ -103,7 +103,13 @@ def recommend_(
     suite = replace(suite, plan=msgspec.structs.replace(suite.plan, title=title))
     end = next(iter(suite.cells.values())).t_end
     methods = dict.fromkeys(cell.integrator for cell in suite.cells.values())
-    every = [Candidate(scene, registry.integrator(m), end, demands) for m in methods]
+    refused = registry.refusals(scene.spec, [*methods])
+    every = [
+        Candidate(scene, registry.integrator(m), end, demands, refused=refused.get(m, ""))
+        for m in methods
+    ]
+    if len(refused) == len(methods):
+        raise SpecError(f"No integrator takes {scene.spec}: {next(iter(refused.values()))}")
     margin = SPREAD if cost == "seconds" else TIE
     search_end, forms_end, next_end, over = (start + part * budget for part in _PARTS[cost])
     race = Race(candidates := _in_turns(every), margin, search_end)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import msgspec
@@ -124,6 +126,19 @@ def method_facts(registry: Registry, text: str) -> MethodFacts:
         fault=fault,
         **stated._asdict() | {"family": stated.family or method.name, "orders": {**stated.orders}},
     )
+
+
+def refusals(registry: Registry, text: str, methods: Sequence[str]) -> dict[str, str]:
+    """State why integrators do not take the scene that is written as ``text``, by their names.
+
+    Those whose answer is false, or is not known here, are left out: their runs tell it.
+    """
+    scene, found = registry.problem(text), {}
+    for method in methods:
+        with suppress(Exception):
+            if reason := answers.refusal(registry.integrator(method), scene):
+                found[method] = reason
+    return found
 
 
 def scene_weight(registry: Registry, text: str) -> float:

@@ -141,6 +141,13 @@ class Inventory:
         kept = method.keeping_tangents if scene.dear_tangents else ""
         return self.integrator(kept) if kept else method
 
+    def refusals(self, text: str, methods: Sequence[str]) -> dict[str, str]:
+        """Return why integrators do not take a scene, of those that say so without a run."""
+        try:
+            return self._ask("problems", text, facts.refusals, methods)
+        except PluginFailed:  # its runs will say what is wrong
+            return {}
+
     def components(self, text: str) -> dict[str, list[str]]:
         """Return the names of the components of each group of a scene, "xdot" included."""
         return self._ask("problems", text, facts.component_texts)

@@ -24,7 +24,7 @@ from problems.spec import SpecError
 @dataclass
 class Candidate:
     """A method on a scene, and what is demanded of it; the cells and records of its search by
-    their sizes."""
+    their sizes; the reason why the method does not take the scene, if that is known before."""
 
     scene: SceneFacts
     method: MethodFacts
@@ -32,11 +32,13 @@ class Candidate:
     demands: Sequence[Demand]
     cells: dict[float, Cell] = field(default_factory=dict)
     runs: dict[float, Record] = field(default_factory=dict)
+    refused: str = ""
 
     @property
     def refusal(self) -> str:
         """The reason why the method does not take the scene, if so."""
-        return next((r.message for r in self.runs.values() if r.status == UNSUPPORTED), "")
+        told = (r.message for r in self.runs.values() if r.status == UNSUPPORTED)
+        return self.refused or next(told, "")
 
     def next(self) -> Cell | None:
         """Return the cell to try next for any of the demands."""

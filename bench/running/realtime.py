@@ -104,7 +104,7 @@ def stepping(method: Integrator, scene: MechatronicSystem) -> NativeMethod:
     SpecError
         If there is none, or it does not take the scene.
     """
-    if reason := answers.refusal(method, scene, "why_not"):
+    if reason := answers.refusal(method, scene):
         raise SpecError(f"{method.spec} does not take {scene.spec}: {reason}")
     if scene.is_hybrid:
         raise SpecError(

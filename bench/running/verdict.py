@@ -78,7 +78,7 @@ class Verdict:
     def first(self) -> str:
         """The sentence on the cheapest run."""
         run, every = self.best(self.order[0]), self.race.candidates
-        tried = sum(1 for c in every if c.runs)
+        tried = sum(1 for c in every if c.runs or c.refusal)
         take = "Take" if tried == len(every) else f"Of {tried} tried, take"
         return (
             f"{take} {run.integrator} with {run.resolution}: {self.asked.title} "
@@ -175,10 +175,10 @@ class Verdict:
         )
 
     def _fate(self, c: Candidate) -> str:
-        if not c.runs:
-            return "untried"
         if c.refusal:
             return "not for this scene"
+        if not c.runs:
+            return "untried"
         if c.best(self.asked):
             return "reached it"
         if self.race.is_dropped(c):

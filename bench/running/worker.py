@@ -205,7 +205,7 @@ class Worker:
 
         def cautions() -> str:
             method = self.registry.integrator(record.integrator)
-            caution = answers.refusal(method, scene, "caution") or ""
+            caution = answers.caution(method, scene) or ""
             overlap = measure.end_at_overlap(run, scene, bool(method.passes_impacts))
             return f"{caution} {overlap} {uncontrolled(scene, run, record.rtol)}"
 

@@ -6,6 +6,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
+from integrators.advice import advice
 from integrators.contract import option
 from integrators.native.guesses import Guess
 from integrators.native.own_values import Formulated, OwnValues, RatesMethod, RatesState
@@ -165,8 +166,8 @@ class WilsonTheta(RatesMethod, ImplicitStepMethod):
     def supports(self, scene: MechatronicSystem) -> str | None:
         if scene.has("constraint"):
             return (
-                "its equations hold at t + theta h, so that constraints would not hold at the ends "
-                "of steps; take houbolt or park."
+                f"its equations hold at t + theta h, so that constraints would not hold at the "
+                f"ends of steps{advice(scene, 'houbolt', 'park')}."
             )
         return None
 

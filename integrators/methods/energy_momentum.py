@@ -32,6 +32,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from integrators.advice import advice
 from integrators.contract import option
 from integrators.native.discrete_gradients import (
     NoDiscreteGradient,
@@ -55,6 +56,8 @@ from problems.variables import Variables
 
 #: Largest part of the forces that the energies need not explain.
 _UNEXPLAINED = 1e-8
+#: Methods for scenes that are driven, damped or controlled.
+_DRIVEN = ("generalized_alpha", "bdf2")
 
 
 @dataclass(frozen=True)
@@ -86,13 +89,13 @@ class EnergyMomentum(StageMethod, ImplicitStepMethod):
     def supports(self, scene: MechatronicSystem) -> str | None:
         if not scene.has("energy"):
             return (
-                "it states no energy, of which the discrete gradient of its potential is made; "
-                "take generalized_alpha or bdf2 for a scene that is driven or damped."
+                f"it states no energy, of which the discrete gradient of its potential is "
+                f"made{advice(scene, *_DRIVEN)}."
             )
         if scene.sizes.nx or scene.sizes.ny:
             return (
-                "its controller exchanges energy of which the discrete gradient knows nothing; "
-                "take generalized_alpha or bdf2."
+                f"its controller exchanges energy of which the discrete gradient knows "
+                f"nothing{advice(scene, *_DRIVEN)}."
             )
         return _fault(scene)
 
@@ -185,7 +188,7 @@ def _fault(scene: MechatronicSystem) -> str | None:
     if operation := _unknown_operation(template):
         return (
             f"its equations use {operation}, whose discrete gradient is not known; write them "
-            f"without it, or take generalized_alpha."
+            f"without it{advice(scene, *_DRIVEN)}."
         )
     q, v, _ = scene.start()
     faster, later = v + np.linspace(0.7, 1.3, len(v)), t0 + 0.37 * (t_end - t0)
@@ -193,8 +196,8 @@ def _fault(scene: MechatronicSystem) -> str | None:
     if all(explained(p, *at) for at in ((q, v, t0), (q, faster, t0), (q, v, later))):
         return None
     return (
-        "its forces are not those of its mass and energy alone (damping, driving or a gyroscopic "
-        "part), of which the discrete gradient knows nothing; take generalized_alpha or bdf2."
+        f"its forces are not those of its mass and energy alone (damping, driving or a gyroscopic "
+        f"part), of which the discrete gradient knows nothing{advice(scene, *_DRIVEN)}."
     )
 
 

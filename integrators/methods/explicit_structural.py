@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from integrators.advice import advice
 from integrators.contract import option
 from integrators.native import small_matrices
 from integrators.native.own_values import OwnValues, RatesState
@@ -32,8 +33,8 @@ class ExplicitMethod(StepMethod):
     def supports(self, scene: MechatronicSystem) -> str | None:
         if scene.has("constraint"):
             return (
-                "constraints act like infinite frequencies, at which no explicit formula for q is "
-                "stable; take bathe or generalized_alpha."
+                f"constraints act like infinite frequencies, at which no explicit formula for q is "
+                f"stable{advice(scene, 'bathe', 'generalized_alpha', 'ali3p', 'dopri8')}."
             )
         return None
 

@@ -10,6 +10,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from integrators.advice import advice
 from integrators.contract import WIDER, option
 from integrators.methods.generalized_alpha_parameters import (
     FirstOrder,
@@ -234,7 +235,7 @@ class GeneralizedAlphaLie(GeneralizedAlpha):
 
     def supports(self, scene: MechatronicSystem) -> str | None:
         if not scene.has("kinematics"):
-            return "the scene states no kinematics; take generalized_alpha, the same method there."
+            return f"the scene states no kinematics{advice(scene, 'generalized_alpha')}."
         return super().supports(scene)
 
 

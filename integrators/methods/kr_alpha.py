@@ -6,6 +6,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
+from integrators.advice import advice
 from integrators.contract import option
 from integrators.methods.explicit_structural import ExplicitMethod, evaluate_and_count
 from integrators.methods.generalized_alpha_parameters import SecondOrder, second_order_parameters
@@ -78,8 +79,8 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
     def supports(self, scene: MechatronicSystem) -> str | None:
         if scene.has("state_rate") or scene.has("output"):
             return (
-                "its matrices are those of mass, damping and stiffness, which controller states "
-                "and outputs do not have; take noh_bathe or generalized_alpha."
+                f"its matrices are those of mass, damping and stiffness, which controller states "
+                f"and outputs do not have{advice(scene, 'noh_bathe', 'generalized_alpha')}."
             )
         return super().supports(scene)
 

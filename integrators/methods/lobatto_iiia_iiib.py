@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from integrators.advice import advice
 from integrators.methods.rattle import refused_control
 from integrators.native.guesses import Guess
 from integrators.native.own_values import StageMethod, StageState
@@ -57,7 +58,7 @@ class LobattoPair(StageMethod, ImplicitStepMethod):
         if mass_varies(scene):
             return (
                 f"{self.name} is symplectic with a constant mass matrix alone, and that of the "
-                f"scene depends on q; take variational_midpoint, or radau_iia for a high order."
+                f"scene depends on q{advice(scene, 'variational_midpoint', 'radau_iia')}."
             )
         return refused_control(self.name, scene)
 

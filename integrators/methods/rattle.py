@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
+from integrators.advice import advice
 from integrators.contract import option
 from integrators.native.guesses import Guess
 from integrators.native.own_values import Conditional, Needs, OwnValues, StageState
@@ -38,8 +39,8 @@ def refused_control(method: str, scene: MechatronicSystem) -> str | None:
     """Return why a method for mechanical systems alone cannot take a scene with a controller."""
     if scene.has("state_rate") or scene.has("output"):
         return (
-            f"{method} is a method for mechanical systems, and the scene has a controller; take "
-            f"generalized_alpha or phem56."
+            f"{method} is a method for mechanical systems, and the scene has a "
+            f"controller{advice(scene, 'generalized_alpha', 'phem56')}."
         )
     return None
 
@@ -48,8 +49,8 @@ def refused_mass(method: str, scene: MechatronicSystem) -> str | None:
     """Return why a method for constant mass matrices cannot take a scene."""
     if mass_varies(scene):
         return (
-            f"{method} needs a constant mass matrix, and that of the scene depends on q; take "
-            f"variational_midpoint."
+            f"{method} needs a constant mass matrix, and that of the scene depends on "
+            f"q{advice(scene, 'variational_midpoint')}."
         )
     return None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from integrators.advice import advice
 from integrators.methods.rattle import refused_control, refused_mass
 from integrators.native.guesses import Guess
 from integrators.native.own_values import StageState
@@ -43,7 +44,7 @@ class StormerVerlet(ImplicitStepMethod):
 
     def supports(self, scene: MechatronicSystem) -> str | None:
         if scene.has("constraint"):
-            return f"{self.name} has no constraints; rattle is the same method with them."
+            return f"{self.name} has no constraints{advice(scene, 'rattle', 'generalized_alpha')}."
         return refused_control(self.name, scene) or refused_mass(self.name, scene)
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> StageState:

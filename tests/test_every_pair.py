@@ -1,0 +1,149 @@
+"""Every native method on every kind of scene: it runs, or it refuses in one sentence."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from helpers import scene_or_skip
+
+from bench.conformance.integrators import check_scenes
+from bench.plugins.registry import Registry
+from bench.running.drift import drift_job
+from bench.running.inventory import Inventory
+from bench.running.plan import Cell
+from bench.running.worker import Worker
+from integrators import Steps, Tolerances
+from integrators.native.step_method import NativeMethod
+from problems import MechatronicSystem, State, jnp, rotations
+
+REGISTRY = Registry()
+#: A small scene of each kind.
+KINDS = {
+    "rotations": "heavy_top_so3",
+    "velocity constraints": "chaplygin_sleigh",
+    "redundant": "bricard",
+    "redundant with rotations": "",
+    "sampled": "sampled_pd",
+    "steps over samples": "sampled_pd[sampling=interpolate]",
+    "samples ignored": "sampled_pd[sampling=ignore]",
+    "contact": "bouncing_ball",
+    "contact that lasts": "sliding_rolling",
+    "tree": "mjcf_arm",
+    "coupled force": "slider_crank_friction",
+    "controller": "spring_mass",
+    "constraint and controller": "double_pendulum_controlled",
+}
+METHODS = [
+    name for name in REGISTRY.integrators if isinstance(REGISTRY.integrator(name), NativeMethod)
+]
+
+
+@dataclass(frozen=True)
+class _Twice(MechatronicSystem):
+    """A body whose axis keeps its direction, stated twice, turns about it."""
+
+    interval = (0.0, 1.0)
+    nominal_step = 0.01
+    redundant = 2
+
+    def mass(self, q):
+        return jnp.diag(jnp.array([1.0, 2.0, 3.0]))
+
+    def force(self, q, v, t):
+        return jnp.array([0.0, 0.0, 1.0])
+
+    def kinematics(self, q, v):
+        return rotations.quaternion_rate(q, v)
+
+    def move(self, q, w):
+        return rotations.turned(q, w)
+
+    def constraint(self, q, t):
+        return jnp.tile(q[1:3], 2)
+
+    def initial_state(self):
+        return State(q=np.array([1.0, 0.0, 0.0, 0.0]), v=np.array([0.0, 0.0, 1.0]))
+
+
+def _scene(kind: str) -> MechatronicSystem:
+    if not KINDS[kind]:
+        return _Twice()
+    scene_or_skip(KINDS[kind].partition("[")[0])
+    return REGISTRY.problem(KINDS[kind])
+
+
+def _is_ours(sentence: str) -> None:
+    """Check a sentence: it has an end, and no exception or line of code is in it."""
+    assert sentence.endswith("."), sentence
+    assert not re.search(r"[A-Za-z]+(Error|Exception)\b|\.py\b|Traceback|\n", sentence), sentence
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_refusal_is_one_sentence_that_names_methods_which_take_the_scene(kind):
+    scene, taken = _scene(kind), []
+    for name in METHODS:
+        reason = REGISTRY.integrator(name).why_not(scene)
+        if reason is None:
+            taken.append(name)
+            continue
+        _is_ours(reason)
+        named = re.findall(r"\w+", reason.partition("; take ")[2])
+        for other in REGISTRY.integrators.keys() & set(named):
+            assert REGISTRY.integrator(other).why_not(scene) is None, (name, other)
+    assert taken or kind == "redundant with rotations"
+
+
+@pytest.mark.parametrize("pair", [("rotations", "semi_implicit_euler")])
+def test_a_pair_runs(pair):
+    _runs(*pair)
+
+
+def _runs(kind: str, name: str) -> None:
+    scene, method = _scene(kind), REGISTRY.integrator(name)
+    if method.why_not(scene):
+        return
+    h = scene.nominal_step / 8
+    resolution = Steps(h) if method.controls == "step" else Tolerances(1e-3)
+    run = method.prepare(scene, scene.interval[0] + 3 * h, resolution).measure()
+    assert run.status == "ok", (name, run.message)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", METHODS)
+def test_every_pair_runs_or_refuses(kind, name):
+    _runs(kind, name)
+
+
+@pytest.mark.parametrize(
+    ("method", "scene"),
+    [
+        ("energy_momentum", "heavy_top_so3"),
+        ("energy_momentum", "chaplygin_sleigh"),
+        ("rodas5p", "heavy_top_so3"),
+        ("ida", "sampled_pd[sampling=interpolate]"),
+    ],
+)
+def test_a_refusal_is_no_crash(method, scene):
+    worker = Worker(REGISTRY)
+    resolution = Steps(0.01) if method == "energy_momentum" else Tolerances(1e-3)
+    run, _ = worker.run(Cell(scene, method, 0.1, resolution))
+    assert run.status == "unsupported"
+    _is_ours(run.message)
+    if method == "energy_momentum":
+        assert drift_job(worker, scene, method, None, 10).status == "unsupported"
+
+
+def test_check_names_the_scenes_that_a_method_takes():
+    told, _, refused = check_scenes(REGISTRY, REGISTRY.integrator("rattle")).partition("; refuses")
+    assert "pendulum" in told
+    assert "heavy_top_so3" not in told
+    assert "heavy_top_so3: the scene states kinematics" in refused
+
+
+def test_methods_that_refuse_a_scene_are_known_before_any_run():
+    found = Inventory().refusals("chaplygin_sleigh", ["rattle", "generalized_alpha", "no_method"])
+    assert [*found] == ["rattle"]
