@@ -19,7 +19,7 @@ LAYERS = [
     {"problems"},
     {"problems.scenes"},
     {"problems.engines"},
-    {"integrators.multistep", "integrators.kept_rows"},
+    {"integrators.multistep", "integrators.kept_rows", "integrators.advice"},
     {"integrators.runs", "integrators.resolutions"},
     {"integrators.phased_runs"},
     {"integrators.contract"},

@@ -269,7 +269,7 @@ class _Soft(BouncingBall):
 def test_events_that_end_in_rest_name_the_method_that_goes_on():
     found = run(StormerVerlet(), _Soft(), Steps(0.05))
     assert found.status == "step_too_small"
-    assert "contact that lasts is no event: take moreau_jean" in found.message
+    assert "contact that lasts is no event; take moreau_jean" in found.message
     rests = run(MoreauJean(), _Soft(), Steps(0.01))
     assert rests.status == "ok"
     assert abs(rests.q[-1, 0]) < 0.05
