@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from scipy.special import ellipj
 
+from bench.commands import suite
 from bench.plugins.registry import Registry
 from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators import Steps
 from problems import MechatronicSystem, State, jnp, parameter
 from problems.initial_values import consistent_start, consistent_starts
+from problems.models.mjcf import from_mjcf
 from problems.reference import Reference
 from problems.spec import SpecError
 
@@ -198,3 +200,95 @@ def test_a_search_on_a_scene_at_rest_ends_in_a_sentence(stepbench, tmp_path, sea
     assert result.exit_code
     assert "rests at its start: nothing moves that could be judged." in result.stderr
     assert "Traceback" not in result.output
+
+
+#: Two links with a motor, a ball on a slide, and two keyframes.
+KEYED = """
+<mujoco>
+  <worldbody>
+    <body name="arm">
+      <joint name="shoulder" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -.5" size=".03" mass="2" contype="0" conaffinity="0"/>
+    </body>
+    <body name="float" pos="2 0 0">
+      <freejoint name="root"/>
+      <geom type="box" size=".1 .2 .3" mass="3" contype="0" conaffinity="0"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="drive" joint="shoulder"/></actuator>
+  <keyframe>
+    <key name="rest" qpos="0 2 0 0 1 0 0 0"/>
+    <key name="home" qpos=".4 2 0 1 0 1 0 0" qvel=".1 0 0 0 0 0 2" ctrl="1.5"/>
+  </keyframe>
+</mujoco>
+"""
+
+
+@pytest.fixture
+def keyed(tmp_path):
+    pytest.importorskip("mujoco")
+    return written(tmp_path, "keyed.xml", KEYED)
+
+
+def test_a_keyframe_gives_start_and_controls(keyed):
+    registry = Registry([keyed], ())
+    rest, home = (registry.problem(f"keyed{key}") for key in ("", "[keyframe=home]"))
+    assert rest.start().q.tolist() == [0, 2, 0, 0, 1, 0, 0, 0]
+    assert home.spec == "keyed[keyframe=home]"
+    assert home.start().q.tolist() == [0.4, 2, 0, 1, 0, 1, 0, 0]
+    assert home.start().v.tolist() == [0.1, 0, 0, 0, 0, 0, 2]
+    assert (rest.control_drive, home.control_drive) == (0.0, 1.5)
+    other = registry.problem("keyed[keyframe=home,control_drive=0,start.shoulder=1]")
+    again = registry.problem(other.spec)
+    assert again == other
+    assert again.control_drive == 0.0
+    assert again.start().q[:2].tolist() == [1.0, 2.0]
+    with pytest.raises(SpecError, match="no keyframe 'hom'; did you mean 'home'"):
+        registry.problem("keyed[keyframe=hom]")
+    with pytest.raises(SpecError, match="made for the keyframe 'rest'"):
+        type(rest)(keyframe="home")
+
+
+def test_a_model_starts_with_values_of_its_joints(keyed):
+    cls = from_mjcf(
+        keyed, keyframe="home",
+        start={"root": [0, 0, 3, 2, 0, 0, 0], "shoulder.v": -1.0, "root.v": [1, 2, 3, 4, 5, 6]},
+    )  # fmt: skip
+    assert cls().spec == "keyed[keyframe=home]"
+    q, v, _ = cls().start()
+    assert q.tolist() == [0.4, 0, 0, 3, 1, 0, 0, 0]
+    assert v.tolist() == [-1, 1, 2, 3, 4, 5, 6]
+    whole = {"qpos": [0.2, *q[1:]], "qvel": [0, *v[1:]]}
+    q, v, _ = from_mjcf(keyed, start=whole)().start()
+    assert (q[0], v[0], q[3], v[6]) == (0.2, 0, 3, 6)
+    with pytest.raises(SpecError, match=r"start\['root'\] has 1 values; give 7"):
+        from_mjcf(keyed, start={"root": 1.0})
+    with pytest.raises(SpecError, match="no coordinate to start from 'elbow'"):
+        from_mjcf(keyed, start={"elbow": 1.0})().start()
+
+
+def test_a_suite_runs_a_scene_from_another_start(stepbench, tmp_path, monkeypatch):
+    def told(planned, *rest):
+        raise SpecError(" ".join({cell.problem for cell in planned.cells.values()}))
+
+    monkeypatch.setattr(suite, "run_suite", told)
+    asked = "run", "quick", "-p", "pendulum", "-i", "rattle", "--set", "start.X=0.5"
+    assert stepbench(*asked).stderr == "Error: pendulum[start.X=0.5]\n"
+    for asked, words in (
+        (
+            ["run", "--keyframe", "home"],
+            "--set and --keyframe belong to scenes; name them with -p.",
+        ),
+        (["solve", "pendulum", "rattle", "--keyframe", "home"], "has no option 'keyframe'"),
+    ):
+        assert words in stepbench(*asked).stderr
+
+
+def test_a_new_problem_of_a_model_has_its_start(stepbench, tmp_path, keyed):
+    file = tmp_path / "mine.py"
+    asked = "new", "problem", "mine", "--from", keyed, "--out", file, "--keyframe", "home", "--set"
+    assert not stepbench(*asked, "start.shoulder.v=-2").exit_code
+    scene = Registry([file], ()).problem("mine")
+    assert scene.spec == "mine[keyframe=home]"
+    q, v, _ = scene.start()
+    assert (q[0], v[0], v[6], scene.control_drive) == (0.4, -2.0, 2.0, 1.5)

@@ -250,15 +250,35 @@ with_pattern = click.option(
 with_t_end = click.option(
     "--t-end", type=float, help="End time in s; the scene's own if not given."
 )
-with_set = click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    callback=name_values,
-    shell_complete=completion.settings,
-    metavar="NAME=VALUE",
-    help="Set a parameter of the scene; repeatable.",
-)
+
+
+def _settings(
+    context: click.Context, parameter: click.Parameter, items: Sequence[str]
+) -> dict[str, str]:
+    """Read name=value pairs, and the keyframe, which is such a pair."""
+    keyframe = context.meta.get("keyframe")
+    return name_values(context, parameter, [*items, f"keyframe={keyframe}"] if keyframe else items)
+
+
+def with_set(command: Callable) -> Callable:
+    """Add --set, and --keyframe, which is read before it."""
+    command = click.option(
+        "--keyframe",
+        is_eager=True,
+        expose_value=False,
+        callback=lambda context, _, value: context.meta.update(keyframe=value),
+        metavar="NAME",
+        help="Keyframe at which a model of MuJoCo starts.",
+    )(command)
+    return click.option(
+        "--set",
+        "settings",
+        multiple=True,
+        callback=_settings,
+        shell_complete=completion.settings,
+        metavar="NAME=VALUE",
+        help="Set a parameter of the scene, or start.NAME, a coordinate at its start; repeatable.",
+    )(command)
 
 
 def with_given_budget(words: str, **default: Any) -> Callable:

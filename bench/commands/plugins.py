@@ -9,7 +9,7 @@ import re
 import sys
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,7 +19,7 @@ from bench.commands.pages import view
 from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, CheckResult
 from bench.plugins.registry import KINDS, SUFFIXES
 from bench.running.inventory import Inventory
-from problems.spec import SpecError, snake_case
+from problems.spec import START, SpecError, snake_case
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -134,6 +134,7 @@ def new(
       stepbench new integrator my_method
       stepbench new problem my_scene --out scenes/my_scene.py
       stepbench new problem my_robot --from robot.xml --set contacts=left_out
+      stepbench new problem my_robot --from robot.xml --keyframe home --set start.hip=0.3
     """
     if model is not None and (kind != "problem" or model.suffix not in SUFFIXES):
         raise SpecError(f"--from takes a model ({', '.join(SUFFIXES)}) for a new problem.")
@@ -151,7 +152,13 @@ def new(
     skeleton = resources.files("bench.plugins.skeletons") / f"{kind}.py"
     text = skeleton.read_text(encoding="utf-8").replace(_SKELETONS[kind], _class_name(name))
     if model is not None:
-        given = {"meshes": meshes and str(meshes.resolve()), "defaults": settings}
+        starts = {key: value for key, value in settings.items() if key.startswith(START)}
+        given: dict[str, Any] = {
+            "meshes": meshes and str(meshes.resolve()),
+            "keyframe": settings.pop("keyframe", None),
+            "start": {k.removeprefix(START): _number(k, text) for k, text in starts.items()},
+            "defaults": {key: value for key, value in settings.items() if key not in starts},
+        }
         more = "".join(f"    {key}={value!r},\n" for key, value in given.items() if value)
         file = str(model.resolve())
         text = _FROM_MODEL.format(cls=_class_name(name), name=name, file=file, more=more)
@@ -163,6 +170,13 @@ def new(
     run = f"pendulum {name}" if kind == "integrator" else f"{name} newmark"
     trial = f"stepbench solve {run} --plugins {path}"
     click.echo(f"{path} is written. Next:\n  {trial}\n  stepbench check {path}")
+
+
+def _number(key: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise SpecError(f"{key}={text} is not a number.") from None
 
 
 def _require_free(name: str) -> None:

@@ -19,6 +19,7 @@ from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import Suite, make_suite
 from bench.running.profiles import read_profile, suite_titles
+from problems.spec import SpecError
 
 
 class _WithSuites(click.Command):
@@ -127,6 +128,7 @@ def run_suite(
     shell_complete=completion.integrators,
     help="Your integrator: it is run beside the others, and the report opens with it highlighted.",
 )
+@options.with_set
 @options.with_folder(options.RESULTS, "Folder of the results.")
 @options.with_fresh
 @options.with_jobs("Worker processes; timing is done by one at a time.")
@@ -143,6 +145,7 @@ def run_(
     problems: tuple[str, ...],
     integrators: tuple[str, ...],
     mine: str | None,
+    settings: dict[str, str],
     out: Path,
     fresh: bool,
     jobs: int,
@@ -164,6 +167,9 @@ def run_(
       stepbench run full --cluster tcp://head:8786
     """
     registry = Inventory(plugins)  # a file that cannot be used costs its own cells
+    if settings and not problems:
+        raise SpecError("--set and --keyframe belong to scenes; name them with -p.")
+    problems = tuple(registry.problem(p, **settings).spec if settings else p for p in problems)
     planned = make_suite(*read_profile(suite), registry, problems, integrators, budget, mine)
     outcome = run_suite(planned, registry, out, fresh, jobs, cluster)
     for sentence in outcome.sentences:

@@ -11,7 +11,8 @@ import dataclasses
 import hashlib
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -20,6 +21,7 @@ import numpy as np
 from problems.models.mjcf_check import Start, checked_start, reset
 from problems.models.mjcf_model import Model
 from problems.models.mjcf_objects import (
+    called,
     control_names,
     coordinate_names,
     load_mujoco,
@@ -29,9 +31,9 @@ from problems.models.mjcf_parts import lacking, without
 from problems.models.mjcf_read import read
 from problems.rotations import quaternion_rate, turned
 from problems.runtime import Array, Float, jnp
-from problems.spec import SpecError, convert, is_name, suggest
+from problems.spec import SpecError, convert, is_name, one_of, suggest
 from problems.system import MechatronicSystem, parameter
-from problems.variables import State
+from problems.variables import Component, State
 
 #: What a parameter says of a part that the equations do not have.
 REFUSED, LEFT_OUT = "refused", "left_out"
@@ -52,8 +54,25 @@ class MujocoScene(MechatronicSystem):
     #: Names of the parameters that are controls, and the parts that are refused, or left out.
     controls: ClassVar[tuple[str, ...]]
     lacking: ClassVar[dict[str, str]]
+    #: Makes the class that starts at another keyframe, with its controls.
+    at_keyframe: ClassVar[Callable[[str], type[MujocoScene]]]
+
+    @classmethod
+    def variant(cls, options: Mapping[str, object]) -> type[MujocoScene]:
+        """Return the class of a scene with these options: that of the keyframe, if one is named."""
+        if not hasattr(cls, "keyframe") or "keyframe" not in options:
+            return cls
+        other = cls.at_keyframe(str(options["keyframe"]))
+        other.__module__ = cls.__module__
+        return other
 
     def __post_init__(self) -> None:
+        own = getattr(type(self), "keyframe", None)
+        if (asked := getattr(self, "keyframe", None)) != own:
+            raise SpecError(
+                f"{self.name} is made for the keyframe {own!r}; from_mjcf(..., keyframe={asked!r}) "
+                f"makes the other one."
+            )
         if left := [key for key in self.lacking if getattr(self, key) != LEFT_OUT]:
             parts = ", and ".join(self.lacking[key] for key in left)
             options = ",".join(f"{key}={LEFT_OUT}" for key in self.lacking)
@@ -124,11 +143,13 @@ def from_mjcf(
     nominal_step: float | None = None,
     meshes: str | Path | None = None,
     defaults: Mapping[str, Any] | None = None,
+    keyframe: str | None = None,
+    start: Mapping[str, float | Sequence[float]] | None = None,
 ) -> type[MechatronicSystem]:
     """Return the scene class of a model of MuJoCo or a URDF.
 
-    The start is the first keyframe, else qpos0 at rest; controls are those of the keyframe, else
-    zero, and parameters of the scene. Positions that violate an equality by little, as numbers of
+    The start is a keyframe, else qpos0 at rest; controls are those of the keyframe, else zero, and
+    parameters of the scene. Positions that violate an equality by little, as numbers of
     a file have few digits, are moved to the nearest that satisfy all.
 
     Parameters
@@ -146,6 +167,12 @@ def from_mjcf(
         gives a body its mass.
     defaults
         Defaults of parameters of the scene, such as ``{"contacts": "left_out"}``.
+    keyframe
+        Name of the keyframe at which it starts, or its number if it has none; by default the first.
+    start
+        Values at the start in place of those, in m, rad, m/s and rad/s: of the qpos of a joint by
+        its name, of its qvel by "name.v", of all by "qpos" and "qvel". The others follow from the
+        equalities.
 
     Raises
     ------
@@ -162,17 +189,21 @@ def from_mjcf(
     try:
         left_out, model = lacking(compiled), Model(compiled)
         digest = _digest(compiled)
-        start, is_new = checked_start(model, digest)
+        keys = [called(compiled, "KEY", k).removeprefix("key ") for k in range(compiled.nkey)]
+        if keyframe is not None:
+            one_of(keyframe, keys, "keyframe")
+        at_key = (keys.index(keyframe) if keyframe else 0) if keys else None
+        at_start, is_new = checked_start(model, digest, at_key)
     except SpecError as error:
         raise SpecError(f"{name}: {error}") from None
-    if following := [row for k, row in enumerate(model.rows) if k not in start.rows]:
+    if following := [row for k, row in enumerate(model.rows) if k not in at_start.rows]:
         names = ", ".join(following)
         notes.append(f"Equations of equalities are left out that follow from others ({names}).")
     caller = sys._getframe(1).f_globals.get("__name__", __name__)
     if is_new and not caller.startswith("problems."):  # every process loads it; one tells
         for note in notes:
             print(f"{name}: {note}", file=sys.stderr)
-    controls, values = control_names(compiled), reset(compiled).ctrl
+    controls, values = control_names(compiled), reset(compiled, at_key).ctrl
     fields: list[Any] = [(key, str, _choice(part)) for key, part in left_out.items()]
     for k, control in enumerate(controls):
         told = parameter(float(values[k]), "1", f"control of actuator {k}")
@@ -183,10 +214,19 @@ def from_mjcf(
             raise SpecError(f"{name} has no parameter {key!r}; {suggest(key, named)}.")
         named[key].name = key
         named[key].default = convert(name, named[key], value)
+    if keys:
+        meta = {"type": str, "doc": "keyframe at which it starts", "choices": tuple(keys)}
+        meta |= {"unit": "", "always": keyframe is not None}
+        fields.append(
+            ("keyframe", str, dataclasses.field(default=keys[at_key or 0], metadata=meta))
+        )
+    names = coordinate_names(compiled), velocity_names(compiled) if model.balls else ()
+    given = dataclasses.field(default=_given(start or {}, *names), kw_only=True, repr=False)
+    fields.append(("given", tuple, given))
     absent = {
         "kinematics": not model.balls,
         "move": not model.balls,
-        "constraint": not start.rows,
+        "constraint": not at_start.rows,
         "energy": model.dissipates,
     }
     made = dataclasses.make_dataclass(
@@ -196,20 +236,34 @@ def from_mjcf(
         frozen=True,
         namespace={
             "__doc__": f"A model of MuJoCo: {compiled.nbody - 1} bodies, {compiled.njnt} joints, "
-            f"{compiled.nactuator} actuators, {len(start.rows)} constraints."
+            f"{compiled.nactuator} actuators, {len(at_start.rows)} constraints."
             + "".join(f"\n\n{note}" for note in notes),
             "name": name,
             "model": model,
-            "at_start": start,
+            "at_start": at_start,
+            "at_keyframe": staticmethod(
+                cache(
+                    lambda key: from_mjcf(
+                        path,
+                        name=name,
+                        interval=interval,
+                        nominal_step=nominal_step,
+                        meshes=meshes,
+                        defaults=defaults,
+                        keyframe=key,
+                        start=start,
+                    )
+                )
+            ),
             "controls": controls,
             "lacking": left_out,
             "interval": interval,
             "nominal_step": 5 * compiled.opt.timestep if nominal_step is None else nominal_step,
-            "coordinates": coordinate_names(compiled),
-            "velocities": velocity_names(compiled) if model.balls else (),
-            "multipliers": tuple(model.rows[row] for row in start.rows),
-            "redundant": start.redundant,
-            "tags": ("multibody", *(["constrained", "index 3"] if start.rows else [])),
+            "coordinates": names[0],
+            "velocities": names[1],
+            "multipliers": tuple(model.rows[row] for row in at_start.rows),
+            "redundant": at_start.redundant,
+            "tags": ("multibody", *(["constrained", "index 3"] if at_start.rows else [])),
             "source": f"model of {path.name}",
             "source_text": digest,  # decides its fingerprint
             **{block: None for block, is_absent in absent.items() if is_absent},
@@ -224,6 +278,24 @@ def scene_name(path: Path) -> str:
     """Return the name of a scene that is made of a file: letters, digits and '_'."""
     word = re.sub(r"\W+", "_", path.stem, flags=re.ASCII).strip("_")
     return word if word[:1].isalpha() else f"model_{word}".rstrip("_")
+
+
+def _given(
+    start: Mapping[str, float | Sequence[float]], coordinates: Sequence[str], own: Sequence[str]
+) -> tuple[tuple[str, float], ...]:
+    """Values at the start by names of single coordinates and velocities."""
+    found: dict[str, float] = {}
+    for key, value in start.items():
+        joint, end = key.removesuffix(".v"), ".v" if key.endswith(".v") or key == "qvel" else ""
+        texts = (own or coordinates) if end else coordinates
+        names = [Component.read(text).name for text in texts]
+        if key not in ("qpos", "qvel"):
+            names = [n for n in names if n == joint or n.startswith(f"{joint} ")] or [joint]
+        values = np.atleast_1d(np.asarray(value, dtype=float))
+        if values.shape != (len(names),):
+            raise SpecError(f"start[{key!r}] has {values.size} values; give {len(names)}.")
+        found |= {f"{n}{end}": float(v) for n, v in zip(names, values, strict=True)}
+    return tuple(sorted(found.items()))
 
 
 def _digest(m: Any) -> str:

@@ -38,10 +38,11 @@ class Start(NamedTuple):
     redundant: int
 
 
-def checked_start(model: Model, digest: str) -> tuple[Start, bool]:
+def checked_start(model: Model, digest: str, keyframe: int | None) -> tuple[Start, bool]:
     """Return the start of a model whose numbers are those of MuJoCo, and whether it is new.
 
-    What was compared is kept, by the ``digest`` of the model, the versions and these sources.
+    What was compared is kept, by the ``digest`` of the model, the number of the keyframe, the
+    versions and these sources.
 
     Raises
     ------
@@ -50,29 +51,34 @@ def checked_start(model: Model, digest: str) -> tuple[Start, bool]:
         numbers.
     """
     sources = sorted(Path(__file__).parent.glob("*.py"))
-    parts = [digest, load_mujoco().__version__, *(file.read_text("utf-8") for file in sources)]
+    parts = [
+        digest,
+        str(keyframe),
+        load_mujoco().__version__,
+        *(file.read_text("utf-8") for file in sources),
+    ]
     place = CACHE / "models" / hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
     if (known := kept(place)) is not None:
         return Start(*json.loads(known)), False
-    start = _start(model)
+    start = _start(model, keyframe)
     compare(model, np.array(start.q))
     with suppress(OSError):
         keep(place, json.dumps(start).encode())
     return start, True
 
 
-def reset(m: Any) -> Any:
-    """Return MuJoCo's data of a model at its first keyframe, else at qpos0 at rest."""
+def reset(m: Any, keyframe: int | None) -> Any:
+    """Return MuJoCo's data of a model at a keyframe, else at qpos0 at rest."""
     mujoco = load_mujoco()
     data = mujoco.MjData(m)
-    if m.nkey:
-        mujoco.mj_resetDataKeyframe(m, data, 0)
+    if keyframe is not None:
+        mujoco.mj_resetDataKeyframe(m, data, keyframe)
     return data
 
 
-def _start(model: Model) -> Start:
+def _start(model: Model, keyframe: int | None) -> Start:
     """The start of the model, moved to the nearest place that satisfies its equalities."""
-    data, rng = reset(model.m), np.random.default_rng(1)
+    data, rng = reset(model.m, keyframe), np.random.default_rng(1)
     q, v, rows, redundant = data.qpos.copy(), data.qvel.copy(), np.arange(len(model.rows)), 0
     for at_q, _ in model.balls:
         q[at_q : at_q + 4] /= np.linalg.norm(q[at_q : at_q + 4])
@@ -155,7 +161,7 @@ def compare(model: Model, q: Float[np.ndarray, " nq"]) -> None:
         If one of them is another: the model has something that was not read.
     """
     m, mujoco, rng = without(model.m), load_mujoco(), np.random.default_rng(2)
-    stated = reset(m).ctrl.copy()
+    stated = reset(m, 0 if m.nkey else None).ctrl.copy()
 
     @partial(jax.jit, compiler_options=few_calls())
     def ours(q: Array, v: Array, control: Array) -> dict[str, Array]:
