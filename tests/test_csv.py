@@ -12,6 +12,7 @@ import pytest
 from planted import curves, everything, plant, planted
 
 from bench.results.csv_text import csv_export, csv_text
+from bench.results.published import Digits
 from reports.charts.errors import (
     acceleration_accuracy,
     convergence_chart,
@@ -47,6 +48,27 @@ def test_numbers_and_empty_cells_are_read_unchanged():
     frame = pd.read_csv(io.StringIO(csv_export([{"x": x, "y": "u"} for x in numbers])))
     assert list(frame["x"].drop(index=5)) == [x for x in numbers if x is not None]
     assert math.isnan(frame["x"][5])
+
+
+def test_the_export_has_published_digits_and_its_file_decides_the_form(
+    stepbench, refused, tmp_path
+):
+    run = planted("pendulum", "good", {"q": (1.0, 2)}, h=0.1)
+    run.published = [
+        Digits(quantity="q", t=1.0, published=[0.5, 2.0], computed=[0.5, 2.1], tolerance=1e-9)
+    ]
+    folder = plant(tmp_path / "store", [run])
+    for name in ("a.csv", "a.JSON"):
+        stepbench("export", folder, "-o", tmp_path / name)
+    (row,) = json.loads((tmp_path / "a.JSON").read_text())
+    assert row["published"][0]["computed"] == [0.5, 2.1]
+    frame = pd.read_csv(tmp_path / "a.csv")
+    assert json.loads(frame["published"][0]) == row["published"]
+    for value in frame.iloc[0]:  # no value of Python's
+        assert not isinstance(value, str) or not value.startswith(("{'", "[{'"))
+    assert "ends in .csv and --json was given" in refused(
+        "export", folder, "--json", "-o", tmp_path / "b.csv"
+    )
 
 
 def test_the_export_has_lists_and_names(stepbench, tmp_path):

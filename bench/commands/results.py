@@ -31,17 +31,22 @@ _NAMED, _LINES = 10, 40
 
 @click.command()
 @options.with_results
-@click.option("--csv", "form", flag_value="csv", default=True, help="Comma-separated (default).")
+@click.option("--csv", "form", flag_value="csv", help="Comma-separated (default).")
 @click.option("--json", "form", flag_value="json", help="A JSON array of flat rows.")
-@options.with_file("File; the screen if not given.")
-def export(folder: Path, form: str, out: Path | None) -> None:
+@options.with_file("File, whose ending .csv or .json decides; the screen if not given.")
+def export(folder: Path, form: str | None, out: Path | None) -> None:
     """Write all records as flat rows, for pandas.
 
     \b
     Examples:
-      stepbench export stepbench-results --csv -o records.csv
+      stepbench export stepbench-results -o records.csv
       stepbench export --json > records.json
     """
+    ending = out.suffix.lower().lstrip(".") if out else ""
+    if form and ending in ("csv", "json") and form != ending:
+        raise SpecError(f"{out} ends in .{ending} and --{form} was given; leave one of them out.")
+    if not form:
+        form = "json" if ending == "json" else "csv"
     with Store(folder) as store:
         machines = store.environments()
         rows = [flatten(record, machines) for record in store.records().values()]

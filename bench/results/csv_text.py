@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Mapping, Sequence
 
 #: A text that begins so is run as a formula by a spreadsheet.
@@ -35,7 +36,7 @@ def csv_export(rows: Sequence[Mapping[str, object]]) -> str:
     """Write rows as CSV for a spreadsheet: none of its texts is a formula.
 
     A text that would be one gets an apostrophe in front. Numbers stay as they are; those of a list
-    are a text with a space in between, "nan" where there is none.
+    are a text with a space in between, "nan" where there is none. Other values with parts are JSON.
     """
     columns = {name: str(_quoted(name)) for row in rows for name in row}
     quoted = [{columns[name]: _quoted(value) for name, value in row.items()} for row in rows]
@@ -43,6 +44,8 @@ def csv_export(rows: Sequence[Mapping[str, object]]) -> str:
 
 
 def _quoted(value: object) -> object:
-    if isinstance(value, list | tuple):
+    if isinstance(value, Mapping | list | tuple):
+        if isinstance(value, Mapping) or any(isinstance(part, Mapping | str) for part in value):
+            return json.dumps(value)
         return " ".join("nan" if number is None else f"{number:.9g}" for number in value)
     return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value
