@@ -173,7 +173,7 @@ def check_parameters(registry: Registry, scene: MechatronicSystem) -> str:
         acts = any(not np.array_equal(p, before) for _, p, before in pairs)
         if not acts and _unmoved(scene, other):
             raise Failed(f"The parameter {field.name} changes nothing; use it or remove it.")
-    return f"{', '.join(f.name for f in fields)} act when traced; nothing is compiled anew."
+    return f"Acting when traced: {', '.join(f.name for f in fields)}; nothing is compiled anew."
 
 
 def _with_another(scene: MechatronicSystem, field: dataclasses.Field) -> MechatronicSystem | None:

@@ -55,7 +55,8 @@ def check_facts(registry: Registry, method: Integrator) -> str:
 
 def check_scenes(registry: Registry, method: Integrator) -> str:
     """It takes at least one scene, and refuses others with a reason in one sentence."""
-    taken, refused = [], []
+    taken: list[str] = []
+    refused: dict[str, list[str]] = {}  # names by reason: many scenes have the same one
     for name, plugin in registry.problems.items():
         if plugin.cls is None:
             continue
@@ -66,10 +67,11 @@ def check_scenes(registry: Registry, method: Integrator) -> str:
         if reason is None:
             taken.append(name)
         else:
-            refused.append(f"refuses {name}: {reason}")
+            refused.setdefault(reason.rstrip("."), []).append(name)
+    told = [f"refuses {', '.join(names)}: {reason}" for reason, names in refused.items()]
     if not taken:
-        raise Failed("; ".join(["It takes no scene", *refused]))
-    return "; ".join([f"It takes {', '.join(taken)}", *refused]).rstrip(".") + "."
+        raise Failed("; ".join(["It takes no scene", *told]))
+    return "; ".join([f"It takes {', '.join(taken)}", *told]) + "."
 
 
 def check_options(registry: Registry, method: Integrator) -> str:

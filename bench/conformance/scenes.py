@@ -69,7 +69,7 @@ def check_description(registry: Registry, scene: MechatronicSystem) -> str:
             raise Failed(f"The parameter {item['name']} has no unit; give '1' for a pure number.")
         if not item["doc"].strip():
             raise Failed(f"The parameter {item['name']} has no description; say what it is.")
-    return f"Described, {scene.sizes.nq} coordinates, {len(parameters)} parameters with units."
+    return f"Described; coordinates: {scene.sizes.nq}, parameters with units: {len(parameters)}."
 
 
 def check_settings(registry: Registry, scene: MechatronicSystem) -> str:
