@@ -31,6 +31,7 @@ import platformdirs
 
 from problems.canary import wrong_functions
 from problems.other_programs import run_program
+from problems.usage import cores
 from problems.whole_files import keep, kept
 
 CACHE = Path(platformdirs.user_cache_dir("stepbench"))
@@ -61,6 +62,10 @@ _SETTINGS = {
     # Reloading a cached program on a sibling CPU warns at length about instruction sets.
     "TF_CPP_MIN_LOG_LEVEL": "3",
 }
+#: Variable of XLA: its number of threads, else one for each core. A program runs on them, whoever
+#: calls it. LAPACK's functions of many matrices (jaxlib 0.10.0 to 0.11.0) share their work out to
+#: them once more, and wait on one of them: when all wait, nobody works.
+_THREADS = "NPROC"
 #: Without optimisation, a program is compiled in a third of the time, and takes four times as long.
 _OPTIMISATION = "xla_backend_optimization_level"
 _single = ContextVar("single", default=False)
@@ -78,18 +83,30 @@ def configure() -> None:
     """Set the environment that JAX and linear algebra read at import; a user's settings win."""
     for name, value in _SETTINGS.items():
         os.environ.setdefault(name, value)
-    if "jax" in sys.modules:  # imported earlier, for example in a notebook
+    if "jax" in sys.modules:  # imported earlier, for example in a notebook: it may have threads
         sys.modules["jax"].config.update("jax_enable_x64", True)
+    else:
+        os.environ.setdefault(_THREADS, str(cores() + 1))
 
 
 def one_thread() -> None:
     """Run all programs of this process on one thread; a user's own setting wins.
 
-    It has to be called before JAX is used, by a process that measures times. JAX has a thread for
-    each processor, and shares the parts of a program out to them: for small parts this costs more
-    than it gains. Ensembles need the threads, as they call programs side by side.
+    It has to be called before JAX is used, by a process that measures times. JAX shares the parts
+    of a program out to its threads: for small parts this costs more than it gains. Ensembles need
+    the threads, as they call programs side by side.
     """
-    os.environ.setdefault("NPROC", "1")
+    if os.environ.get(_THREADS, "") in ("", str(cores() + 1)):  # nobody's, or `configure`'s
+        os.environ[_THREADS] = "1"
+
+
+def most_callers() -> int:
+    """Return how many threads may call programs at a time: one less than XLA has, at least one.
+
+    Each program that runs may block one of XLA's threads; a single thread never blocks itself.
+    """
+    given = os.environ.get(_THREADS, "")
+    return max(1, (int(given) if given.isdecimal() else cores()) - 1)
 
 
 def compile_sooner() -> None:

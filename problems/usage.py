@@ -40,6 +40,12 @@ class Usage(NamedTuple):
     ready: bool = False
 
 
+def cores() -> int:
+    """Return how many cores this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
 def computed_seconds() -> float:
     """Processor time in s of this process: of all of its threads, and of programs it waited for.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from collections import Counter
 from dataclasses import dataclass
 
@@ -215,6 +216,27 @@ def test_blocks_are_bounded_and_hold_runs_of_like_length():
     assert counts[0].min() >= counts[1].max() >= counts[1].min() >= counts[2].max()
     members = np.concatenate([block.members for block in blocks])
     assert sorted(members) == list(range(10))
+
+
+@pytest.mark.parametrize(("threads", "callers"), [("3", 2), ("1", 1)])
+def test_blocks_are_called_by_fewer_threads_than_xla_has(monkeypatch, threads, callers):
+    """Else all of these may wait for each other for ever (jaxlib 0.10)."""
+    scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
+    steps = np.geomspace(0.01, 0.1, 10)
+    runs = runs_with(scene, method, Steps(0.1), {find_quantity("h", scene, method): steps})
+    batch, now, most = Batch(runs, 1.35, lanes=4), [], []
+
+    def called(*given):
+        now.append(given)
+        most.append(len(now))
+        time.sleep(0.05)  # the others come meanwhile
+        return now.pop()
+
+    monkeypatch.setattr(batch, "_called", lambda *given: 0.0)
+    monkeypatch.setattr(batch, "_block", called)
+    monkeypatch.setenv("NPROC", threads)
+    assert len(list(batch.blocks(jobs=8))) == 3
+    assert max(most) <= callers
 
 
 def test_starts_of_many_are_those_of_each():

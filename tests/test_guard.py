@@ -227,6 +227,19 @@ def test_a_job_may_wait_for_what_another_process_makes_but_not_for_ever(monkeypa
     assert clock.run(meter, 200) is not None
 
 
+@pytest.mark.parametrize(
+    ("phase", "computed", "ends"),
+    [(RUNNING, 0.0, True), (PREPARING, 1e-5, True), (RUNNING, 2e-3, False), (WAITING, 0.0, False)],
+)
+def test_who_does_nothing_for_a_minute_ends_within_any_budget(monkeypatch, phase, computed, ends):
+    clock, meter = Clock(monkeypatch), Meter(Limits(budget_s=1e6, advice="a larger --budget"))
+    meter.begin(phase)
+    found = clock.run(meter, 650, computed_s=computed)
+    assert (found is not None) == ends
+    if found:
+        assert found.reason == "it did nothing for 60 s: it sleeps or waits"
+
+
 def test_who_takes_too_much_memory_is_not_told_to_take_larger_steps(monkeypatch):
     clock, within = Clock(monkeypatch), Limits(1.0, 1.0, advice="take larger steps")
     found = clock.run(running(within), 1, computed_s=9.0, memory=2**31)

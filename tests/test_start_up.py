@@ -22,6 +22,7 @@ from integrators import Steps, Tolerances
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_step import AlphaStep
 from problems.scenes.pendulum import Pendulum
+from problems.usage import cores
 
 
 def test_help_lists_and_plans_are_made_without_a_compiler():
@@ -47,21 +48,63 @@ def test_only_the_plugins_that_are_asked_for_are_imported():
     assert (done.stdout.strip(), done.stderr) == ("problems.scenes.pendulum", "")
 
 
-@pytest.mark.parametrize(("own", "after"), [("", "1"), ("3", "3")])
+@pytest.mark.parametrize(("own", "after"), [("", "1"), ("77", "77")])
 def test_only_a_process_that_takes_times_has_one_thread(own, after):
     # With one, runs that are called from several threads would wait for each other.
     code = (
-        "import os; from problems import runtime; print(os.environ.get('NPROC')); "
+        "import os; from problems import runtime; print(os.environ['NPROC']); "
         "runtime.one_thread(); print(os.environ['NPROC'])"
     )
-    others = {name: value for name, value in os.environ.items() if name != "NPROC"}
     done = subprocess.run(
         [sys.executable, "-c", code],
-        env=others | ({"NPROC": own} if own else {}),
+        env=without_threads() | ({"NPROC": own} if own else {}),
         capture_output=True,
         text=True,
     )
-    assert done.stdout.split() == [own or "None", after]
+    assert done.stdout.split() == [own or str(cores() + 1), after]
+
+
+@pytest.mark.parametrize(
+    ("before", "own", "callers"),
+    [("", "", cores()), ("import jax", "", max(1, cores() - 1)), ("", "3", 2), ("", "1", 1)],
+)
+def test_fewer_threads_call_programs_than_xla_has(before, own, callers):
+    code = f"{before}\nfrom problems import runtime; print(runtime.most_callers())"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=without_threads() | ({"NPROC": own} if own else {}),
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.split() == [str(callers)]
+
+
+@pytest.mark.long
+def test_programs_that_are_called_side_by_side_end():
+    """Factorisations of many matrices wait for XLA's threads on one of these (jaxlib 0.10)."""
+    code = """
+from concurrent.futures import ThreadPoolExecutor
+from problems.runtime import jax, jnp, most_callers
+
+def factors(a):
+    step = lambda k, a: jax.scipy.linalg.lu_factor(a + jnp.eye(80))[0] / 2
+    return jax.lax.fori_loop(0, 40, step, a)
+
+called = jax.jit(factors).lower(jnp.ones((64, 80, 80))).compile()
+with ThreadPoolExecutor(most_callers()) as pool:
+    ends = list(pool.map(called, [jnp.ones((64, 80, 80))] * 3 * most_callers()))
+print(len(ends))
+"""
+    given = without_threads() | {"NPROC": "3"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=given, capture_output=True, text=True, timeout=200
+    )
+    assert done.stdout == "6\n"
+
+
+def without_threads() -> dict[str, str]:
+    """The environment without a number of XLA's threads."""
+    return {name: value for name, value in os.environ.items() if name != "NPROC"}
 
 
 @pytest.mark.parametrize(

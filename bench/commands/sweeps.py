@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -259,17 +258,18 @@ def _run(
 ) -> tuple[ShardRun, Parts]:
     """Run the members that the folder lacks; return what is known of the run, and its parts."""
     from bench.commands.terminal import RunProgress
-    from bench.guard.limits import Limits, cores
+    from bench.guard.limits import Limits
     from bench.running.cluster import ClusterRunner
     from bench.running.runner import Runner
     from bench.sweeps.parts import KeptParts, TemporaryParts
     from bench.sweeps.shards import ShardRun
+    from problems.usage import cores
 
     workers = processes(jobs, request.count)
     threads = max(1, cores() // workers)
     # A shard watches its budget itself, and has half as much again to end by it.
     limits = Limits(1.5 * request.budget, processors=threads)
-    with _threads(threads), RunProgress() as progress:
+    with RunProgress() as progress:
         with Runner(workers, limits, progress) as here:
             run = ShardRun(here, request, sources, progress)
             about = run.about | {"sources": fingerprint}
@@ -334,16 +334,3 @@ def _print_json(run: ShardRun, results: EnsembleResults) -> None:
     for text in json_texts(results.parts()):
         click.echo(text, nl=False)
     click.echo("}")
-
-
-@contextmanager
-def _threads(count: int) -> Iterator[None]:
-    """Have processes that are started now give JAX so many threads; a user's setting wins."""
-    if "NPROC" in os.environ:
-        yield
-        return
-    os.environ["NPROC"] = str(count)
-    try:
-        yield
-    finally:
-        del os.environ["NPROC"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections import defaultdict
 from dataclasses import dataclass
@@ -22,6 +21,9 @@ LOADING_SECONDS, LEAST_SECONDS = 60.0, 120.0
 _MORE = 5
 #: A process may be idle for so many budgets of a run, or at least so long, in s.
 _IDLE, _LEAST_IDLE = 2, 10.0
+#: However large its budget is, it may do nothing for so long, in s; a s of computing makes up for
+#: `_REST` s. Threads that wait for each other do nothing for ever.
+_STILL, _REST = 60.0, 100.0
 #: A process may be halted by a signal, as its user or itself may send, so many idle times.
 _STOPPED = 3
 #: A job is given up as interrupted when it lasts so many times its budget, and so many s more,
@@ -74,12 +76,6 @@ class Limits:
         return max(_LEAST_IDLE, _IDLE * self.budget_s)
 
 
-def cores() -> int:
-    """Return how many cores this process may use."""
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity else os.cpu_count() or 1
-
-
 class Excess(NamedTuple):
     """A limit that was passed: the status of the job, and the reason with advice as clauses."""
 
@@ -93,10 +89,12 @@ def _over_budget(reason: str, advice: str) -> Excess:
 
 @dataclass
 class _Used:
-    """Processor time, idle time, time halted by a signal, and duration of a phase so far."""
+    """Processor time, idle time in all and of late, time halted by a signal, and duration of a
+    phase so far."""
 
     computed_s: float = 0.0
     idle_s: float = 0.0
+    still_s: float = 0.0
     stopped_s: float = 0.0
     lasted_s: float = 0.0
 
@@ -135,12 +133,15 @@ class Meter:
         if use is None:
             return None
         passed, used = min(now - self._looked, LONGEST_LOOK), self._used[self.phase]
-        used.computed_s += max(0.0, use.computed_s - self._last.computed_s)
+        computed = max(0.0, use.computed_s - self._last.computed_s)
+        used.computed_s += computed
         used.lasted_s += passed
         if use.stopped:
             used.stopped_s += passed
         else:
-            used.idle_s += idle_seconds(self._last, use, passed)
+            idle = idle_seconds(self._last, use, passed)
+            used.idle_s += idle
+            used.still_s = max(0.0, used.still_s + idle - _REST * computed)
         self._looked, self._last = now, use
         return use
 
@@ -166,6 +167,8 @@ class Meter:
         idle = LEAST_SECONDS if self.phase == WAITING else self._limits.idle_seconds
         if used.idle_s > idle:
             return _over_budget(f"it did nothing for {idle:g} s: it sleeps or waits", advice)
+        if used.still_s > _STILL and self.phase != WAITING:
+            return Excess("budget_exceeded", f"it did nothing for {_STILL:g} s: it sleeps or waits")
         stopped = _STOPPED * idle
         if used.stopped_s > stopped:
             return Excess("interrupted", f"a signal had halted it for {stopped:g} s")

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from bench.guard.limits import cores
 from bench.sweeps.batched_steps import BatchRun, distinct, times_of
 from integrators.answers import refusal
 from integrators.contract import Integrator
@@ -29,7 +28,7 @@ from integrators.native.step_records import Reading
 from problems.formulations import complete
 from problems.initial_values import consistent_starts
 from problems.layouts import row_layout
-from problems.runtime import Float, Int, jax
+from problems.runtime import Float, Int, jax, most_callers
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 from problems.variables import Sizes
@@ -184,7 +183,7 @@ class Batch:
         Parameters
         ----------
         jobs
-            Threads; one per processor if not given.
+            Most threads that call the program; there are never more than `most_callers`.
         budget
             Seconds after which no further blocks are given, but the first one always is; compiling
             is not counted.
@@ -195,7 +194,8 @@ class Batch:
         jax.block_until_ready(self._called(nobody, nobody == 0))
         begun()
         self.compiled_at = time.perf_counter()
-        order, jobs = self._times.longest_first(), jobs or cores()
+        order = self._times.longest_first()
+        jobs = min(jobs or most_callers(), most_callers())
         parts = (order[k : k + self._lanes] for k in range(0, len(order), self._lanes))
         pool = ThreadPoolExecutor(jobs)
         try:

@@ -16,9 +16,10 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.guard.limits import Limits, cores
+from bench.guard.limits import Limits
 from bench.guard.process import GuardedProcess, NoAnswer
 from problems.plain_text import clean
+from problems.usage import cores
 from reports.charts.vega_lite import Spec, chart_json
 
 if TYPE_CHECKING:
