@@ -30,12 +30,13 @@ FAR = 0.1
 
 class Start(NamedTuple):
     """A consistent start: q ``(nq,)``, v ``(nv,)``, numbers of the equations that say something,
-    and how many of these depend on the others."""
+    how many of these depend on the others, and `Model.in_bodies`."""
 
     q: list[float]
     v: list[float]
     rows: list[int]
     redundant: int
+    in_bodies: bool
 
 
 def checked_start(model: Model, digest: str, keyframe: int | None) -> tuple[Start, bool]:
@@ -59,8 +60,14 @@ def checked_start(model: Model, digest: str, keyframe: int | None) -> tuple[Star
     ]
     place = CACHE / "models" / hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
     if (known := kept(place)) is not None:
-        return Start(*json.loads(known)), False
+        start = Start(*json.loads(known))
+        model.in_bodies = start.in_bodies
+        return start, False
     start = _start(model, keyframe)
+    if start.redundant:
+        model.in_bodies = True
+        start = min(start, _start(model, keyframe), key=lambda start: start.redundant)
+        model.in_bodies = start.in_bodies
     compare(model, np.array(start.q))
     with suppress(OSError):
         keep(place, json.dumps(start).encode())
@@ -122,7 +129,7 @@ def _start(model: Model, keyframe: int | None) -> Start:
             by = np.asarray(jacobian(q))[rows]
         v = v - np.linalg.lstsq(by, by @ v, rcond=1e-10)[0]
         redundant = len(rows) - int(np.linalg.matrix_rank(by, tol=1e-9))
-    return Start(q.tolist(), v.tolist(), rows.tolist(), redundant)
+    return Start(q.tolist(), v.tolist(), rows.tolist(), redundant, model.in_bodies)
 
 
 def _independent(jacobians: list[Any]) -> np.ndarray:

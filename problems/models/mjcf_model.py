@@ -24,6 +24,8 @@ class Model:
         self.tree, self.balls, self._link_of, self.named = branches(m)
         immersed = is_immersed(m) and ellipsoid(m) is None
         self._fluid = Fluid(m, self.tree, self._link_of) if immersed else None
+        #: Whether gaps of equalities are in the axes of second bodies.
+        self.in_bodies = False
 
     @property
     def dissipates(self) -> bool:
@@ -158,7 +160,8 @@ class Model:
         """Return the residuals of all equalities, in m and rad.
 
         Gaps are in the axes of the nearest link that carries both bodies, where those of a plane
-        loop stay in a plane; or in space, as MuJoCo's ``efc_pos``.
+        loop stay in a plane; `in_bodies`: in those of the second one, where those of two ties that
+        are a hinge stay so; or in space, as MuJoCo's ``efc_pos``.
         """
         m, types = self.m, numbers("mjtEq")
         at = self.tree.poses(q)
@@ -198,8 +201,10 @@ class Model:
         return self._link_of[int(m.site_bodyid[k]) if site else k]
 
     def _carrier(self, equality: int) -> int:
-        """The nearest link that moves and carries both bodies of an equality, or -1."""
+        """The link that moves and in whose axes the gap of an equality is, or -1."""
         lines = [self.tree.line(self._link(equality, second)) for second in (0, 1)]
+        if self.in_bodies:
+            lines = [next((line for line in lines[::-1] if line), [])] * 2
         both = sorted({*lines[0]} & {*lines[1]})
         return both[-1] if any(self.tree.kind[link] != "fixed" for link in both) else -1
 
