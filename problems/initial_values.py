@@ -146,17 +146,18 @@ def rests(scene: MechatronicSystem, t: Float[np.ndarray, " k"]) -> bool:
     t
         Times in s, the first that of the start.
     """
-    q, v, x = scene.start()
+    start: Any = scene.start()
+    q, v, x = start
     if scene.is_hybrid or not np.abs(v).max(initial=0.0) * np.ptp(t) <= STILL:
         return False
 
-    def rates(q: np.ndarray, v: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def rates(q: Any, v: Any, t: Any) -> tuple[np.ndarray, np.ndarray]:
         rows = np.broadcast_to(x, (len(t), len(x)))
         z, xdot = compiled(scene).complete(scene.parameters(), q, v, rows, t)
         return np.asarray(z.a), np.asarray(xdot)
 
     moved = np.concatenate([q, v]) + np.eye(1 + len(q) + len(v), len(q) + len(v), -1)
-    a, xdot = rates(*np.split(moved, [len(q)], axis=1), np.full(len(moved), t[0]))
+    a, xdot = rates(moved[:, : len(q)], moved[:, len(q) :], np.full(len(moved), t[0]))
     changes = np.linalg.norm(a[1:] - a[0], axis=1)
     size = changes[np.isfinite(changes)].max(initial=0.0)
 
@@ -167,7 +168,8 @@ def rests(scene: MechatronicSystem, t: Float[np.ndarray, " k"]) -> bool:
 
     if not still(a[:1], xdot[:1]):
         return False
-    return still(*rates(*(np.broadcast_to(part, (len(t), len(part))) for part in (q, v)), t))
+    q, v = (np.broadcast_to(part, (len(t), len(part))) for part in (q, v))
+    return still(*rates(q, v, t))
 
 
 # ---- many scenes of one kind ------------------------------------------------------------

@@ -145,7 +145,7 @@ def build(cls: type[_T], options: Mapping[str, object], name: str) -> _T:
         If an option is unknown (the message names the nearest one), a value is not allowed, or the
         class raises any exception.
     """
-    cls = cls.variant(options) if hasattr(cls, "variant") else cls
+    cls = getattr(cls, "variant", lambda options: cls)(options)
     fields, values, start = options_of(cls), {}, dict(getattr(cls, "given", ()))
     for key, value in options.items():
         if key.startswith(START) and hasattr(cls, "given"):

@@ -415,4 +415,5 @@ class MechatronicSystem:
             )
         numbers = spec.numbers_of(type(self))
         defaults: dict[str, Any] = {name: field.default for name, field in numbers.items()}
-        return self.with_parameters(defaults | {"given": ()})
+        defaults["given"] = ()
+        return self.with_parameters(defaults)

@@ -58,10 +58,11 @@ def started(scene: Any, state: State, given: Mapping[str, float]) -> State:
         if [names[0][j][-2:] for j in four] == ["p0", "p1", "p2", "p3"]:
             q[four] /= np.linalg.norm(q[four]) or 1.0
             fixed[0].extend(four if scene.has("kinematics") else ())  # no constraint holds the norm
-    free = [
-        np.setdiff1d(np.arange(len(part)), own) for part, own in zip(values, fixed, strict=True)
-    ]
-    found = completed(scene, q, v, *free)._replace(x=state.x)
+    free_q, free_v = (
+        [k for k in range(len(part)) if k not in own]
+        for part, own in zip(values, fixed, strict=True)
+    )
+    found = completed(scene, q, v, free_q, free_v)._replace(x=state.x)
     sizes = (max(1.0, np.abs(part).max()) for part in found[:2])
     off = [part / size for part, size in zip(violation(scene, found), sizes, strict=True)]
     if not all(part <= _VIOLATED for part in off):
