@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -15,6 +15,8 @@ from bench.results.quantities import NORMS, RANKED_COSTS, VIOLATIONS
 from bench.running.errors import ROUNDING, constraint_errors, constraint_sizes, relative_errors
 from bench.running.measure import constraint_unit
 from integrators.contract import Trajectory, Work
+from problems import MechatronicSystem, State, jnp
+from problems.reference import Reference
 from problems.scenes.oscillator import Oscillator
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven
@@ -83,6 +85,40 @@ def test_turns_of_a_crank_do_not_make_its_length_count_less():
     assert many.largest["q"][0].max() > 50  # rad
     sizes = [constraint_sizes(known) for known in (one, many)]
     np.testing.assert_allclose(sizes[0], sizes[1], rtol=2e-2)
+
+
+@dataclass(frozen=True)
+class _Rail(MechatronicSystem):
+    """A mass that goes along a rail at 2 m/s, and across it by rounding."""
+
+    interval = (0.0, 1.0)
+
+    def mass(self, q):
+        return jnp.eye(2)
+
+    def force(self, q, v, t):
+        return jnp.zeros(2)
+
+    def kinematics(self, q, v):
+        return v
+
+    def constraint(self, q, t):
+        return 3.0 * q[1:]
+
+    def initial_state(self):
+        return State(q=np.zeros(2), v=np.array([2.0, 0.0]))
+
+    def exact(self, t):
+        still, v = 0 * t, np.stack([2.0 + 0 * t, 1e-17 * np.cos(t)], axis=1)
+        rows = {"q": np.stack([2 * t, still], axis=1), "v": v, "a": 0 * v}
+        return rows | {"lam": still[:, None]}
+
+
+def test_a_row_across_the_motion_has_the_size_of_the_motion():
+    known = Reference(_Rail(), 1.0)
+    sizes = constraint_sizes(known)
+    assert sizes[0] == pytest.approx([3 * 2.0], rel=1e-9)  # the way of 2 m
+    assert sizes[1] == pytest.approx([3 * 2.0], rel=1e-9)
 
 
 def test_exact_values_are_at_the_floor_in_every_norm():

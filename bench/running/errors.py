@@ -284,7 +284,9 @@ def constraint_sizes(reference: Reference) -> tuple[Float[np.ndarray, " nl"], ..
     if scene.has("kinematics"):  # ways along the velocities
         from scipy.integrate import cumulative_trapezoid  # slow to import
 
-        of_q = np.abs(cumulative_trapezoid(reference(t)["v"], t, axis=0)).max(axis=0)
+        ways = cumulative_trapezoid(reference(t)["v"], t, axis=0)
+        of_q, way = np.abs(ways).max(axis=0), np.linalg.norm(ways, axis=1).max()
+        of_q = np.where(of_q >= _SMALL_PART * way, of_q, way)  # as `scales` has it
         turns = [component.unit == "rad/s" for component in scene.components("v")]
     of_q = np.where(turns, np.minimum(of_q, 1.0), of_q)
     largest = [np.einsum("kji,j->ki", columns, s).max(axis=0) for s in (of_q, of_v)]
