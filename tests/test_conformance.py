@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from helpers import long
 
+from bench.conformance import orders
 from bench.conformance.checker import CHECKS, Checker, examine
-from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED
+from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, Failed
 from bench.guard import limits
 from bench.plugins.registry import Registry
 from bench.running.inventory import Inventory
@@ -245,3 +246,17 @@ def test_a_file_that_cannot_be_loaded_fails_with_its_reason(stepbench, tmp_path)
 )
 def test_a_name_that_is_not_known_is_one_sentence(refused, arguments, words):
     assert words in refused("check", *arguments)
+
+
+@pytest.mark.parametrize(("count", "rest"), [(2, ""), (40, "; and 37 more like these")])
+def test_a_sentence_on_false_orders_is_whole(count, rest, monkeypatch):
+    claim = "claims order 2 in lam on double_pendulum_controlled, is 1.05 (h = 0.1 to 0.01 s)"
+
+    def fails(*_):
+        raise Failed(orders._failure([claim] * count))
+
+    monkeypatch.setitem(CHECKS["integrators"], "order", fails)
+    found = examine(Registry(), "integrators", "newmark", "order")
+    assert found.text.endswith(f"0.01 s){rest}; correct `orders` or the method.")
+    assert claim in found.text
+    assert "…" not in found.text

@@ -104,7 +104,20 @@ def test_a_flag_of_a_call_that_fails_ends_the_run(method, monkeypatch):
     monkeypatch.setattr(solver, "_go_on", lambda self, task: -99)
     ended = run.measure()
     assert ended.status == "crashed"
-    assert f"{method.__name__} returned the flag -99" in ended.message
+    assert (
+        f"{method.__name__} gave up, and SUNDIALS does not tell why; use another" in ended.message
+    )
+    assert "99" not in ended.message
+
+
+@every_method
+@pytest.mark.parametrize("callbacks", ["compiled", "python"])
+def test_an_interval_of_one_rounding_is_refused_by_a_sentence(method, callbacks):
+    start, _ = Pendulum().interval
+    ended = prepared(method, Pendulum(), np.spacing(start), callbacks=callbacks).measure()
+    assert ended.status == "step_too_small"
+    assert "the rest of the interval is as short as the rounding of the time" in ended.message
+    assert ended.message.endswith("or events and samples farther apart.")
 
 
 @every_method

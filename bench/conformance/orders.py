@@ -39,6 +39,9 @@ _FEWEST_RTOLS = 3
 #: that of a first-order method falls just so, but for a few percent.
 _FALL, _ALMOST = 0.5, 0.9
 
+#: So many false claims are told one by one.
+_SHOWN = 3
+
 #: Steps with their errors, coarse to fine.
 Levels = list[tuple[float, float]]
 
@@ -52,7 +55,7 @@ def check_order(trials: list[Trial]) -> str:
     Raises
     ------
     Failed
-        With every group and scene whose order is smaller, and every claim that is too modest.
+        With groups and scenes whose order is smaller, and claims that are too modest.
     DoesNotApply
         If nothing is claimed, or steps cannot be constant.
     """
@@ -90,10 +93,17 @@ def check_order(trials: list[Trial]) -> str:
         if least > claimed + _allowed(claimed) + _MODEST:
             faults.append(f"claims only order {claimed} in {group}, is {least:.2f} ({name})")
     if faults:
-        raise Failed(f"It {'; '.join(faults)}; correct `orders` or the method.")
+        raise Failed(_failure(faults))
     if not found:
         raise DoesNotApply("No order is claimed, or errors are round-off; see `orders`.")
     return f"Measured as claimed, at least: order {'; '.join(found)}."
+
+
+def _failure(faults: list[str]) -> str:
+    """The sentence on false claims, of which the first ones stand for all: long ones are cut."""
+    shown, more = faults[:_SHOWN], len(faults) - _SHOWN
+    rest = [f"and {more} more like these"] if more > 0 else []
+    return f"It {'; '.join([*shown, *rest])}; correct `orders` or the method."
 
 
 def _words(claims: dict[str, int]) -> str:

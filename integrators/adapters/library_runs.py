@@ -35,13 +35,13 @@ class EarlyEnd(Exception):
     ----------
     status
         One of `integrators.contract.STATUSES`.
-    reason
-        A clause for the run's message.
+    reason, remedy
+        Clauses for the run's message; without a remedy the method's advice is given.
     """
 
-    def __init__(self, status: str, reason: str) -> None:
+    def __init__(self, status: str, reason: str, remedy: str = "") -> None:
         super().__init__(reason)
-        self.status, self.reason = status, reason
+        self.status, self.reason, self.remedy = status, reason, remedy
 
 
 def callbacks_option() -> Any:
@@ -349,7 +349,7 @@ class LibraryRun(PreparedRun):
         cause, reason = end.status, end.reason
         if self._collapsed(end.status, work):
             cause, reason = "step_too_small", f"the step has collapsed to {h:.2g} s, and {reason}"
-        remedy = self._method.advice(given.scene, cause)
+        remedy = end.remedy or self._method.advice(given.scene, cause)
         message = early_end_message(t[-1], self._t_end, reason, remedy)
         return replace(trajectory, status=end.status, message=message)
 

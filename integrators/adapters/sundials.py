@@ -73,7 +73,12 @@ _SIGNATURES |= {
 }
 
 
-#: Status and reason of the flags of IDA and CVODE; any other negative flag is a crash.
+_TOO_CLOSE = (
+    "step_too_small",
+    "the rest of the interval is as short as the rounding of the time",
+    "choose another end of the interval, or events and samples farther apart",
+)
+#: Status, reason and perhaps remedy of the flags of IDA and CVODE; others that are negative crash.
 _ENDINGS = {
     -1: ("budget_exceeded", "SUNDIALS' own limit of steps was reached"),
     -2: ("step_too_small", "the tolerances ask for more than round-off allows"),
@@ -83,13 +88,19 @@ _ENDINGS = {
     -6: ("newton_failed", "the Jacobian could not be factorised"),
     -7: ("newton_failed", "the linear solver failed"),
     -8: ("diverged", "the equations could not be evaluated"),
+    -27: _TOO_CLOSE,  # of CVODE
+    -60: _TOO_CLOSE,  # of IDA
 }
 
 
 def check_step(solver: str, flag: int) -> None:
     """End the run if a step of IDA or CVODE failed."""
     if flag < 0:
-        unknown = "crashed", f"{solver} returned the flag {flag}"
+        unknown = (
+            "crashed",
+            f"{solver} gave up, and SUNDIALS does not tell why",
+            "use another rtol or another method",
+        )
         raise EarlyEnd(*_ENDINGS.get(flag, unknown))
 
 

@@ -309,13 +309,13 @@ def _address(function: Any) -> int:
 def _look(name: str, flag: int) -> None:
     """End the run if a function of SUNDIALS failed."""
     if flag < 0:
-        raise EarlyEnd("crashed", f"{name} of SUNDIALS returned the flag {flag}")
+        raise EarlyEnd("crashed", f"{name} of SUNDIALS failed", "use callbacks=python")
 
 
 def _made(name: str, address: int | None) -> int:
     """Return the address of a thing that SUNDIALS made; the run ends if there is none."""
     if not address:
-        raise EarlyEnd("crashed", f"{name} of SUNDIALS made nothing")
+        raise EarlyEnd("crashed", f"{name} of SUNDIALS made nothing", "use callbacks=python")
     return address
 
 
