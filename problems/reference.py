@@ -148,14 +148,19 @@ class Reference:
 
     @property
     def missing(self) -> str:
-        """Reason why the scene has no reference; empty if it has one."""
+        """Reason why no run can be judged by the reference; empty if runs can."""
+        return self._too_large or self.resting
+
+    @property
+    def _too_large(self) -> str:
+        """The sentence on a scene for which none is computed, or nothing."""
         scene, unknowns = self.scene, self.scene.sizes.nq + self.scene.sizes.nl
-        if not scene.has_closed_form and unknowns > _MOST_UNKNOWNS:
-            return (
-                f"No reference is made of {scene.spec}: it has {unknowns} unknowns, more than "
-                f"{_MOST_UNKNOWNS}."
-            )
-        return self.resting
+        if scene.has_closed_form or unknowns <= _MOST_UNKNOWNS:
+            return ""
+        return (
+            f"No reference is made of {scene.spec}: it has {unknowns} unknowns, more than "
+            f"{_MOST_UNKNOWNS}."
+        )
 
     @cached_property
     def resting(self) -> str:
@@ -270,8 +275,8 @@ class Reference:
         return values | {"xd": phases.parameters[phase][:, places]}
 
     def _integrate(self, which: int) -> _Phases:
-        if self.missing:
-            raise ReferenceFailed(self.missing)
+        if self._too_large:
+            raise ReferenceFailed(self._too_large)
         phases: list[MechatronicSystem] = []
         motions: list[Motion] = []
         events: list[tuple[float, int]] = []

@@ -174,6 +174,11 @@ def test_a_scene_rests_where_roundings_alone_move_it(moves, values):
     assert bool(missing) is not moves
 
 
+def test_a_scene_at_rest_is_checked_and_drawn_though_it_judges_no_run():
+    scene = Poised()
+    assert Reference(scene, 1.0)(np.array([0.0, 1.0]))["q"].tolist() == [[0.0], [0.0]]
+
+
 @pytest.mark.parametrize("off", ["0", "1e-12"])
 def test_a_run_at_rest_has_no_errors_and_asks_for_a_start(tmp_path, off):
     pytest.importorskip("mujoco")
