@@ -12,6 +12,7 @@ from model_details import FILES, URDF, joint, link, mesh, urdf
 from model_files import LOOPS, four_bar, hinge, mjcf
 from model_files import body as rod
 
+from bench.conformance.checker import is_file
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
 from integrators.adapters.ida import IDA
@@ -237,6 +238,12 @@ def test_a_remark_of_mujoco_is_one_sentence_said_once(tmp_path, capfd, monkeypat
     assert sorted(file.name for file in tmp_path.iterdir()) == [path.name]  # no log of MuJoCo
 
 
+def test_a_file_of_a_model_is_checked_as_one():
+    assert is_file("my robot.xml")
+    assert is_file("arm.urdf")
+    assert not is_file("pendulum[th0=3.0]")
+
+
 @pytest.mark.long
 @pytest.mark.usefixtures("without_processes")
 def test_what_is_left_out_can_be_set_once(stepbench, tmp_path):
@@ -250,9 +257,11 @@ def test_what_is_left_out_can_be_set_once(stepbench, tmp_path):
     assert wrong.exit_code
     assert "contacts=gone is not allowed; known: left_out, refused" in wrong.output
     assert stepbench("list", "--set=contacts=gone").exit_code
-    mine = tmp_path / "mine.py"
+    mine = tmp_path / "my own" / "mine.py"
+    mine.parent.mkdir()
     done = stepbench("new", "problem", "mine", "--from", floor, *gone, "--out", mine)
     assert done.exit_code == 0, done.output
+    assert f"stepbench check '{mine}'" in " ".join(done.output.split())
     assert Registry([mine]).problem("mine").spec == "mine"
     with pytest.raises(SpecError, match=r"has no parameter 'contact'; did you mean 'contacts'"):
         from_mjcf(floor, defaults={"contact": "left_out"})

@@ -6,6 +6,7 @@ import importlib.util
 import json
 import keyword
 import re
+import shlex
 import sys
 from importlib import resources
 from pathlib import Path
@@ -168,8 +169,9 @@ def new(
     except FileExistsError:
         raise SpecError(f"{path} is there already; give another name or --out.") from None
     run = f"pendulum {name}" if kind == "integrator" else f"{name} newmark"
-    trial = f"stepbench solve {run} --plugins {path}"
-    click.echo(f"{path} is written. Next:\n  {trial}\n  stepbench check {path}")
+    file = shlex.quote(str(path))
+    trial = f"stepbench solve {run} --plugins {file}"
+    click.echo(f"{path} is written. Next:\n  {trial}\n  stepbench check {file}")
 
 
 def _number(key: str, text: str) -> float:

@@ -26,7 +26,7 @@ from bench.conformance.verdicts import (
 from bench.guard.limits import Limits
 from bench.guard.process import GuardedProcess, NoAnswer
 from bench.plugins.facts import PluginFacts, Sources
-from bench.plugins.registry import Registry
+from bench.plugins.registry import SUFFIXES, Registry
 from bench.running.inventory import Inventory, load_registry
 from problems import spec
 from problems.plain_text import said
@@ -82,7 +82,7 @@ def chosen(registry: Inventory, names: tuple[str, ...], everything: bool) -> lis
 
 def is_file(text: str) -> bool:
     """Whether a text is the path of a file or folder, not a name."""
-    return text.endswith(".py") or os.sep in text
+    return text.endswith((".py", *SUFFIXES)) or os.sep in text
 
 
 class Checker:
