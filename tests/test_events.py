@@ -132,10 +132,15 @@ def test_a_library_that_takes_other_steps_to_another_end_misses_no_event(method)
     assert found.q.min() > -1e-12
 
 
-def test_an_event_where_its_function_jumps_lies_before_the_jump():
-    at = crossing(lambda t: 1e-5 + 1.0 - t if t < 1.0 else 1.0 - 1e-5 - t, 0.0, 2.0)
+@pytest.mark.parametrize("until", [1.5, 1.7, 2.0, 3.0])
+def test_an_event_where_its_function_jumps_lies_before_the_jump(until):
+    def value(t):
+        return 1.0 - t + (2e-5 if t < 1.0 else -1e-5)
+
+    at = crossing(value, 0.0, until)
     assert at is not None
-    assert 1.0 - 1e-14 < at < 1.0
+    assert at > 1.0 - 1e-14
+    assert value(at) > 0
 
 
 def test_an_event_without_time_left_for_its_step_is_one_of_those_that_do_not_end():

@@ -13,6 +13,7 @@ from bench.running import measure
 from bench.running.errors import finite, relative_errors
 from bench.running.worker import Worker
 from integrators import answers
+from integrators.advice import advice
 from integrators.contract import Integrator, Trajectory
 from integrators.native.lone_steps import LoneStep
 from integrators.native.step_method import NativeMethod
@@ -116,8 +117,8 @@ def stepping(method: Integrator, scene: MechatronicSystem) -> NativeMethod:
     if native is None:
         lacks = "it chooses its own steps" if constant is None else "a library holds its time loop"
         raise SpecError(
-            f"{method.spec} has no step of constant size that can be called alone: {lacks}; take a "
-            f"native method such as linearly_implicit_euler or generalized_alpha."
+            f"{method.spec} has no step of constant size that can be called alone: "
+            f"{lacks}{advice(scene, 'linearly_implicit_euler', 'generalized_alpha', 'ali3p')}."
         )
     return native
 

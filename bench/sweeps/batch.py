@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from bench.sweeps.batched_steps import BatchRun, distinct, times_of
+from integrators.advice import advice
 from integrators.answers import refusal
 from integrators.contract import Integrator
 from integrators.native.endings import Ending
@@ -82,11 +83,10 @@ def refuse(method: Integrator, scene: MechatronicSystem) -> None:
         )
     if method.step_method(scene) is None:
         constant = method.at_constant_steps()
-        able = constant.spec if constant and constant.step_method(scene) else ""
+        able = f"; take {constant.spec}" if constant and constant.step_method(scene) else ""
         raise SpecError(
             f"{method.spec} cannot run many members in one program: its steps are not JAX "
-            f"functions of a state; take "
-            f"{able or 'a StepMethod such as generalized_alpha'}."
+            f"functions of a state{able or advice(scene, 'generalized_alpha', 'ali3p')}."
         )
 
 

@@ -98,8 +98,8 @@ _OUTCOMES = {
     Ending.SINGULAR: (
         "newton_failed",
         "The tangent is singular at t={t:.6g} s: constraints depend on each other (redundant, or "
-        "at a singular position); use ali3p[values=own], or drop dependent constraints from the "
-        "scene.",
+        "at a singular position); use ali3p[values=own] if it takes the scene, or drop dependent "
+        "constraints from the scene.",
     ),
     Ending.REFUSED: (
         "newton_failed",

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from integrators.advice import advice
 from integrators.contract import Gradient, Integrator, PreparedRun, Trajectory, Wanted
 from integrators.native import small_matrices
 from integrators.native.constant_steps import Clock, grid
@@ -158,8 +159,8 @@ def phased_gradient(
         raise SpecError(f"{scene.spec}: no derivative by sample_time, which moves the samples.")
     if method.passes_impacts and scene.has("gaps"):
         raise SpecError(
-            f"{method.spec} steps over impacts, through which no derivative is taken; name a "
-            f"method that ends a step there, such as generalized_alpha."
+            f"{method.spec} steps over impacts, through which no derivative is "
+            f"taken{advice(scene, 'generalized_alpha', 'ali3p')}."
         )
     run = _ObservedRun(method.prepare, scene, t_end, resolution)
     if run.measure().status != "ok":
