@@ -196,6 +196,27 @@ def test_the_engine_steps_as_the_file_says(tmp_path):
     assert ends[0] == ends[1] != ends[2]
 
 
+@pytest.mark.long
+def test_the_engine_takes_ties_of_which_one_is_redundant(tmp_path):
+    text = FILES["parallelogram"].text
+    for other, anchor in (("arm", ".5 0 0"), ("mid", ".25 0 0")):
+        # From the cranks to the bar: which equation follows changes along the motion.
+        text = text.replace(
+            f'body1="bar" body2="{other}" anchor="{anchor}"',
+            f'body1="{other}" body2="bar" anchor="0 0 .3"',
+        )
+    (tmp_path / "cranks.xml").write_text(text)
+    scene = from_mjcf(tmp_path / "cranks.xml")()
+    assert (scene.sizes.nl, scene.redundant) == (4, 1)
+    method = Registry().integrator("mujoco")
+    assert method.why_not(scene) is None
+    run = method.prepare(scene, 0.1, Steps(1e-3)).measure()
+    assert run.status == "ok"
+    # The cranks turn alike, and the bar keeps its direction.
+    assert np.abs(run.q @ [[1, 1], [1, 0], [0, -1], [0, 0]]).max() < 1e-3
+    assert np.abs(run.q[-1, 0]) > 0.01
+
+
 # ---- meshes, remarks and names
 def test_a_mesh_that_is_there_is_read(tmp_path):
     file = "package://robot/meshes/arm.stl"

@@ -47,6 +47,7 @@ class Mujoco(Engine):
     formulation = "joint_coordinates"
     drift = "soft"
     takes = ("kinematics",)
+    takes_redundant = True  # its ties are soft
     source: ClassVar[str] = "Todorov, Erez & Tassa (2012), MuJoCo, doi:10.1109/IROS.2012.6386109"
 
     integrator: str = option(
