@@ -30,6 +30,11 @@ _ROUND_OFF = 2e-16
 _MOST_UPDATES, _CONTRACTION = 20, 0.4
 #: Where half the step is no better, and the error is below this, rounding is all that is left.
 _ROUNDING = 1e-11
+#: Part of the terms of a rate, times the step, that is nothing: rates are sums of rounded terms, of
+#: which little may be left. In units of the tolerance.
+_ROUNDED = 0.1
+#: Relative change of a state and of parameters that shows of what size the terms of rates are.
+_CHANGE = 1e-6
 #: So many steps after one that was too long, steps grow fast again.
 _CALM = 8
 #: A component below this part of its group's size is measured by the group.
@@ -186,6 +191,24 @@ class _Stages:
         return ((found[:n] - found[n]) / (eps * size)[:, None]).T
 
 
+def terms(
+    rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+    p: Float[np.ndarray, " p"],
+    t: float,
+    s: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """Estimate the sizes of the terms whose sums are rates(p, t, s), for `integrate`.
+
+    Terms that balance do so no more where each number that they come from, a parameter of p or an
+    entry of s, changes by a part of its own.
+    """
+    random, times = np.random.default_rng(0), np.full(STAGES, t)
+    by_p, by_s = (_CHANGE * random.uniform(-1, 1, n) for n in (len(p), (STAGES, len(s))))
+    with np.errstate(all="ignore"):
+        change = rates(p * (1 + by_p), times, s * (1 + by_s)) - rates(p, times, s + 0 * by_s)
+    return np.nan_to_num(np.abs(change).max(axis=0), nan=0.0, posinf=0.0) / _CHANGE
+
+
 def integrate(
     rates: Rates,
     start: Float[np.ndarray, " n"],
@@ -195,6 +218,7 @@ def integrate(
     tolerance: float,
     longest: float,
     least: Float[np.ndarray, " n"] | float = 0.0,
+    terms: Callable[[float, np.ndarray], np.ndarray | float] = lambda t, s: 0.0,
     ends: Callable[[Motion], float | None] = lambda step: None,
 ) -> Motion:
     """Integrate s' = rates(t, s) over an interval in s.
@@ -213,6 +237,9 @@ def integrate(
         Longest step in s.
     least
         Size that a component has at least.
+    terms
+        Sizes ``(n,)`` of the terms whose sums are the rates at a time and a state; as rounding of a
+        sum is that of its terms, a component counts at least as a part of them times the step.
     ends
         Asked after each step for a time in it at which the motion ends.
 
@@ -222,6 +249,7 @@ def integrate(
         If no step is small enough, as where the solution ends.
     """
     (t, end), u, largest = interval, start, np.maximum(np.abs(start), least)
+    rounded = _ROUNDED * terms(t, start)
     stages, guess = _Stages(method, rates), np.zeros((STAGES, len(start)))
     times, pieces, carry, before = [t], [], np.zeros_like(start), np.inf
     calm = _CALM
@@ -236,12 +264,15 @@ def integrate(
             x = 1 + 2 * method.nodes * h / (times[-1] - times[-2])
             guess = legendre.legval(x, pieces[-1]).T - u
         size = _sizes(np.maximum(largest, np.abs(u + guess).max(axis=0)), groups)
+        size = np.maximum(size, h * rounded)
         with np.errstate(all="ignore"):
             z, change, error = stages.solve(t, h, u, guess, size)
             piece = method.series @ np.vstack([u, u + z])
             error = max(error, np.max(np.abs(piece[-1]) / size))
         factor = 0.9 * (tolerance / 2 / max(error, 1e-20)) ** (1 / STAGES)
         if not (error <= tolerance or before / 2 < error < _ROUNDING):
+            if calm:
+                rounded = _ROUNDED * terms(t, u)
             h, before, calm = h * min(0.7, max(0.1, factor)), error, 0
             continue
         calm += 1

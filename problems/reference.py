@@ -12,14 +12,14 @@ import io
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from problems import answers
-from problems.collocation import Motion, TooSmallStep, gauss, integrate, radau
+from problems.collocation import Motion, TooSmallStep, gauss, integrate, radau, terms
 from problems.compiled import compiled
 from problems.initial_values import consistent_start, rests
 from problems.layouts import state_layout
@@ -37,8 +37,6 @@ _TOLERANCE = 3e-14
 _LONGEST = 4, 3
 #: Times in a step at which functions of events are looked at.
 _WATCHED = 25
-#: Accelerations of a scene at rest, between these in size, are the rounding of forces in balance.
-_BALANCED = 1e-16, 1e-9
 #: A scene with more coordinates and multipliers has no reference: each of its many evaluations is
 #: a dense solve.
 _MOST_UNKNOWNS = 300
@@ -309,19 +307,14 @@ class Reference:
             np.array(events).reshape(-1, 2),
         )
 
-    def _phase(
-        self, which: int, scene: MechatronicSystem, stop: float
-    ) -> tuple[Motion, int | None]:
-        """The motion of a phase up to its first event, and the number of that."""
+    def _phase(self, which: int, scene: MechatronicSystem, stop: float) -> tuple[Motion, Any]:
+        """The motion of a phase up to its first event, and the number of that or None."""
         at, functions, event = state_layout(scene.sizes), compiled(scene), None
-        start = consistent_start(scene).z
-        names, p = scene.parameters(), np.array(list(scene.parameters().values()))
-        first = np.concatenate([start.q, start.v, start.x])
-        # In equilibrium v is rounding, which is no size: no step would be small enough for it.
-        low, high = _BALANCED
-        still = not start.v.any() and low < np.abs(start.a).max(initial=0.0) < high
-        least = np.zeros(len(first))
-        least[at.v] = float(still)
+        names, start = scene.parameters(), consistent_start(scene).z
+        p = np.array(list(names.values()))
+
+        def rates(*args: np.ndarray) -> np.ndarray:
+            return np.asarray(functions.rates(*args))
 
         def watched(step: Motion, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             return functions.events(names, *at.split(step(t)), t)
@@ -340,14 +333,14 @@ class Reference:
             return None
 
         motion = integrate(
-            lambda t, s: np.asarray(functions.rates(p, t, s)),
-            first,
+            partial(rates, p),
+            np.concatenate([start.q, start.v, start.x]),
             (scene.interval[0], stop),
             groups=(at.q, at.v, at.x),
             method=(gauss, radau)[which](),
             tolerance=_TOLERANCE * (1 + which),
             longest=_LONGEST[which] * scene.nominal_step,
-            least=least,
+            terms=partial(terms, rates, p),
             **{"ends": first_event} if scene.has("events") else {},
         )
         return motion, event

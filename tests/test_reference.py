@@ -12,7 +12,7 @@ from helpers import long
 
 from bench.plugins.facts import Sources
 from bench.running import inventory
-from problems import MechatronicSystem, State, jnp, reference
+from problems import MechatronicSystem, SampledSystem, State, held, jnp, parameter, reference
 from problems.collocation import Motion, TooSmallStep, gauss, integrate, radau
 from problems.reference import Reference
 from problems.scenes.pendulum import Pendulum
@@ -268,3 +268,40 @@ def test_forces_in_balance_leave_rounding_that_is_no_size_of_the_motion(truck):
     assert max(np.max(ours.error[group]) for group in "qv") < 1e-12
     (q,) = (published for published in truck.published if published.quantity == "q")
     assert ours(np.array([q.t]))["q"][0] == pytest.approx(q.values, abs=1e-10)
+
+
+@dataclass(frozen=True)
+class Resting(SampledSystem):
+    """A pendulum that a sampled controller holds against its weight, almost at rest."""
+
+    interval = (0.0, 0.02)
+    nominal_step = 0.002
+    sample_time: float = parameter(0.0005, "s", "time between two samples", low=1e-6)
+    u: float = held(0.0, "N m", "torque")
+
+    def mass(self, q):
+        return jnp.eye(1)
+
+    def force(self, q, v, t):
+        return jnp.stack([self.u]) - 9.81 * jnp.cos(q)
+
+    def initial_state(self):
+        return State(q=np.array([0.5 + 1e-9]), v=np.zeros(1))
+
+    def sample(self, z):
+        q, v = z.q[0], z.v[0]
+        return {"u": 9.81 * jnp.cos(q) - 3600.0 * (q - 0.5) - 120.0 * v}
+
+
+def test_where_a_sampled_loop_rests_steps_do_not_follow_the_rounding_of_its_forces():
+    phases = Reference(Resting(), 0.02)._integrate(0)
+    assert len(phases.parameters) == 40
+    assert len(phases.motion.series) <= 4 * 40
+    # So near 0.5 the equations are linear: d'' = w^2 d + a with another constant a at each sample.
+    h, w, d, v = 0.0005, np.sqrt(9.81 * np.sin(0.5)), 1e-9, 0.0
+    c, s = np.cosh(w * h), np.sinh(w * h)
+    for _ in range(40):
+        a = -3600.0 * d - 120.0 * v
+        d, v = d + a / w**2 * (c - 1) + v / w * s, a / w * s + v * c
+    # Each phase rounds q at 0.5, which the controller answers.
+    assert phases.motion(np.array([0.02]))[0] == pytest.approx([0.5 + d, v], abs=1e-12)
