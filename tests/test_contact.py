@@ -288,12 +288,14 @@ def test_no_run_is_ok_whose_bodies_overlap():
     kept = replace(fallen, t=fallen.t[:10], q=fallen.q[:10])  # up to t = 0.45 s: it has not hit
     assert end_at_overlap(kept, BouncingBall(), False) == ""
     assert kept.status == "ok"
-    for passes, first in ((False, 0.5), (True, 0.55)):  # up to 0.5 s it falls within a step
+    for passes, first in ((False, 0.5), (True, 0.6)):  # twice a step's way: 0.56 m
         found = replace(fallen)
         assert end_at_overlap(found, BouncingBall(), passes) == ""
         assert found.status == "diverged"
         assert f"Bodies overlap: at t={first} s" in found.message
         assert found.t[-1] == pytest.approx(first - 0.05)
+    rests = np.where(np.arange(10) < 5, 1.0, -5e-4 - 1e-6 * np.arange(10))[:, None]
+    assert "by up to 0.00051, as" in end_at_overlap(replace(kept, q=rests), BouncingBall(), True)
 
 
 def test_a_worker_ends_such_a_run_and_notes_how_far_steps_pass_impacts(tmp_path):

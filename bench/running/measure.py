@@ -30,8 +30,9 @@ from problems.witnesses import published_digits
 
 #: A run whose speed or change of energy is so many times the motion's largest has blown up.
 BLOWN_UP = 100.0
-#: Part of the size of a motion by which gaps may fall below zero.
-OVERLAP = 1e-6
+#: Part of the size of a motion by which gaps may fall below zero; of steps that pass impacts, where
+#: contact that lasts gives way a little in each step.
+OVERLAP, CREEP = 1e-6, 1e-3
 #: Units of constraints by those of their multipliers: lam Phi is an energy.
 _UNITS = {"N": "m", "N m": "rad", "N/m": "m²"}
 #: The later starts, in parts of the interval.
@@ -140,15 +141,17 @@ def end_at_overlap(run: Trajectory, scene: MechatronicSystem, passes_impacts: bo
     """End a run that is ok as diverged before the first row in which bodies overlap.
 
     They do where a gap is below zero by more than `OVERLAP` times the largest gap or coordinate of
-    the run. If its steps pass impacts, a gap may fall as far as it has changed in a step: a note
-    that is returned then says how far it does.
+    the run. If its steps pass impacts, a gap may fall by `CREEP` times that, or twice as far as it
+    has changed in a step: a note that is returned then says how far it does.
     """
     if run.status != "ok" or not scene.has("gaps"):
         return ""
     gaps = np.asarray(jax.vmap(scene.gaps)(run.q, run.t))
-    below, limit = -gaps, OVERLAP * max(np.abs(gaps).max(), np.abs(run.q).max())
-    way = np.maximum.accumulate(np.abs(np.diff(gaps, axis=0, prepend=gaps[:1])))
-    allowed = np.maximum(limit, way if passes_impacts else 0.0)
+    below, size = -gaps, max(np.abs(gaps).max(), np.abs(run.q).max())
+    allowed = limit = OVERLAP * size
+    if passes_impacts:
+        way = np.maximum.accumulate(np.abs(np.diff(gaps, axis=0, prepend=gaps[:1])))
+        allowed = np.maximum(CREEP * size, 2 * way)
     beyond = (below > allowed).any(axis=1)
     if beyond.any():
         first = int(beyond.argmax())
