@@ -85,6 +85,14 @@ def test_the_winner_does_not_hang_on_the_order_of_the_start():
     assert {named(order) for order in ((0, 1, 2), (2, 1, 0), (1, 0, 2))} == {named((0, 1, 2))}
 
 
+def test_a_method_whose_first_step_is_far_too_fine_is_not_dropped_for_it():
+    fine, rival = Power("fine", 5, LIMIT, 100.0), Power("rival", 2, 60 * LIMIT, 22.0)
+    race = raced([rival, fine])
+    assert not race.is_dropped(fine.candidate)
+    assert race.leader is fine.candidate
+    assert race.operations(fine.candidate) == pytest.approx(100.0)
+
+
 def test_the_next_digit_is_a_race_of_its_own():
     methods = [Power("a", 2, 5.0, 7.0), Power("b", 3, 2.0, 11.0)]
     race, harder = raced(methods), demand(f"q:{LIMIT / 10}")

@@ -169,7 +169,7 @@ def recommend_(
                     return cells
                 if not asked and time.monotonic() < forms_end:
                     race.end = forms_end
-                    for leader in verdict.leading:
+                    for leader in verdict.leading if race.leader else ():
                         candidates[:0] = _other_forms(registry, leader, candidates)
                     if cells := race.next():
                         return cells

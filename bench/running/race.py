@@ -62,17 +62,22 @@ class Race:
         return (run.cost("operations") if run else None) or math.inf
 
     def promised(self, candidate: Candidate) -> float:
-        """Return the operations that the convergence of a candidate promises for a good run; it is
-        infinite for methods whose operations are not known."""
+        """Return the operations that the convergence of a candidate promises for its coarsest good
+        run; it is infinite for methods whose operations are not known."""
         known = [
             (cost, self.asked.of(run))
-            for _, run in sorted(candidate.runs.items(), reverse=True)
+            for _, run in sorted(candidate.runs.items())
             if (cost := run.cost("operations")) and 0 < self.asked.of(run) < math.inf
         ]
-        if candidate.best(self.asked) or not known:
+        best = candidate.best(self.asked)
+        if not known or (best and candidate.next() is None):
             return self.operations(candidate)
         power = self.STEPS if candidate.method.controls == "step" else self.TOLERANCES
-        (cost, error), *others = reversed(known)
+        if best:  # its first step may be much too fine
+            cost, error = self.operations(candidate), self.asked.of(best)
+            finer = multiple(self.asked.limit, error or self.asked.limit / 1e16, power)
+            return max(cost * finer, candidate.least(self.asked))
+        (cost, error), *others = known
         if others and others[0][0] < cost and error < others[0][1]:
             power = power_of(cost / others[0][0], others[0][1], error)
         return cost * multiple(self.asked.limit, error, power)
