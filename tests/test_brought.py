@@ -8,9 +8,10 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import scipy.integrate
-import scipy.spatial.transform
+import scipy.optimize
 from helpers import errors_at, local_slopes, reference
 
+from bench.conformance.blocks import check_parameters
 from bench.plugins.registry import Registry
 from integrators import Reading, StepMethod, Steps, Tolerances
 from problems import MechatronicSystem, SampledSystem, State, held, jax, jnp, lagrange, parameter
@@ -102,6 +103,48 @@ def test_inputs_from_a_table_hold_between_samples():
     assert run.q[-1, 0] == pytest.approx(q, abs=1e-7)
     assert run.v[-1, 0] == pytest.approx(v, abs=1e-7)
     assert run.a[-1, 0] == pytest.approx(-v, abs=1e-7)
+
+
+@dataclass(frozen=True)
+class Gears(MechatronicSystem):
+    """A motor and a load with play between them: flanks that touch push by a stiff spring."""
+
+    interval = (0.0, 0.6)
+    play: float = parameter(0.02, "rad", "half of the play")
+    k: float = parameter(500.0, "N m/rad", "stiffness of a tooth")
+    side: float = held(0.0, "1", "which flank touches: -1, 0 or 1")
+
+    def mass(self, q):
+        return jnp.diag(jnp.array([0.01, 0.05]))
+
+    def force(self, q, v, t):
+        push = self.k * self.side**2 * (q[0] - q[1] - self.side * self.play)
+        return jnp.stack([0.5 * jnp.sin(12 * t) - push, push])
+
+    def initial_state(self):
+        return State(np.zeros(2), np.zeros(2))
+
+    def events(self, z):
+        twist, free = z.q[0] - z.q[1], self.side == 0
+        gaps = jnp.stack([self.play - twist, self.play + twist, self.side * twist - self.play])
+        return jnp.where(jnp.array([free, free, self.side != 0]), gaps, 1.0)
+
+    def jump(self, z, event):
+        return {"side": (1.0, -1.0, 0.0)[event]}
+
+
+def test_gears_with_play_touch_and_part_as_in_their_closed_form():
+    run = Registry().integrator("radau_iia").prepare(Gears(), 0.6, Tolerances(1e-9)).measure()
+    flown = lambda t: 50 * (t / 12 - np.sin(12 * t) / 144) - 0.02  # noqa: E731
+    first = scipy.optimize.brentq(flown, 0.01, 0.5, xtol=1e-15)
+    assert run.status == "ok"
+    assert run.events[0, 0] == pytest.approx(first, abs=1e-8)
+    momentum = 0.5 * (1 - np.cos(12 * run.t[-1])) / 12
+    assert run.v[-1] @ [0.01, 0.05] == pytest.approx(momentum, abs=1e-9)
+
+
+def test_a_parameter_that_acts_in_a_later_phase_is_used():
+    assert "Acting when traced: play, k, side" in check_parameters(Registry([]), Gears())
 
 
 AXES = np.array([0.2, 0.03, 0.02])

@@ -180,6 +180,7 @@ def test_a_system_of_joints_has_the_equations_of_its_energies(method):
 def test_rates_of_positions_are_no_constraints_beside_them(method):
     scene = double_pendulum(method, held=True)
     assert scene.sizes.nl == 1
+    assert not scene.has("velocity_constraint")
     z = consistent_start(scene).z
     assert z.q == pytest.approx([1, -2], rel=1e-12)  # an isosceles triangle
     assert z.v == pytest.approx([0.7, -1.4], rel=1e-12)
@@ -190,3 +191,13 @@ def test_rates_of_positions_are_no_constraints_beside_them(method):
     own = float(lagrange.force(kinetic, potential, q, v)[0] / lagrange.mass(kinetic, q)[0, 0])
     assert z.a == pytest.approx([own, -2 * own], rel=1e-12)
     assert np.abs(constraint_velocity(scene, z.q, z.v, 0.0)).max() < 1e-14
+
+
+def test_redundant_positions_leave_other_velocity_constraints():
+    method, u = me.LagrangesMethod, [c.diff(T) for c in (X, Y, PH)]
+    lagrangian = M * (u[0] ** 2 + u[1] ** 2 + u[2] ** 2) / 2
+    holonomic, rolling = [X + Y, 2 * X + 2 * Y], [u[2] - X * u[0], u[0] + u[1]]
+    model = method(lagrangian, [X, Y, PH], hol_coneqs=holonomic, nonhol_coneqs=rolling)
+    scene = scene_of(model, constants={M: 1.0}, initial={X: 1.0, u[0]: 3.0})()
+    assert scene.sizes.nl == 3
+    assert scene.velocity_constraint(np.array([2.0, 0, 0]), np.array([3.0, 1, 10]), 0.0) == 4

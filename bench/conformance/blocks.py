@@ -151,6 +151,8 @@ def check_parameters(registry: Registry, scene: MechatronicSystem) -> str:
 
     traced = jax.jit(lambda p: blocks(template.with_parameters(p)))
     plain = blocks(scene)
+    # A force may act in another phase alone, as that of teeth that do not touch at the start.
+    later = {name: value + 1 for name, value in scene.held_values().items()}
     for field in fields:
         other = _with_another(scene, field)
         if other is None:
@@ -171,6 +173,9 @@ def check_parameters(registry: Registry, scene: MechatronicSystem) -> str:
         if field.metadata.get("held") or scene.has("sample"):
             continue
         acts = any(not np.array_equal(p, before) for _, p, before in pairs)
+        if later and not acts:
+            both = [blocks(s.with_parameters(s.parameters() | later)) for s in (scene, other)]
+            acts = any(not np.array_equal(*pair) for pair in zip(*both, strict=True))
         if not acts and _unmoved(scene, other):
             raise Failed(f"The parameter {field.name} changes nothing; use it or remove it.")
     return f"Acting when traced: {', '.join(f.name for f in fields)}; nothing is compiled anew."

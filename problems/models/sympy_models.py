@@ -367,16 +367,16 @@ def _independent(cls: type[MechatronicSystem]) -> list[int]:
     Kane's method wants the rates of Phi among them. The rank shows it, at a random position near
     the start, as the start may be a special one.
     """
-    scene, found = cls(), []
+    scene = cls()
     q, v, _ = scene.initial_state()
     near = q + np.random.default_rng(0).uniform(-0.01, 0.01, len(q))
     phi, _, _, rows = constraints_at(scene, completed(scene, near, v, range(len(q)), []).q, v)
     rows = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)
+    kept = [*range(len(phi))]  # perhaps redundant themselves
     for k in range(len(phi), len(rows)):
-        chosen = [*range(len(phi)), *found, k]
-        if np.linalg.svd(rows[chosen], compute_uv=False)[-1] > 1e-7:
-            found.append(k)
-    return [k - len(phi) for k in found]
+        before, after = (np.linalg.matrix_rank(rows[e], tol=1e-7) for e in (kept, [*kept, k]))
+        kept += [k] * int(after > before)
+    return [k - len(phi) for k in kept[len(phi) :]]
 
 
 def _check_start(cls: type[MechatronicSystem]) -> None:
