@@ -22,7 +22,7 @@ from problems.models import mjcf_fields
 from problems.models.mjcf_parts import lacking
 from problems.models.mjcf_read import read
 from problems.runtime import jax, jnp
-from problems.spec import SpecError
+from problems.spec import SpecError, build
 
 #: The flags of MuJoCo that switch off what a scene leaves out.
 RIGID = {"contacts": "CONTACT", "limits": "LIMIT", "friction_loss": "FRICTIONLOSS"}
@@ -178,6 +178,12 @@ def test_a_bound_of_a_joint_holds_for_the_sum_of_its_actuators(tmp_path):
     assert pushed(30.0, 10.0) == pytest.approx(50.0)
     assert pushed(60.0, 20.0) == pytest.approx(88.0)
     assert pushed(-300.0, 20.0) == pytest.approx(-88.0)
+
+
+def test_another_control_is_the_same_compiled_scene(tmp_path):
+    cls = from_mjcf(saved(tmp_path, "control beyond its range"))
+    other = build(cls, {"keyframe": cls.keyframe, "control_m0": 2.0}, "robot")
+    assert other.template() == cls().template()
 
 
 # ---- the engine

@@ -60,7 +60,8 @@ class MujocoScene(MechatronicSystem):
     @classmethod
     def variant(cls, options: Mapping[str, object]) -> type[MujocoScene]:
         """Return the class of a scene with these options: that of the keyframe, if one is named."""
-        if not hasattr(cls, "keyframe") or "keyframe" not in options:
+        own = getattr(cls, "keyframe", None)
+        if own is None or str(options.get("keyframe", own)) == own:
             return cls
         other = cls.at_keyframe(str(options["keyframe"]))
         other.__module__ = cls.__module__
