@@ -29,10 +29,8 @@ from typing import Any, ClassVar
 from integrators.advice import advice
 from integrators.multistep import MultistepForm
 from integrators.runs import STATUSES as STATUSES
-from integrators.runs import Gradient as Gradient
 from integrators.runs import PreparedRun as PreparedRun
 from integrators.runs import Trajectory as Trajectory
-from integrators.runs import Wanted as Wanted
 from integrators.runs import Work as Work
 from problems import spec
 from problems.system import MechatronicSystem
@@ -242,21 +240,6 @@ class Integrator(ABC):
         It is one sentence, a note on each such run.
         """
         return None
-
-    @property
-    def gradient_ways(self) -> tuple[str, ...]:
-        """Ways in which `gradient` differentiates a run, of "forward" and "reverse"."""
-        return ()
-
-    def gradient(
-        self, scene: MechatronicSystem, t_end: float, resolution: Any, wanted: Wanted
-    ) -> Callable[[], Gradient]:
-        """Make ready the derivatives of numbers at the end of a run, as of `prepare`.
-
-        The function that is returned computes them, as often as the bench times it. Where values
-        of the scene jump, the way is "forward", whichever ways the method has.
-        """
-        raise spec.SpecError(f"{self.spec} cannot be differentiated.")
 
     @abstractmethod
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Any) -> PreparedRun:

@@ -95,3 +95,16 @@ class Tolerances:
             if not (math.isfinite(value) and value > 0):
                 raise spec.SpecError(f"{name}={value:g} is not allowed; give a positive number.")
             object.__setattr__(self, name, float(value))
+
+
+def check_end(t0: float, t_end: float) -> float:
+    """Return t_end as a float.
+
+    Raises
+    ------
+    SpecError
+        If it does not lie after the start t0.
+    """
+    if not t0 < t_end < math.inf:
+        raise spec.SpecError(f"The end time {t_end:g} s does not lie after the start at {t0:g} s.")
+    return float(t_end)

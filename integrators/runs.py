@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from problems.runtime import Bool, Float, Int
+from problems.runtime import Float, Int
 
 #: Endings of a run; only "ok" has a complete trajectory.
 STATUSES = (
@@ -98,35 +98,6 @@ class Trajectory:
         """Return the trajectory of a run that did not start: it has no rows."""
         empty = np.zeros((0, 0))
         return cls(np.zeros(0), *[empty] * 7, status=status, message=message)
-
-
-class Wanted(NamedTuple):
-    """Derivatives that are wanted of a run.
-
-    Attributes
-    ----------
-    of
-        Numbers at its end: group and index of each.
-    by
-        Float parameters of the scene.
-    way
-        One of `integrators.contract.Integrator.gradient_ways`.
-    """
-
-    of: tuple[tuple[str, int], ...]
-    by: tuple[str, ...]
-    way: str
-
-
-class Gradient(NamedTuple):
-    """Values of m wanted numbers, their derivatives by k parameters, and the run's success.
-
-    Values have the scene's units, derivatives these per unit of the parameter.
-    """
-
-    values: Float[np.ndarray, " m"]
-    derivatives: Float[np.ndarray, "m k"]
-    solved: Bool[np.ndarray, ""]
 
 
 class PreparedRun(ABC):

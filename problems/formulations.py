@@ -27,7 +27,7 @@ from problems.constraints import (
 from problems.kinematics import q_rate
 from problems.layouts import algebraic_layout, dae_layout, state_layout
 from problems.named_equations import EQUATIONS, INDEX1, equation, jitted
-from problems.runtime import Array, Float, Int, coarseness, jax, jnp
+from problems.runtime import Array, Float, Int, jax, jnp
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 
@@ -168,7 +168,7 @@ def _solution(
 
 def _newton(residual: Callable, guess: Float[Array, " n"], solve: Callable) -> tuple[Array, Array]:
     """The solution by Newton's method, NaN where it fails, and the number of iterations."""
-    small = 1e-9 * coarseness() ** 0.5
+    small = 1e-9
 
     def is_open(carry: tuple) -> Array:
         _, size, k = carry

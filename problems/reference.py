@@ -9,7 +9,7 @@ that is kept for later runs, with its error, is made by one process at a time.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -44,7 +44,7 @@ _MOST_UNKNOWNS = 300
 PATIENCE = 100.0
 
 
-FileOf = Callable[[MechatronicSystem, float, Sequence[str]], Path | None]
+FileOf = Callable[[MechatronicSystem, float], Path | None]
 _file_of: FileOf | None = None
 _told: Callable[[str, str], object] = lambda doing, made: None  # noqa: E731
 
@@ -55,8 +55,8 @@ def keep_references(file_of: FileOf | None, told: Callable[[str, str], None]) ->
     Parameters
     ----------
     file_of
-        Returns the file of a scene up to a time in s, or of exact derivatives there by parameters;
-        its name tells all that decides the numbers. None, or no function: nothing is kept.
+        Returns the file of a scene up to a time in s; its name tells all that decides the numbers.
+        None, or no function: nothing is kept.
     told
         Told "making" and "the reference of pendulum" before an integration, "waiting for" before a
         wait for another process that makes the same one.
@@ -71,7 +71,6 @@ def once(
     make: Callable[[], T],
     read: Callable[[bytes], T],
     written: Callable[[T], bytes],
-    by: Sequence[str] = (),
 ) -> T:
     """Make what is known of a scene, unless a file has it; of several processes one does.
 
@@ -81,16 +80,14 @@ def once(
         Computes it.
     read, written
         From and to the content of a file.
-    by
-        Parameters by which it is differentiated; none for the reference itself.
     """
-    made = f"the exact derivatives of {scene.spec}" if by else f"the reference of {scene.spec}"
+    made = f"the reference of {scene.spec}"
 
     def anew() -> T:
         _told("making", made)
         return make()
 
-    path = _file_of(scene, t_end, by) if _file_of else None
+    path = _file_of(scene, t_end) if _file_of else None
     if path is None:
         return anew()
     if (content := kept(path)) is not None:

@@ -18,9 +18,7 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from contextvars import ContextVar
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -68,7 +66,6 @@ _SETTINGS = {
 _THREADS = "NPROC"
 #: Without optimisation, a program is compiled in a third of the time, and takes four times as long.
 _OPTIMISATION = "xla_backend_optimization_level"
-_single = ContextVar("single", default=False)
 #: Room for addresses in bytes below which JAX does not start: XLA then asks for it without end.
 _LEAST_ADDRESSES = 3 * 2**29
 #: Starts XLA's compiler, which reads XLA_FLAGS then, and ends the process at a flag it refuses.
@@ -167,26 +164,6 @@ def joins_loops() -> bool:
     if not joined:
         slower(f"Small scenes run slowly: XLA no longer joins loops by {_JOINED}.")
     return joined
-
-
-@contextmanager
-def single_floats() -> Iterator[None]:
-    """Trace programs that will have 32-bit floats: their tolerances follow `coarseness`."""
-    token = _single.set(True)
-    try:
-        yield
-    finally:
-        _single.reset(token)
-
-
-def coarseness() -> float:
-    """Return the rounding of a program's floats in that of 64-bit ones: 1, or 2^29 in single."""
-    return 2.0**29 if _single.get() else 1.0
-
-
-def smallest() -> float:
-    """Return a number that is added where a divisor may be zero, and is nothing beside others."""
-    return 1e-300 if coarseness() == 1 else 1e-37
 
 
 @cache

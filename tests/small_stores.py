@@ -8,8 +8,6 @@ from pathlib import Path
 
 from bench.results.drift import Drift, LongRun
 from bench.results.experiments import ExperimentResult
-from bench.results.measurements import Measurement
-from bench.results.precision import PrecisionRun
 from bench.results.records import (
     Damping,
     Environment,
@@ -42,19 +40,6 @@ A_LONG_RUN = LongRun(
         )
     },
 )
-A_MEASUREMENT = Measurement(
-    kind="precision",
-    about="pendulum | t_end=1.35 s, h=0.1 s",
-    problem="pendulum",
-    integrator="newmark",
-    fingerprint="f",
-    precision=[
-        PrecisionRun(
-            problem="pendulum", integrator="newmark", precision="single", h=0.1, steps=10,
-            status="ok", message="", errors={"q": 1e-3, "lam": None},
-        )
-    ],
-)  # fmt: skip
 
 
 def a_record(key="k", **more):
@@ -108,7 +93,6 @@ def filled(folder: Path) -> Path:
         store.save_damping("newmark", A_DAMPING)
         store.save_experiment(AN_EXPERIMENT)
         store.save_long_run(A_LONG_RUN)
-        store.save_measurement(A_MEASUREMENT)
         store.save(a_record(), NO_ROWS)
         store.add_sample("k", 0, 1.0)
     return folder

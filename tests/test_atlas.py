@@ -36,7 +36,7 @@ LONG |= {"composite_index3", "stage_order", "one_sided_multiplier", "exact_energ
 LONG |= {"no_error_control", "rosenbrock_index2", "variable_steps", "undamped_index3"}
 LONG |= {"sharp_cuts", "mixed_forces", "wrong_norm"}
 LONG |= {"ignored_samples", "steps_over_samples", "event_times"}
-LONG |= {"sharp_cuts", "mixed_forces", "wrong_norm", "single_precision"}
+LONG |= {"sharp_cuts", "mixed_forces", "wrong_norm"}
 EACH = [name for name in NAMES if name not in LONG] + long(*sorted(LONG))
 
 #: One case of each experiment (part, case) and what a mutant of it does instead: with the failure
@@ -68,7 +68,6 @@ MUTANTS = {
     "ignored_samples": ((0, 0), {"problem": "sampled_pd"}),
     "steps_over_samples": ((0, 0), {"problem": "sampled_pd"}),
     "event_times": ((0, 0), {"integrator": "stormer_verlet"}),
-    "single_precision": ((0, 0), {"name": "mixed"}),
 }
 
 

@@ -161,7 +161,7 @@ def test_merging_with_oneself_changes_nothing(old, tmp_path):
 def test_what_is_kept_beside_records_is_merged(old, tmp_path):
     merge([old, filled(tmp_path / "one_of_each")], tmp_path / "all")
     with Store(tmp_path / "all") as store, Store(tmp_path / "one_of_each") as origin:
-        for kind in ("long_runs", "experiments", "damping", "measurements"):
+        for kind in ("long_runs", "experiments", "damping"):
             found = getattr(origin, kind)()
             assert found
             assert found.items() <= getattr(store, kind)().items()

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from helpers import long
 
+from bench.commands.realtime import rate_of
 from bench.plugins.registry import Registry
 from bench.results.realtime import RealTimeRun, StepTimes, realtime_sentence, realtime_tables
 from bench.results.table import NO_VALUE
-from bench.running.entries import rate_of
 from bench.running.realtime import realtime_job, stepping, timed
 from bench.running.worker import Worker
 from integrators.native.lone_steps import LoneStep

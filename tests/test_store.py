@@ -178,7 +178,7 @@ def test_a_missing_table_is_named_with_the_way_out(tmp_path):
 
 
 def test_a_store_from_before_there_was_a_table_is_read(tmp_path):
-    for table in ("damping", "experiments", "long_runs", "measurements"):
+    for table in ("damping", "experiments", "long_runs"):
         change(filled(tmp_path / table), f"DROP TABLE {table}")
         with Store(tmp_path / table) as store:
             assert getattr(store, table)() == {}

@@ -19,17 +19,15 @@ import msgspec
 from bench.plugins.facts import MethodFacts
 from bench.results.experiments import BASES, Expected
 from bench.results.quantities import GROUPS, LEVELS, NORMS
-from bench.running.entries import check_end
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell
-from integrators.native.precision import PRECISIONS
-from integrators.resolutions import Steps, Tolerances
+from integrators.resolutions import Steps, Tolerances, check_end
 from problems import spec
 from problems.spec import SpecError
 
 #: Quantities that a sweep measures ...
 MEASURES = (
-    "error", "precision", "energy", "constraint", "note", "work", "reached", "value", "events",
+    "error", "energy", "constraint", "note", "work", "reached", "value", "events",
     "condition", "linear",
 )  # fmt: skip
 #: What is measured of the events of a run: their number, and how far their times are off in s.
@@ -37,7 +35,7 @@ EVENTS = ("events", "time")
 #: ... and rules that make one number of the values of a sweep.
 TAKES = ("last", "largest", "growth", "slope")
 #: Quantities of which less is better, and a higher power of the step.
-_ONE_SIDED = ("error", "energy", "constraint", "work", "precision")
+_ONE_SIDED = ("error", "energy", "constraint", "work")
 #: A component of a group, such as lam1.
 COMPONENT = re.compile(r"(q|v|a|lam|x|y)([1-9]\d*)")
 _FUNCTIONS = {name: made for name, made in vars(math).items() if not name.startswith("_")}
@@ -54,8 +52,6 @@ class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
     error
         relative error of ``group`` in ``norm``
-    precision
-        the same of runs in a precision (``name``: double, single, mixed)
     energy, constraint
         largest drift of the energy; largest residual of Phi and its derivatives (``name``:
         position, velocity, acceleration)
@@ -229,9 +225,7 @@ def _check(s: Case, healthy: tuple[float, float], where: str) -> None:
             f"{where}: healthy={list(healthy)} is bounded {side}, so that a better method would be "
             f"hit; write {'inf' if good > 0 else 0} there."
         )
-    if s.measure == "precision":
-        _one_of(s.name, PRECISIONS, f"{where}: name")
-    if s.measure in ("error", "precision"):
+    if s.measure == "error":
         _one_of(s.group, GROUPS, f"{where}: group")
         _one_of(s.norm or "max", list(NORMS), f"{where}: norm")
     if s.measure == "value" and not COMPONENT.fullmatch(s.name or ""):

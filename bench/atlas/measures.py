@@ -85,7 +85,6 @@ def number_of(
 def quantity_words(s: Settings) -> str:
     """Return the measured quantity in words."""
     return {
-        "precision": f"relative error of {s.group}, {NORMS[s.norm or NORM]}",
         "error": f"relative error of {s.group}, {NORMS[s.norm or NORM]}",
         "energy": "relative drift of the energy",
         "constraint": f"constraint residual, {s.name} level",

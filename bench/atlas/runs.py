@@ -26,11 +26,9 @@ from bench.guard.process import NoAnswer
 from bench.plugins.facts import MethodFacts
 from bench.plugins.fingerprint import fingerprint
 from bench.results.experiments import CaseResult, ExperimentResult, PartResult
-from bench.results.quantities import NORM
 from bench.results.records import INTERRUPTED
 from bench.results.store import Store
 from bench.running.inventory import Inventory
-from bench.running.precision import precision_errors
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task, measure_task
 from bench.running.session import result_of
@@ -55,10 +53,6 @@ class _Trial:
         if s.measure == "linear" and self.integrator:
             name, pattern = self.integrator.spec, s.pattern or (1.0,)
             return [Task(linear_response, (name, x, pattern), sources=self.integrator.sources)]
-        if s.measure == "precision" and self.sweep.cells:
-            first = self.sweep.cells[0]
-            task = first.problem, first.integrator, s.name, x, first.t_end, s.group, s.norm or NORM
-            return [Task(precision_errors, task, sources=first.sources(registry))]
         return [
             measure_task(cell, cell.sources(registry), s.measure in ("error", "events"))
             for cell in self.sweep.cells

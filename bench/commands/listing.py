@@ -153,13 +153,10 @@ def _allowed(option: Mapping[str, Any]) -> str:
 
 
 def _suite(name: str) -> list[Table | str]:
-    """The studies of a suite, and what it measures beside them: scenes and integrators."""
+    """The studies of a suite: scenes and integrators."""
     suite = read_profile(name)[1]
     rows = [[s.title, "\n".join(s.problems), "\n".join(s.integrators)] for s in suite.study]
     limits = f"{suite.samples} timings per run, at most {suite.budget_s:g} s of processor time each"
     parts: list[Table | str] = [f"suite {name}", suite.title, limits, ""]
     parts.append(Table("", ["study", "scenes", "integrators"], rows))
-    beside = [[e.kind, e.problem, "\n".join(e.integrators)] for e in suite.entries]
-    if beside:
-        parts += ["", Table("", ["beside the cells", "scene", "integrators"], beside)]
     return parts

@@ -10,10 +10,8 @@ import click
 
 from bench.commands import (
     completion,
-    gradients,
     listing,
     plugins,
-    precision,
     ratings,
     realtime,
     recommendations,
@@ -37,8 +35,6 @@ _MODULES = (
     recommendations,
     results,
     studies,
-    gradients,
-    precision,
     realtime,
     sweeps,
 )

@@ -15,11 +15,10 @@ import click
 from bench.commands import completion
 from bench.plugins.facts import MethodFacts, SceneFacts, Sources
 from bench.results.store import Store, set_aside_text
-from bench.running.entries import check_end
 from bench.running.inventory import Inventory
 from bench.running.plan import LARGEST_BUDGET
 from bench.running.progress import OnStandardError
-from integrators.resolutions import Tolerances
+from integrators.resolutions import Tolerances, check_end
 
 #: Most worker processes that can be asked for.
 MOST_JOBS = 1000

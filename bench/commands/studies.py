@@ -20,11 +20,10 @@ from bench.commands.pages import view, write_reports
 from bench.commands.suite import in_common, run_suite
 from bench.guard.interrupts import remark
 from bench.plugins.facts import MethodFacts
-from bench.running.entries import check_end, once_each
 from bench.running.inventory import Inventory, PluginFailed
 from bench.running.plan import make_suite
 from bench.running.profiles import ProfileFile, StudyFile, read_profile
-from integrators.resolutions import Steps
+from integrators.resolutions import Steps, check_end
 from problems.spec import SpecError
 
 #: Most steps of a long run that can be asked for.
@@ -48,6 +47,15 @@ def of_each(
         except SpecError as error:
             faults.append(str(error))
     return results, faults
+
+
+def once_each(registry: Inventory, names: Sequence[str]) -> list[MethodFacts]:
+    """Return the facts of integrators; raise SpecError if one is named twice."""
+    methods = [registry.integrator(name) for name in names]
+    for k, method in enumerate(methods):
+        if method in methods[:k]:
+            raise SpecError(f"{method.spec} is named twice.")
+    return methods
 
 
 def print_json(value: Any) -> None:

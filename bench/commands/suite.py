@@ -13,7 +13,6 @@ from bench.commands import completion, options
 from bench.commands.pages import GrowingPage, view, write_reports
 from bench.guard.interrupts import remark
 from bench.results.experiments import ExperimentResult
-from bench.results.measurements import Measurement
 from bench.results.records import INTERRUPTED, Record, counted, endings
 from bench.results.store import Store
 from bench.running.inventory import Inventory
@@ -33,20 +32,19 @@ class _WithSuites(click.Command):
 @dataclass(frozen=True)
 class Outcome:
     """Outcome of a suite: the records of its cells, how many of them were measured now, the
-    experiments of the failure atlas, sentences on plugins that were lost, the number of runs of
-    other commands in the folder, which its report has, too, and measurements beside the cells."""
+    experiments of the failure atlas, sentences on plugins that were lost, and the number of runs of
+    other commands in the folder, which its report has, too."""
 
     records: list[Record]
     measured: int
     experiments: list[ExperimentResult]
     lost: tuple[str, ...]
     others: int = 0
-    beside: Sequence[Measurement] = ()
 
     @property
     def interrupted(self) -> int:
-        """Number of cells and measurements that something ended from outside."""
-        return sum(one.status == INTERRUPTED for one in (*self.records, *self.beside))
+        """Number of cells that something ended from outside."""
+        return sum(record.status == INTERRUPTED for record in self.records)
 
     @property
     def sentences(self) -> list[str]:
@@ -59,9 +57,6 @@ class Outcome:
         ]
         if self.others:
             said.append(f"The folder has {counted(self.others, 'more run')}; so has its report.")
-        if self.beside:
-            count = counted(len(self.beside), "measurement")
-            said.append(f"{count} beside the cells: {endings(self.beside)}.")
         if self.experiments:
             held = sum(result.as_predicted for result in self.experiments)
             many = len(self.experiments)
@@ -85,7 +80,6 @@ def run_suite(
     from bench.atlas.experiments import read_experiments
     from bench.atlas.runs import complete_experiments
     from bench.commands.terminal import RunProgress
-    from bench.running.beside import complete_measurements
     from bench.running.session import measure_suite, runner_for, time_suite
     from bench.stability.damping import complete_damping
 
@@ -109,13 +103,12 @@ def run_suite(
         with page.at_rest():
             time_suite(suite, store, registry, runner)
             runner.end_workers()
-            beside = complete_measurements(suite, store, registry, progress)
         stored = store.records()
         limits = suite.plan.budget_s, suite.memory_gib
         results = complete_experiments(experiments, added, store, registry, jobs, progress, *limits)
     records = [stored[key] for key in suite.cells if key in stored]
     others = len(stored) - len(records)
-    return Outcome(records, measured, results, suite.lost, others, beside)
+    return Outcome(records, measured, results, suite.lost, others)
 
 
 @click.command("run", cls=_WithSuites)

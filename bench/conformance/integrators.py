@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.conformance.audit import check_counts
 from bench.conformance.batches import check_batch
-from bench.conformance.derivatives import check_budget, check_gradient
+from bench.conformance.budgets import check_budget
 from bench.conformance.jumps import check_events, check_samples
 from bench.conformance.orders import check_order, check_tolerance
 from bench.conformance.trials import (
@@ -315,7 +315,6 @@ INTEGRATOR_CHECKS = {
     "batch": check_batch,
     "samples": check_samples,
     "events": check_events,
-    "gradient": check_gradient,
     "budget": check_budget,
     "empty interval": check_empty_interval,
     "nan": check_nan,

@@ -16,7 +16,7 @@ import ast
 import hashlib
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
 from itertools import accumulate
@@ -65,20 +65,13 @@ def fingerprint(made: type | Callable) -> str:
     return digest.hexdigest()[:12]
 
 
-def reference_file(
-    registry: Registry, scene: MechatronicSystem, t_end: float, by: Sequence[str] = ()
-) -> Path | None:
-    """Return the file that keeps the reference of a scene up to t_end in s, or exact derivatives
-    there by parameters; its name is a digest of all that decides it. None for a scene that is not
-    in the registry."""
+def reference_file(registry: Registry, scene: MechatronicSystem, t_end: float) -> Path | None:
+    """Return the file that keeps the reference of a scene up to t_end in s; its name is a digest of
+    all that decides it. None for a scene that is not in the registry."""
     plugin = registry.problems.get(scene.name)
     if plugin is None or plugin.cls is not type(scene):
         return None
     about = fingerprint(type(scene)), scene.spec, sorted(scene.parameters().items()), t_end
-    if by:
-        from problems.sensitivities import sensitivities
-
-        about += *by, fingerprint(sensitivities)
     digest = hashlib.sha256(repr(about).encode()).hexdigest()[:32]
     return CACHE / "references" / f"{scene.name}-{digest}"
 

@@ -106,8 +106,6 @@ def _write(sources: Sequence[_Source], kept: dict[str, _Source], folder: Path) -
                 store.save_scene(scene)
             for run in source.store.long_runs().values():
                 store.save_long_run(run)
-            for measured in source.store.measurements().values():
-                store.save_measurement(measured)
             for found in source.store.experiments().values():
                 store.save_experiment(found)
             for integrator, damping in source.store.damping().items():

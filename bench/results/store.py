@@ -16,7 +16,6 @@ import msgspec
 
 from bench.results.drift import LongRun
 from bench.results.experiments import ExperimentResult
-from bench.results.measurements import Measurement, without_answer
 from bench.results.records import Damping, Environment, Plan, Record, Rows, SceneRecord
 from bench.results.store_file import (
     FILE,
@@ -50,7 +49,7 @@ T = TypeVar("T")
 _TIMES = 1e-12, 1e12
 
 #: Tables that stores of earlier versions may lack.
-_LATER = ("experiments", "long_runs", "damping", "measurements")
+_LATER = ("experiments", "long_runs", "damping")
 
 #: Most rows that are named in the sentence about those set aside.
 _NAMED = 3
@@ -157,12 +156,6 @@ class Store:
         """Keep a long run, in the place of an earlier one with the same steps."""
         self._put("long_runs", run.key, self._encoded(run))
 
-    def save_measurement(self, found: Measurement) -> None:
-        """Keep a measurement beside the cells; one that could not be read as one that crashed."""
-        why = "The answer cannot be stored: {}.".format
-        _, value = storable_or(found, lambda error: without_answer(found, "crashed", why(error)))
-        self._put("measurements", found.key, value)
-
     def save_damping(self, integrator: str, damping: Damping | None) -> None:
         """Keep the damping of a method by its printed name; None forgets it."""
         if damping is None:
@@ -212,7 +205,7 @@ class Store:
         """All rows that cannot be read; the other methods pass over them."""
         self._spoilt.clear()
         readers = self.environments, self.scenes, self.experiments, self.long_runs, self.damping
-        for read in (self.plan, *readers, self.measurements, self.records, self.keys_with_rows):
+        for read in (self.plan, *readers, self.records, self.keys_with_rows):
             read()
         return [SetAside(*place, reason) for place, reason in self._spoilt.items()]
 
@@ -237,10 +230,6 @@ class Store:
     def long_runs(self) -> dict[str, LongRun]:
         """Long runs by key, in the order in which they were kept."""
         return self._values("long_runs", LongRun, "key")
-
-    def measurements(self) -> dict[str, Measurement]:
-        """Measurements beside the cells by key, in the order in which they were kept."""
-        return self._values("measurements", Measurement, "key")
 
     def damping(self) -> dict[str, Damping]:
         """Damping of methods by their printed names."""

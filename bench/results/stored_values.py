@@ -12,7 +12,6 @@ import msgspec
 
 from bench.results.drift import LongRun
 from bench.results.experiments import ExperimentResult
-from bench.results.measurements import Measurement
 from bench.results.records import Damping, Record, Rows, SceneRecord
 from problems.plain_text import clean
 
@@ -164,8 +163,6 @@ def _flaw(value: object) -> str:
         cases = [case for part in value.parts for case in part.cases]
         pairs = [(case.x, case.y) for case in cases] + [c.history for c in cases if c.history]
         return next(filter(None, (_unequal({"x": x, "y": y}) for x, y in pairs)), "")
-    if isinstance(value, Measurement):
-        return value.flaw
     if isinstance(value, LongRun):
         ends = [(n, band) for n, d in value.drifts.items() for band in (d.least, d.most)]
         return next(filter(None, (_unequal({"t": value.t, n: band}) for n, band in ends)), "")

@@ -11,12 +11,11 @@ import numpy as np
 
 from bench.results.drift import Drift, LongRun
 from bench.running import measure
-from bench.running.entries import check_end
 from bench.running.errors import finite
 from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators.contract import Trajectory
-from integrators.resolutions import Steps
+from integrators.resolutions import Steps, check_end
 from problems.reference import Reference
 from problems.runtime import Float
 from problems.spec import SpecError

@@ -8,23 +8,20 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
-
-from msgspec.structs import replace
 
 from bench.plugins.facts import MethodFacts, SceneFacts, Sources
 from bench.plugins.reasons import Unavailable
 from bench.plugins.registry import files_of
 from bench.results.quantities import NORMS
 from bench.results.records import IntegratorFacts, Plan, Record, Study
-from bench.running.entries import Asked, check_end
 from bench.running.inventory import Inventory, PluginFailed
 from bench.running.profiles import FIGURES, TABLES, ProfileFile, StudyFile
 from integrators.contract import Integrator
-from integrators.resolutions import Steps, Tolerances
+from integrators.resolutions import Steps, Tolerances, check_end
 from problems.answers import tidy
 from problems.spec import SpecError, one_of
 from problems.system import MechatronicSystem
@@ -118,8 +115,6 @@ class Suite:
         Experiments of the failure atlas that belong to it (True: all, False: none).
     lost
         Sentences on plugins that have no cells, as they gave no facts.
-    beside
-        Measurements of other kinds than cells.
     """
 
     plan: Plan
@@ -127,7 +122,6 @@ class Suite:
     memory_gib: float
     atlas: bool | list[str] = False
     lost: tuple[str, ...] = ()
-    beside: tuple[Asked, ...] = ()
 
 
 def make_suite(
@@ -192,28 +186,9 @@ def make_suite(
         },
         mine=own_method.spec if own_method else "",
     )
-    # A part of the profile goes without the atlas and what is measured beside the cells.
-    atlas, beside = False, ()
-    if not (problems or integrators):
-        atlas, beside = profile.atlas, tuple(_beside(profile, registry, own_method, lost))
-    return Suite(plan, cells, profile.memory_gib, atlas, tuple(dict.fromkeys(lost)), beside)
-
-
-def _beside(
-    profile: ProfileFile, registry: Inventory, mine: MethodFacts | None, lost: list[str]
-) -> Iterator[Asked]:
-    """Check what is measured beside the cells; plugins without facts are lost, not refused."""
-    for entry in profile.entries:
-        try:
-            names = _usable(entry.integrators, registry.integrator, lost)
-            there = _usable([entry.problem], registry.problem, lost)
-            if not there or (entry.integrators and not names):
-                continue
-            if mine and mine not in map(registry.integrator, names):
-                names.append(mine.spec)
-            yield replace(entry, integrators=names).asked(registry)
-        except SpecError as error:
-            raise SpecError(f"[[{entry.kind}]] of {entry.problem}: {error}") from None
+    # A part of the profile goes without the atlas.
+    atlas = not (problems or integrators) and profile.atlas
+    return Suite(plan, cells, profile.memory_gib, atlas, tuple(dict.fromkeys(lost)))
 
 
 class _Entry(NamedTuple):

@@ -15,7 +15,6 @@ from typing import Any
 
 import msgspec
 
-from bench.running.entries import Entry, GradientEntry, PrecisionEntry, RealTimeEntry
 from problems import spec
 from problems.spec import SpecError
 
@@ -53,7 +52,7 @@ class StudyFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 class ProfileFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     """A profile: ``samples`` timings per run, ``budget_s`` and ``memory_gib`` per cell; the
     experiments of the failure ``atlas`` that belong to it (true: all); profiles whose studies it
-    takes, too; and ``entries`` of measurements beside the cells."""
+    takes, too."""
 
     study: list[StudyFile]
     include: list[str] = []
@@ -62,19 +61,6 @@ class ProfileFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     budget_s: float = 60.0
     memory_gib: float = 4.0
     atlas: bool | list[str] = False
-    realtime: list[RealTimeEntry] = []
-    precision: list[PrecisionEntry] = []
-    gradient: list[GradientEntry] = []
-
-    @property
-    def entries(self) -> list[Entry]:
-        """Return the entries of all kinds, in the order of the report."""
-        return [*self.realtime, *self.precision, *self.gradient]
-
-
-_TABLES = {"study": StudyFile} | {
-    entry.kind: entry for entry in (RealTimeEntry, PrecisionEntry, GradientEntry)
-}
 
 
 def built_in_profiles() -> dict[str, Path]:
@@ -119,11 +105,10 @@ def _read_file(name: str) -> tuple[Path, ProfileFile]:
         )
     data = _read_toml(path)
     _check_keys(data, ProfileFile, f"The suite {path}")
-    for key, struct in _TABLES.items():
-        tables = data.get(key)
-        for table in tables if isinstance(tables, list) else []:
-            if isinstance(table, dict):
-                _check_keys(table, struct, f"A [[{key}]] of {path}")
+    tables = data.get("study")
+    for table in tables if isinstance(tables, list) else []:
+        if isinstance(table, dict):
+            _check_keys(table, StudyFile, f"A [[study]] of {path}")
     try:
         profile = msgspec.convert(data, ProfileFile)
     except msgspec.ValidationError as error:

@@ -9,7 +9,6 @@ from bench.guard.limits import Limits
 from bench.guard.process import NoAnswer
 from bench.plugins.facts import SceneFacts
 from bench.results.environment import environment
-from bench.results.measurements import Measurement
 from bench.results.quantities import NORM, NORMS
 from bench.results.records import INTERRUPTED, TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.results.store import Store
@@ -211,7 +210,7 @@ def result_of(cell: Cell, answer: CellResult | NoAnswer, registry: Inventory) ->
     return answer
 
 
-def allowed_more(suite: Suite, record: Record | SceneRecord | Measurement) -> bool:
+def allowed_more(suite: Suite, record: Record | SceneRecord) -> bool:
     """Return whether a budget ran out, and the suite has more time or memory."""
     budgets = (suite.plan.budget_s, record.budget_s), (suite.memory_gib, record.memory_gib)
     more = any(before is not None and now > before for now, before in budgets)

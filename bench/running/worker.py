@@ -8,7 +8,7 @@ from __future__ import annotations
 import gc
 import os
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -40,7 +40,6 @@ from problems.initial_values import InconsistentStart, NoConsistentStart
 from problems.plain_text import said
 from problems.reference import Reference
 from problems.runtime import check_runtime, compile_sooner, jax, one_thread
-from problems.sensitivities import Sensitivities, sensitivities
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 from problems.usage import computed_seconds, undisturbed
@@ -84,7 +83,6 @@ class Worker:
         self.prepared: dict[str, PreparedRun] = {}
         self._seconds: dict[str, float] = {}
         self._references: dict[tuple[str, float], Reference] = {}
-        self._derivatives: dict[tuple[str, float, tuple[str, ...]], Sensitivities] = {}
         self._scenes: dict[str, MechatronicSystem] = {}
         self._found: str | None = None
 
@@ -105,16 +103,6 @@ class Worker:
             self._references[key] = reference
             self.notify(MEASURING, "measuring")
         return self._references[key]
-
-    def sensitivities(
-        self, scene: MechatronicSystem, t_end: float, by: Sequence[str]
-    ) -> Sensitivities:
-        """Return exact derivatives at t_end in s by parameters; they are computed once."""
-        key = (scene.spec, t_end, tuple(by))
-        if key not in self._derivatives:
-            self._derivatives[key] = sensitivities(scene, t_end, by)
-            self.notify(RUNNING, "running")
-        return self._derivatives[key]
 
     def measure(self, cell: Cell, errors: bool = True, lacking: str = "") -> CellResult:
         """Run a cell once and measure it.

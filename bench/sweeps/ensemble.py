@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.running.entries import check_end
 from bench.sweeps.batch import Batch, refuse
 from bench.sweeps.variation import default_resolution, find_quantity, runs_with, spec_without
 from integrators.contract import Integrator
-from integrators.resolutions import Steps, Tolerances
+from integrators.resolutions import Steps, Tolerances, check_end
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 

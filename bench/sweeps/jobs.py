@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from bench.guard.limits import PREPARING, RUNNING
-from bench.running.entries import check_end
 from bench.running.worker import Worker
 from bench.sweeps.batch import refuse
 from bench.sweeps.ensemble import Ensemble, ensemble
@@ -21,7 +20,7 @@ from bench.sweeps.variation import (
     unvaried_resolution,
 )
 from integrators.contract import Integrator
-from integrators.resolutions import Steps, Tolerances
+from integrators.resolutions import Steps, Tolerances, check_end
 from problems.runtime import check_runtime, jax, jnp
 from problems.spec import SpecError
 from problems.system import MechatronicSystem

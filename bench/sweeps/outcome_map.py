@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from bench.results.quantities import GROUPS, group_and_norm
-from bench.running.entries import check_end
 from bench.running.errors import Scales, component_errors, finite, scales, whole_error
 from bench.sweeps.batch import Batch, BatchRun, Block
 from bench.sweeps.variation import Range, default_resolution, runs_with, spec_without
 from integrators.contract import Integrator
-from integrators.resolutions import Steps, Tolerances
+from integrators.resolutions import Steps, Tolerances, check_end
 from problems.plain_text import said
 from problems.reference import Reference
 from problems.spec import SpecError

@@ -10,11 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.running.entries import check_end
 from bench.running.plan import resolution_of
 from bench.sweeps.batch import BatchRun
 from integrators.contract import Integrator
-from integrators.resolutions import Steps, Tolerances
+from integrators.resolutions import Steps, Tolerances, check_end
 from problems.runtime import Float
 from problems.spec import SpecError, build, numbers_of, options_of, split_spec, suggest
 from problems.system import MechatronicSystem

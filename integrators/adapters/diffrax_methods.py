@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from integrators.adapters.diffrax_constant import DiffraxConstantRun, DiffraxStepMethod
-from integrators.adapters.diffrax_runs import DiffraxAdaptiveRun, DiffraxScheme, with_parameters
+from integrators.adapters.diffrax_runs import DiffraxAdaptiveRun, DiffraxScheme
 from integrators.adapters.ode import ODEMethod
-from integrators.contract import Gradient, Integrator, PreparedRun, Wanted, option
-from integrators.native.gradients import gradient
-from integrators.native.phased_gradients import phased_gradient
+from integrators.contract import Integrator, PreparedRun, option
 from integrators.native.step_method import NativeMethod
 from problems.system import MechatronicSystem
 from problems.variables import VARIABLES
@@ -72,21 +69,6 @@ class DiffraxSolver(ODEMethod):
         if self.controls != "step":
             return None
         return DiffraxStepMethod(self.scheme(scene), scene, baumgarte=self.baumgarte(scene))
-
-    @property
-    def gradient_ways(self) -> tuple[str, ...]:
-        # diffrax's loops refuse Jacobian-vector products.
-        return ("reverse",) if self.controls == "step" else ()
-
-    def gradient(
-        self, scene: MechatronicSystem, t_end: float, resolution: Any, wanted: Wanted
-    ) -> Callable[[], Gradient]:
-        method = self.step_method(scene)
-        if method is None:
-            return super().gradient(scene, t_end, resolution, wanted)
-        if scene.is_hybrid:
-            return phased_gradient(self, scene, t_end, resolution, wanted, with_parameters)
-        return gradient(method, scene, t_end, resolution, wanted, with_parameters)
 
     def scheme(self, scene: MechatronicSystem) -> DiffraxScheme:
         """The solver as runs on a scene need it."""

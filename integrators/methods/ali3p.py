@@ -24,7 +24,7 @@ from problems.constraints import (
 )
 from problems.dependence import output_takes
 from problems.kinematics import displaced, q_rate
-from problems.runtime import Array, coarseness, jax, jnp
+from problems.runtime import Array, jax, jnp
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 
@@ -146,7 +146,7 @@ class ALI3P(StageMethod, ImplicitStepMethod):
 
             guess = jnp.concatenate([w, jnp.zeros(nl), *control])
             soft = self._softened(residual, slice(nv, nv + nl), softness)
-            of_w = 4 * _EPS * coarseness() * largest(w)
+            of_w = 4 * _EPS * largest(w)
             of_mu = of_w * formulations.largest_inertia(scene, q)
             rounding = of_w, of_mu, *inherited(of_w, w, control)
             return jnp.split(work.solve(soft, guess, groups=cuts, rounding=rounding), cuts)

@@ -19,7 +19,7 @@ from problems import formulations
 from problems.dependence import force_takes_velocities, mass_varies
 from problems.formulations import Start
 from problems.kinematics import advance
-from problems.runtime import Array, coarseness, jnp
+from problems.runtime import Array, jnp
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 
@@ -93,7 +93,7 @@ class LobattoPair(StageMethod, ImplicitStepMethod):
             return jnp.concatenate(rows)
 
         # As in `stage_equations`: end positions with the rounding of q, and constraints over h^2.
-        of_a = 16 * _EPS * coarseness() * largest(q, 1.0) / h**2 if nl else 0.0
+        of_a = 16 * _EPS * largest(q, 1.0) / h**2 if nl else 0.0
         of_lam = of_a * formulations.largest_inertia(scene, q)
         rounding = (of_a, of_a, of_lam, of_lam)
         of_a, of_lam, *_ = resting(scene, Base(q, v, x), Slopes(h**2 / 8, h, h))

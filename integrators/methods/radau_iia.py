@@ -53,7 +53,7 @@ from problems.dependence import output_takes
 from problems.formulations import Start
 from problems.kinematics import advance
 from problems.layouts import stage_layout
-from problems.runtime import Array, Bool, Float, coarseness, jax, jnp
+from problems.runtime import Array, Bool, Float, jax, jnp
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 
@@ -235,7 +235,7 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         ahead = r.weights(1 + h / state.h * r.c) @ state.stages
         guess = jnp.where(state.smooth, ahead, held)
         # Positions and velocities round, and the scaled rows turn this into errors of b.
-        eps = _ROUNDED * _EPS * coarseness()
+        eps = _ROUNDED * _EPS
         to_b, to_a = (abs(np.linalg.inv(part)).sum(axis=1).max() for part in (of_b, r.a))
         of_q = eps * largest(now.q, 1.0) / h**2 * to_b
         of_v = eps * largest(now.v) / h * to_a

@@ -25,7 +25,7 @@ import numpy as np
 from integrators.native import small_matrices
 from integrators.native.step_records import PIVOTS
 from problems.named_equations import part, turns
-from problems.runtime import Array, Bool, Float, Int, coarseness, jax, jnp, on_gpu
+from problems.runtime import Array, Bool, Float, Int, jax, jnp, on_gpu
 
 #: Entries of a matrix, by row and column.
 _Numbers: TypeAlias = dict[tuple[int, int], Array]
@@ -170,7 +170,7 @@ class EliminationPlan:
         for i, row in enumerate(self.entries):
             terms = [a[i, j] * x[j] for j in np.flatnonzero(row).tolist()]
             gap, size = reduce(sub, terms, b[i]), reduce(add, map(jnp.abs, terms), jnp.abs(b[i]))
-            solved &= jnp.abs(gap) <= _BACKWARD * coarseness() * size
+            solved &= jnp.abs(gap) <= _BACKWARD * size
         return solved
 
     def _eliminated(self, products: Sequence[Any]) -> tuple[_Numbers, Array]:
@@ -183,7 +183,7 @@ class EliminationPlan:
         for i, j, rows, columns in self.pivots:
             if terms[i, j]:
                 size = reduce(add, map(jnp.abs, terms[i, j]))
-                reliable.append(jnp.abs(w[i, j]) > _BACKWARD * coarseness() * size)
+                reliable.append(jnp.abs(w[i, j]) > _BACKWARD * size)
             w[i, j] = 1 / w[i, j]
             for r in rows:
                 w[r, j] = w[r, j] * w[i, j]
@@ -214,7 +214,7 @@ class EliminationPlan:
             for a, mine in zip(products, columns.swapaxes(0, 1), strict=True)
         ]
         gap, size = reduce(sub, terms, b), reduce(add, map(jnp.abs, terms), jnp.abs(b))
-        return jnp.all(jnp.abs(gap) <= _BACKWARD * coarseness() * size)
+        return jnp.all(jnp.abs(gap) <= _BACKWARD * size)
 
     def _by_pivots(self, products: Array, b: Array, _: Array) -> Array:
         return small_matrices.solve(self._full(products), b)
@@ -228,12 +228,11 @@ class EliminationPlan:
 
 def planned(entries: Bool[np.ndarray, "n n"]) -> EliminationPlan | None:
     """Plan the elimination of matrices with a pattern; None if it is singular or much work."""
-    return _planned(entries.tobytes(), len(entries), coarseness())
+    return _planned(entries.tobytes(), len(entries))
 
 
 @lru_cache(256)
-def _planned(pattern: bytes, n: int, coarse: float) -> EliminationPlan | None:
-    # Tolerances are part of the programs that JAX keeps of a plan: each has its own.
+def _planned(pattern: bytes, n: int) -> EliminationPlan | None:
     entries = np.frombuffer(pattern, bool).reshape(n, n)
     left, pivots = entries.copy(), []
     for _ in range(n):

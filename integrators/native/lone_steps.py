@@ -12,8 +12,6 @@ leaves behind: on slider_crank at 1 kHz generalized-alpha blows up if two steps 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
-from dataclasses import replace
 from functools import cache, partial
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -25,7 +23,6 @@ from integrators.native.constant_steps import Clock, grid, step_times
 from integrators.native.endings import Ending
 from integrators.native.kernel import Form, bounded, rewritten_step
 from integrators.native.linear_solvers import Once, Residual
-from integrators.native.precision import TOLERANCE, RoundedSolver, single
 from integrators.native.stage_tangents import StageTangents
 from integrators.native.step_method import NativeMethod
 from integrators.native.step_program import Carried, Numbers, StepProgram
@@ -35,7 +32,7 @@ from integrators.resolutions import Steps
 from problems.formulations import Start
 from problems.initial_values import consistent_start
 from problems.named_equations import with_named_blocks
-from problems.runtime import Array, Float, jax, jnp, single_floats
+from problems.runtime import Array, Float, jax, jnp
 from problems.system import MechatronicSystem
 
 _NAMES = Reading._fields[:-1]
@@ -101,17 +98,13 @@ class Compiled(NamedTuple):
 
 
 @cache
-def compiled(
-    program: StepProgram, template: MechatronicSystem, form: Form, in_single: bool = False
-) -> Compiled:
+def compiled(program: StepProgram, template: MechatronicSystem, form: Form) -> Compiled:
     """Return the compiled functions of a method's step on a kind of scene.
 
     Parameters
     ----------
     form
         Form of the packed arguments: parameters, numbers, start and clock.
-    in_single
-        Whether the functions have 32-bit floats.
     """
     from jax.flatten_util import ravel_pytree  # JAX is loaded late
 
@@ -122,9 +115,7 @@ def compiled(
         h = step_times(clock, 0)[1]
         return jnp.ones(3).at[0].set(0), program.begin(named.with_parameters(p), numbers, start, h)
 
-    floats = single_floats if in_single else nullcontext
-    with floats():
-        first = jax.eval_shape(begun, *form.structs)
+    first = jax.eval_shape(begun, *form.structs)
     parted = ravel_pytree(jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), first))[1]
 
     def begin(packed: Array) -> Array:
@@ -149,11 +140,9 @@ def compiled(
         return jax.vmap(one)(states)
 
     p, numbers, *_ = form.structs
-    with floats():
-        _, report = jax.eval_shape(step, p, numbers, first[1], jnp.zeros(()), jnp.zeros(()))
+    _, report = jax.eval_shape(step, p, numbers, first[1], jnp.zeros(()), jnp.zeros(()))
     iterates = any(name.startswith("newton") for name in report.turns)
-    made = single if in_single else lambda function: function
-    return Compiled(jax.jit(made(begin)), jax.jit(made(advance)), jax.jit(made(read)), iterates)
+    return Compiled(jax.jit(begin), jax.jit(advance), jax.jit(read), iterates)
 
 
 class LoneStep:
@@ -172,8 +161,6 @@ class LoneStep:
     iterations
         Most iterations in each call of Newton's method, after which the step goes on; None for
         those of the method, without which a step has failed.
-    precision
-        One of `integrators.native.precision.PRECISIONS`; all but double have full tangents.
 
     Attributes
     ----------
@@ -190,24 +177,18 @@ class LoneStep:
         h: float,
         steps: int,
         iterations: int | None = None,
-        precision: str = "double",
     ) -> None:
         self._scene, self._limited = scene, iterations is not None
-        self._program, numbers = method.program(scene, precision == "double")
+        self._program, numbers = method.program(scene)
         if iterations is not None:
             self._program = LimitedProgram(**vars(self._program))
             numbers = numbers._replace(most=iterations)
-        if precision == "mixed":
-            self._program = replace(self._program, dense=RoundedSolver())
-        elif precision == "single":
-            numbers = numbers._replace(tolerance=max(numbers.tolerance, TOLERANCE))
         t0, self._start = scene.interval[0], consistent_start(scene)
         self._clock = grid(t0, t0 + steps * h, Steps(h))[0]._replace(macro_steps=steps)
         parts = scene.parameters(), numbers, self._start, self._clock
         form = Form.of(*parts)
         self._packed = form.pack(*parts)
-        in_single = precision == "single"
-        self._compiled = compiled(self._program, scene.template(), form, in_single)
+        self._compiled = compiled(self._program, scene.template(), form)
         self.first = self._compiled.begin(self._packed)
         self.iterates = self._compiled.iterates
 

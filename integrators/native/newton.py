@@ -25,12 +25,11 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from integrators.native.linear_solvers import LinearSolver
-from integrators.native.step_records import PIVOTS, Scalar, StepReport, largest
+from integrators.native.step_records import PIVOTS, TINY, Scalar, StepReport, largest
 from problems.named_equations import part, turns
-from problems.runtime import Array, Bool, Float, Int, coarseness, jax, jnp, smallest
+from problems.runtime import Array, Bool, Float, Int, jax, jnp
 
-#: Updates that stop shrinking below this relative size have met round-off; with 32-bit floats the
-#: size is larger by the root of `coarseness`.
+#: Updates that stop shrinking below this relative size have met round-off.
 _STAGNANT = 1e-7
 #: Modified Newton keeps a tangent while each update is at most this multiple of the one before
 _CONTRACTION = 0.1
@@ -84,7 +83,7 @@ class Bounds(NamedTuple):
             if d.size:
                 largest_entry = largest(d)
                 bound = self.tol * jnp.maximum(largest(a), largest(b)) + factor * rounding
-                bound = bound + smallest()
+                bound = bound + TINY
                 sizes.append(largest_entry / bound)
                 is_noise = is_noise & (largest_entry < bound + noise)
         size = jnp.max(jnp.stack(sizes))
@@ -139,7 +138,7 @@ def is_solved(
     if to_rounding:
         met = (size < before) & (left <= _REST) | (size <= 1.0) & (size > 0.5 * before)
         small = jnp.where(now.exact, small, met)
-    stagnant = now.exact & (size > 0.5 * before) & (size * tol < _STAGNANT * coarseness() ** 0.5)
+    stagnant = now.exact & (size > 0.5 * before) & (size * tol < _STAGNANT)
     done = (now.k >= solved_after) & (now.exact | (now.k == 0)) & ~jnp.isnan(size)
     return small | stagnant | done
 

@@ -27,13 +27,13 @@ from typing import NamedTuple
 import numpy as np
 
 from integrators.native.guesses import Guess
-from integrators.native.step_records import Scalar, Time, largest
+from integrators.native.step_records import TINY, Scalar, Time, largest
 from integrators.native.step_work import StepWork
 from problems import formulations
 from problems.constraints import constraint_force, constraint_rows
 from problems.kinematics import Place, advance, origin
 from problems.layouts import Layout, stage_layout
-from problems.runtime import Array, Float, coarseness, jnp, smallest
+from problems.runtime import Array, Float, jnp
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 
@@ -172,7 +172,7 @@ def stage_equations(
 
 def inherited(of_a: Scalar, a: Array, control: Sequence[Array]) -> list[Scalar]:
     """Rounding errors of the controller's values, xdot and y, which inherit those of a."""
-    part = jnp.minimum(of_a / (largest(a) + smallest()), _MOST_ROUNDING)
+    part = jnp.minimum(of_a / (largest(a) + TINY), _MOST_ROUNDING)
     return [part * largest(now, 0.0) for now in control]
 
 
@@ -183,9 +183,8 @@ def resting(scene: MechatronicSystem, base: Base, slopes: Slopes) -> tuple[Scala
     place. Multipliers balance such accelerations, and controllers may see them. Outputs follow
     from the rest; one that jumps moves what it acts on.
     """
-    eps = _EPS * coarseness()
     of_a = jnp.minimum(8 * _of_position(base, slopes), _REST)
-    of_x = jnp.minimum((16 * eps * largest(base.x, 1.0) + of_a) / slopes.x, _REST)
+    of_x = jnp.minimum((16 * _EPS * largest(base.x, 1.0) + of_a) / slopes.x, _REST)
     of_lam = of_a * formulations.largest_inertia(scene, origin(base.q))
     return of_a, of_lam, of_a, of_x, math.inf
 
@@ -199,7 +198,7 @@ def _rounding(
     rows turn them into errors of a.
     """
     of_q = _of_position(base, slopes)
-    of_v = 2 * _EPS * coarseness() * largest(base.v) / slopes.v
+    of_v = 2 * _EPS * largest(base.v) / slopes.v
     of_a = {"index3": of_q, "index1": 0.0}.get(formulation, of_v) if scene.sizes.nl else 0.0
     return of_a, of_a * formulations.largest_inertia(scene, origin(base.q)), of_q
 
@@ -207,4 +206,4 @@ def _rounding(
 def _of_position(base: Base, slopes: Slopes) -> Scalar:
     """The acceleration that moves q by its rounding error."""
     # Scenes also contain lengths, which do not vanish with q: the size is at least one unit.
-    return 2 * _EPS * coarseness() * largest(origin(base.q), 1.0) / slopes.q
+    return 2 * _EPS * largest(origin(base.q), 1.0) / slopes.q

@@ -10,15 +10,12 @@ own (several members, one compiled kernel) inherits from it directly.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
 from dataclasses import Field, dataclass, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
-from integrators.contract import Gradient, Integrator, PreparedRun, Wanted, option
+from integrators.contract import Integrator, PreparedRun, option
 from integrators.native.adaptive_steps import AdaptiveRun
 from integrators.native.constant_steps import ConstantStepsRun
-from integrators.native.gradients import gradient
-from integrators.native.phased_gradients import phased_gradient
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_program import Numbers, SparseTangents, StepProgram, sparse_tangents
 from integrators.resolutions import Steps, Tolerances
@@ -85,8 +82,7 @@ class NativeMethod(Integrator):
         Parameters
         ----------
         sparse
-            True if tangents may be sparse; many runs side by side need dense ones, and so do single
-            and mixed precision.
+            True if tangents may be sparse; many runs side by side need dense ones.
 
         Raises
         ------
@@ -113,8 +109,8 @@ class NativeMethod(Integrator):
         asked = self.newton_settings.linear_solver
         if not allowed and asked == "sparse":
             raise SpecError(
-                f"{self.spec} cannot have sparse tangents in many runs side by side, nor in single "
-                f"or mixed precision; take linear_solver=dense."
+                f"{self.spec} cannot have sparse tangents in many runs side by side; take "
+                f"linear_solver=dense."
             )
 
         def found() -> SparseTangents:
@@ -129,19 +125,6 @@ class NativeMethod(Integrator):
 
     def step_method(self, scene: MechatronicSystem) -> NativeMethod | None:
         return self
-
-    @property
-    def gradient_ways(self) -> tuple[str, ...]:
-        return ("forward", "reverse") if self.controls == "step" else ()
-
-    def gradient(
-        self, scene: MechatronicSystem, t_end: float, resolution: Any, wanted: Wanted
-    ) -> Callable[[], Gradient]:
-        if not self.gradient_ways:
-            return super().gradient(scene, t_end, resolution, wanted)
-        if scene.is_hybrid:
-            return phased_gradient(self, scene, t_end, resolution, wanted)
-        return gradient(self, scene, t_end, resolution, wanted)
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Steps | Tolerances

@@ -9,6 +9,8 @@ from problems.variables import Variables
 
 #: Name of the branch that repeats an elimination in a fixed order with pivots.
 PIVOTS = "pivots"
+#: Added to divisors that may be zero; it is nothing beside others.
+TINY = 1e-300
 #: A number, which may be traced.
 Scalar: TypeAlias = Float[Array, ""] | float
 #: A time or a step in s.

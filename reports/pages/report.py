@@ -19,7 +19,6 @@ from reports.pages.atlas import atlas_chapter
 from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.pages.drift import drift_chapter
 from reports.pages.jumps import jumps_chapter
-from reports.pages.measurements import measurement_chapters
 from reports.pages.method_chapter import MethodChapter
 from reports.pages.scene_chapter import SceneChapter
 from reports.pages.study_section import StudySections
@@ -90,8 +89,7 @@ class Report:
         self.orders = order_tables(plan, stored.records)
         self.ratings = overviews(plan, stored.records)
         drifts = drift_chapter(store.long_runs(), interactive)
-        beside = measurement_chapters(store.measurements())
-        found = jumps_chapter(stored), *beside, drifts, atlas_chapter(experiments)
+        found = jumps_chapter(stored), drifts, atlas_chapter(experiments)
         self.chapters = [chapter for chapter in found if chapter.sections]
         self.timing, self.times = timing_table(series_of(runs)), times_sentence(stored.times)
         self.method = method_of_measurement(plan)

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from planted import everything, plant
-from small_stores import A_LONG_RUN, A_MEASUREMENT
+from small_stores import A_LONG_RUN
 
 from bench.results.experiments import CaseResult, Expected, ExperimentResult, PartResult
 from bench.results.records import Damping, IntegratorFacts
@@ -56,7 +56,6 @@ PLACES = {
     "damping": ("damping", "value", f"integrator = '{METHOD}'"),
     "experiments": ("experiments", "value", "name = 'e'"),
     "long_runs": ("long_runs", "value", "key LIKE '%| 100 x%'"),
-    "measurements": ("measurements", "value", "key LIKE 'precision | pendulum%'"),
     "records": ("records", "value", f"key = 'pendulum | {METHOD} | h=0.1'"),
     "rows": ("records", "rows", f"key = 'pendulum | {METHOD} | h=0.1'"),
 }
@@ -81,8 +80,6 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
         store.save_experiment(msgspec.structs.replace(AN_EXPERIMENT, name="f", number=2))
         store.save_long_run(A_LONG_RUN)
         store.save_long_run(msgspec.structs.replace(A_LONG_RUN, asked=200))
-        store.save_measurement(A_MEASUREMENT)
-        store.save_measurement(msgspec.structs.replace(A_MEASUREMENT, about="other | h=0.1 s"))
         store.save_environment(store.environments()[1])
         plan = store.plan()
         assert plan
