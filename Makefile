@@ -50,7 +50,7 @@ bench: .venv/tested  ## our time loop against C, exudyn and other solvers; micro
 	$(BIN)/python tests/benchmarks/batches.py
 	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc --benchmark-json=stepbench-speed.json
 
-pictures: .venv/tested  ## README's pictures, docs/choosing.md and docs/iftomm.md; half an hour, in Chromium
+pictures: .venv/tested  ## README's picture and docs/iftomm.md; half an hour, in Chromium
 	$(BIN)/python tests/pictures.py
 
 clean:

@@ -1,4 +1,4 @@
-"""Make README's pictures, docs/choosing.md and the times of docs/iftomm.md; `make pictures`.
+"""Make README's picture and the times of docs/iftomm.md; `make pictures`.
 
 Runs that an earlier attempt has measured are kept in the folders of results.
 """
@@ -13,7 +13,7 @@ from typing import Any
 from chromium import chromium, waited
 
 DOCS = Path(__file__).parents[1] / "docs"
-MEASURED = "stepbench-pictures-full", "stepbench-pictures-families", "stepbench-pictures-iftomm"
+MEASURED = "stepbench-pictures-full", "stepbench-pictures-iftomm"
 #: The line of docs/iftomm.md from which on it is written here.
 TIMES = "## Times"
 
@@ -24,12 +24,9 @@ def stepbench(*arguments: object, **more: Any) -> Any:
 
 
 def main() -> None:
-    """Measure the suites if they are not, then draw and write."""
-    full, families, iftomm = map(Path, MEASURED)
+    """Measure the suites if they are not, then write and draw."""
+    full, iftomm = map(Path, MEASURED)
     stepbench("run", "full", "--out", full)
-    stepbench("run", "families", "--out", families)
-    stepbench("card", full, "-o", DOCS / "card_full.svg")
-    stepbench("choose", families, "-o", DOCS / "choosing.md")
     rate = "rate", "iftomm", "--rule", "iftomm", "--markdown", "--out", iftomm
     times = stepbench(*rate, stdout=subprocess.PIPE, text=True).stdout
     page = DOCS / "iftomm.md"

@@ -20,9 +20,7 @@ from problems.reference import Reference
 from problems.scenes.oscillator import Oscillator
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven
-from reports.formatting import NO_VALUE
 from reports.pages.html_report import write_html_report
-from reports.questions.advice import on_costs
 from reports.questions.answers import answer, answers
 from reports.questions.method_card import card_sentences
 from reports.questions.phrases import plain
@@ -30,7 +28,6 @@ from reports.questions.question import FIRST, Question
 from reports.questions.sentences import scene_sentence, sentences
 from reports.questions.words import words_of
 from reports.series import series_of
-from reports.text.choosing_tables import multiples_table
 from reports.text.ranking_tables import targets_table, winners_table
 from reports.violations import violation_text
 
@@ -263,15 +260,6 @@ def test_of_many_scenes_those_are_named_on_which_a_winner_violates_constraints()
     assert not any("onstraints" in text for text in said(*unconstrained, *others))
 
 
-def test_the_guide_tells_the_same_for_several_accuracies_at_once():
-    held = [won("s", name, cost, error=1e-6) for name, cost in (("one", 100), ("two", 300))]
-    scenes = {"s": series_of(held)}
-    found = answers(scenes, [FIRST.group], [1e-2, 1e-4])
-    asked = [answer for question, answer in found.items() if question.cost == FIRST.cost]
-    told = [[plain(s) for s in own] for own in on_costs(asked, words_of(scenes, {}))]
-    assert "The winners hold the constraints to 1e-2 and 1e-4." in told[0]
-
-
 def test_tables_of_winners_have_a_column_of_violations():
     series = series_of([won("s"), won("s", "two", cost=300)])
     free = series_of([won("f", **FREE), won("f", "two", cost=300, **FREE)])
@@ -287,8 +275,6 @@ def test_tables_of_winners_have_a_column_of_violations():
         "a to 1e-2"
     ] == "0.0022 m"  # fmt: skip
     assert "|Φ|" not in " ".join(targets_table(free, names).head)
-    guide = multiples_table([found[FIRST]], {"s": series, "f": free}, words_of({"s": series}, {}))
-    assert guide.rows[1][:3] == ["|Φ| of the cheapest", OFF, NO_VALUE]
 
 
 def test_winners_by_several_costs_have_a_violation_each():

@@ -21,7 +21,6 @@ from reports.questions.question import FIRST, TABLE_TARGETS
 from reports.questions.words import words_of
 from reports.ranking import RankEntry, contestants, rank, told_apart
 from reports.series import series_of
-from reports.text.choosing_tables import multiples_table
 from reports.text.ranking_tables import integrators_table, targets_table, winners_table
 
 SECOND = {"q": (1.0, 2), "a": (1.0, 2)}
@@ -227,13 +226,6 @@ def test_a_count_of_zero_is_the_least_and_has_no_multiples():
         replace(FIRST, cost="residuals"), {"one": by["residuals"]}, words_of({"one": series}, {})
     )
     assert "0 at h=0.01 s; next: b, 1)." in plain(said)
-    table = multiples_table(
-        [Answer(replace(FIRST, cost="jacobians"), {"one": by["residuals"]}, {})],
-        {"one": series},
-        words_of({"one": series}, {}),
-    )
-    assert table.caption.startswith("Fewest Jacobian evaluations to 1e-4")
-    assert [row[1] for row in table.rows] == ["0", "1", "∞", "∞"]
 
 
 def test_two_counts_of_zero_tie():

@@ -14,15 +14,12 @@ from bench.results.quantities import TRUST, WRONG
 from bench.results.records import SceneRecord
 from bench.results.store import Store
 from reports.explanations import STIFF, TRANSIENT, UNDAMPED, wrong_runs
-from reports.pages.card import card_svg
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
-from reports.questions.answers import answer
 from reports.questions.method_card import method_card
 from reports.questions.phrases import Ref, plain
 from reports.questions.words import words_of
 from reports.questions.wrong import wrong_on, wrong_sentences
-from reports.scenes import stored_runs
 from reports.series import series_of
 
 #: A vibration of 100 rad/s in an interval of 1 s.
@@ -137,7 +134,7 @@ def store(tmp_path_factory):
     return edited(folder, "spoilt", spoil)
 
 
-def test_pages_card_and_terminal_say_the_same(store):
+def test_pages_and_terminal_say_the_same(store):
     (line, count, silent, warned, why) = method_card(store, "")
     assert line.startswith("1e-4 in acceleration, fewest operations: ")
     assert line.endswith("cheapest on 1 of 2 scenes.")
@@ -155,9 +152,6 @@ def test_pages_card_and_terminal_say_the_same(store):
     assert data["wrong"]["a"]["filters"]["all"][0] == [count]
     for page in ("report.md", "report/failures.html"):
         assert count.partition("(")[0] in (store / page).read_text(encoding="utf-8"), page
-    stored = stored_runs(store)
-    card = card_svg(stored, answer(stored.series, stored.first), "all")
-    assert count in card.partition("</desc>")[0]
     assert f'"page":"atlas.html#atlas-{UNDAMPED}"' not in front.replace(" ", "")
     own = method_card(store, "ringing[rho_inf=1]")
     assert "Wrong without warning: 6 of 6 runs" in " ".join(own)

@@ -1,9 +1,8 @@
-"""The commands for stored results: flat rows, comparisons, histories, pictures and a guide."""
+"""The commands for stored results: flat rows, comparisons and pictures."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +15,15 @@ from bench.commands.pages import view
 from bench.results.compare import compare_folders, read_limits, regressions
 from bench.results.csv_text import csv_export
 from bench.results.flat_rows import flatten
-from bench.results.history import History, history
 from bench.results.merge import merge
-from bench.results.quantities import ASKED, COSTS, NORM, NORMS, RANKED_COSTS
+from bench.results.quantities import ASKED, COSTS, NORM, NORMS
 from bench.results.store import Store
-from bench.results.table import Table
 from problems.spec import SpecError
 
 #: The page in a folder of results.
 _PAGE = "report.html"
-#: Most regressions that are named on the screen, and lines of a history.
-_NAMED, _LINES = 10, 40
+#: Most regressions that are named on the screen.
+_NAMED = 10
 
 
 @click.command()
@@ -52,14 +49,9 @@ def export(folder: Path, form: str | None, out: Path | None) -> None:
         rows = [flatten(record, machines) for record in store.records().values()]
         options.tell_set_aside(store)
     text = json.dumps(rows, indent=1) if form == "json" else csv_export(rows)
-    _tell(text, out, f"{len(rows)} records in {out}")
-
-
-def _tell(text: str, out: Path | None, done: str) -> None:
-    """Print a text, or write it into a file and say that it is done."""
     if out:
         out.write_text(text, encoding="utf-8")
-    click.echo(done if out else text, nl=bool(out))
+    click.echo(f"{len(rows)} records in {out}" if out else text, nl=bool(out))
 
 
 def _limits(
@@ -120,56 +112,6 @@ def compare(
         more = f"\n... and {len(worse) - _NAMED} more" if len(worse) > _NAMED else ""
         named = "\n".join(worse[:_NAMED])
         raise click.ClickException(f"{len(worse)} beyond the limits:\n{named}{more}")
-
-
-@click.command("history")
-@click.argument("folders", nargs=-1, type=PathName("folder"), metavar="FOLDER FOLDER...")
-@click.option("--csv", "form", flag_value="csv", help="Print a row for each cell and folder.")
-@click.option("--json", "form", flag_value="json", help="Print JSON instead of a table.")
-def history_(folders: tuple[Path, ...], form: str | None) -> None:
-    """Follow errors and costs over several versions.
-
-    The folders are named from the oldest to the newest, such as those of several versions of a
-    method; errors, operations and seconds of the same cells are compared with those of the folder
-    before, as by 'stepbench compare'. Errors are the largest over time. The table shows what
-    changed; CSV and JSON have all cells.
-
-    \b
-    Examples:
-      stepbench history results-v1 results-v2 results-v3
-      stepbench history monday tuesday --csv > days.csv
-    """
-    from bench.commands.terminal import say, show
-
-    found = history(folders)
-    options.tell_set_aside(*folders)
-    if form == "csv":
-        click.echo(csv_export(found.rows()), nl=False)
-        return
-    if form == "json":
-        plain = msgspec.json.encode(msgspec.structs.asdict(found))
-        click.echo(msgspec.json.format(plain.decode(), indent=2))
-        return
-    for comparison in found.comparisons:  # their state; the table has the rest
-        say("\n  ".join([f"{comparison.old} -> {comparison.new}", *comparison.state()]))
-    if found.changed:
-        show(_changes(found))
-
-
-def _changes(found: History) -> Table:
-    """The lines in which something changed, a column per folder."""
-    rows = []
-    for run, line in found.changed[:_LINES]:
-        values = (f"{v:.4g}" if isinstance(v, float) else str(v or "-") for v in line.values)
-        pairs = zip(values, line.changed, strict=True)
-        rows.append([str(run), line.quantity, *("\n".join(filter(None, pair)) for pair in pairs)])
-    left = len(found.changed) - len(rows)
-    return Table(
-        f"What changed of {len(found.cells)} runs",
-        ["run", "quantity", *(store.folder for store in found.stores)],
-        rows,
-        note=f"... and {left} more lines; --csv prints all." if left else "",
-    )
 
 
 @click.command("merge")
@@ -256,34 +198,11 @@ def figure(folder: Path, kind: str, out: Path | None, **question: Any) -> None:
           -i newmark -i hht -o orders.pdf
       stepbench figure stepbench-results trajectory --scene pendulum --component a:Y -o a.png
     """
-    _draw("figure", folder, out or Path(f"{kind}.svg"), question, kind)
-
-
-@click.command("card")
-@options.with_results
-@click.option(
-    "--group", metavar="|".join(ASKED), help="Quantity whose error counts; a if not given."
-)
-@click.option(
-    "--target", type=float, help="Largest error allowed, 1e-9 to 1e-1; 1e-4 if not given."
-)
-@click.option(
-    "--cost", metavar="|".join(RANKED_COSTS), help="That of the page's first question if not given."
-)
-@click.option("--scenes", metavar="TAG", help="Only scenes with this tag; all if not given.")
-@options.with_file("File that ends in .svg or .png; card.svg if not given.")
-def card_(folder: Path, out: Path | None, **question: Any) -> None:
-    """Write a summary card of results.
-
-    It answers a question on the results in FOLDER by three sentences and a chart, for a slide or a
-    README.
-
-    \b
-    Examples:
-      stepbench card stepbench-results -o card.png
-      stepbench card --group lam --target 1e-6 --cost seconds --scenes constrained
-    """
-    _draw("card", folder, out or Path("card.svg"), question)
+    # What the question leaves open, the writer decides.
+    asked = {name: value for name, value in question.items() if value is not None}
+    written = view("figure")(kind, folder, out or Path(f"{kind}.svg"), **asked)
+    options.tell_set_aside(folder)
+    click.echo(f"Figure: {written}")
 
 
 @click.command("versus")
@@ -334,29 +253,3 @@ def versus_(
         show(*found.sentences, found.table)
     if out:
         click.echo(f"Written: {found.write(out)}", err=as_json)
-
-
-def _draw(kind: str, folder: Path, out: Path, question: Mapping[str, Any], *more: str) -> None:
-    """Draw results into a file; what the question leaves open, the writer decides."""
-    asked = {name: value for name, value in question.items() if value is not None}
-    written = view(kind)(*more, folder, out, **asked)
-    options.tell_set_aside(folder)
-    click.echo(f"{kind.capitalize()}: {written}")
-
-
-@click.command()
-@options.with_results
-@options.with_file("File in Markdown; the screen if not given.")
-def choose(folder: Path, out: Path | None) -> None:
-    """Say which integrator suits which kind of system.
-
-    Each sentence is counted in the results in FOLDER, and leads to the table of its numbers.
-
-    \b
-    Examples:
-      stepbench choose stepbench-families
-      stepbench choose stepbench-families -o docs/choosing.md
-    """
-    text = view("choosing_in_markdown")(folder)
-    options.tell_set_aside(folder)
-    _tell(text, out, f"Guide: {out}")

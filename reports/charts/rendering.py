@@ -98,11 +98,6 @@ def picture(chart: Spec, form: str = "svg", **options: float) -> Picture:
     return pictures({"": chart}, form, **options)[""]
 
 
-def png_of(svg: str) -> Picture:
-    """Draw an SVG as PNG, a pixel for each of its units."""
-    return _drawn(svg, "svg_to_png", {})
-
-
 # ---- engines -----------------------------------------------------------------------------
 def _plain(chart: Spec) -> Spec:
     """The chart without slow options that a picture does not need.
