@@ -16,6 +16,8 @@ _HIDDEN = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff"
     "\ufffe\uffff]"
 )
+#: An escape in JSON; the first alternative passes over escaped backslashes.
+_ESCAPE = re.compile(rb"\\(?:[^u]|u([0-9a-fA-F]{4}))")
 _LONG_WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
 
@@ -30,6 +32,26 @@ def visible(text: str) -> str:
 def clean(text: str) -> str:
     """Write U+FFFD in the place of each such character, for pages, pictures and files."""
     return _HIDDEN.sub("\N{REPLACEMENT CHARACTER}", text)
+
+
+def clean_json(text: bytes) -> bytes:
+    """Return JSON whose texts are clean; pairs of surrogates stay.
+
+    Raises
+    ------
+    UnicodeDecodeError
+        If it is not UTF-8.
+    """
+    if b"\\u" in text:
+        text = _ESCAPE.sub(_clean_escape, text)
+    return clean(text.decode()).encode() if not text.isascii() or b"\x7f" in text else text
+
+
+def _clean_escape(found: re.Match[bytes]) -> bytes:
+    # Halves of pairs are left: who reads JSON joins two, and refuses one.
+    code = int(found[1], 16) if found[1] else 0x20
+    hidden = not 0xD800 <= code <= 0xDFFF and clean(chr(code)) != chr(code)
+    return b"\\ufffd" if hidden else found[0]
 
 
 def shortened(text: str) -> str:

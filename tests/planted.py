@@ -126,7 +126,7 @@ def plant(folder: Path, records: list[Record], samples: int = 3, plan: bool = Tr
             )
         )
         for problem in dict.fromkeys(r.problem for r in records):
-            store.save_scene(
+            store.keep(
                 SceneRecord(
                     problem=problem,
                     t_end=1.0,
@@ -170,7 +170,7 @@ def plant(folder: Path, records: list[Record], samples: int = 3, plan: bool = Tr
                 )
                 for problem in dict.fromkeys(r.problem for r in records)
             ]
-            store.save_plan(
+            store.keep(
                 Plan(name="planted", title="Planted", samples=3, budget_s=1.0, studies=studies)
             )
     return folder

@@ -87,12 +87,12 @@ def filled(folder: Path) -> Path:
         date="", command="", cpu="", cores=1, memory_gib=1.0, platform="", versions={}
     )
     with Store(folder, create=True) as store:
-        store.save_plan(Plan(name="p", title="", samples=1, budget_s=1.0, studies=[]))
+        store.keep(Plan(name="p", title="", samples=1, budget_s=1.0, studies=[]))
         store.save_environment(machine)
-        store.save_scene(A_SCENE)
-        store.save_damping("newmark", A_DAMPING)
-        store.save_experiment(AN_EXPERIMENT)
-        store.save_long_run(A_LONG_RUN)
+        store.keep(A_SCENE)
+        store.keep(A_DAMPING, "newmark")
+        store.keep(AN_EXPERIMENT)
+        store.keep(A_LONG_RUN)
         store.save(a_record(), NO_ROWS)
         store.add_sample("k", 0, 1.0)
     return folder

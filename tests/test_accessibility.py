@@ -46,7 +46,7 @@ def folder(tmp_path_factory):
     path = plant(tmp_path_factory.mktemp("planted"), everything())
     words = dict.fromkeys(("title", "claim", "remedy", "source"), "A word.")
     with Store(path, create=True) as store:
-        store.save_experiment(msgspec.structs.replace(AN_EXPERIMENT, **words, parts=[PART]))
+        store.keep(msgspec.structs.replace(AN_EXPERIMENT, **words, parts=[PART]))
     write_html_report(path)
     return path
 

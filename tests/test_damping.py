@@ -135,9 +135,9 @@ def test_damping_is_kept_until_the_source_of_the_method_changes(folder, tmp_path
     with Store(tmp_path / "out", create=True) as store:
         known = store.damping()
         assert complete(store, 60.0) == known
-        store.save_damping(name, Damping(omega_h=known[name].omega_h, fingerprint="other"))
+        store.keep(Damping(omega_h=known[name].omega_h, fingerprint="other"), name)
         assert complete(store, 60.0) == known
-        store.save_damping(name, None)
+        store.forget(Damping, name)
         lost = complete(store, 1e-9)[name]
         assert lost.omega_h == known[name].omega_h
         assert (

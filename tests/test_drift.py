@@ -258,7 +258,7 @@ def plant_long_runs(folder):
     plant(folder, [planted("pendulum", "good", {"q": (1.0, 2)}, h=0.1)])
     with Store(folder, create=True) as store:
         for run in RUNS:
-            store.save_long_run(run)
+            store.keep(run)
 
 
 def test_long_runs_have_a_page_that_the_side_links(tmp_path):

@@ -155,7 +155,7 @@ def test_cells_that_are_not_measured_yet_are_counted(tmp_path: Path) -> None:
         first, *others = plan.studies
         more = msgspec.structs.replace(first, cells=[*first.cells, "later 1", "later 2"])
         new = Study(title="To come", problem="arm", t_end=2.0, figures=["trajectory"], cells=["l3"])
-        store.save_plan(msgspec.structs.replace(plan, studies=[more, *others, new]))
+        store.keep(msgspec.structs.replace(plan, studies=[more, *others, new]))
     text = whole_markdown(write_markdown_report(tmp_path).parent)
     assert "3 of 10 planned runs are not measured yet." in text
     assert "2 of 7 runs are not measured yet." in text
@@ -202,7 +202,7 @@ def test_a_page_shows_measured_scenes_alone_and_no_script_complains(tmp_path, re
     with Store(tmp_path, create=True) as store:
         plan = store.plan()
         new = Study(title="To come", problem="arm", t_end=2.0, figures=["trajectory"], cells=["l3"])
-        store.save_plan(msgspec.structs.replace(plan, studies=[*plan.studies, new]))
+        store.keep(msgspec.structs.replace(plan, studies=[*plan.studies, new]))
     write_html_report(tmp_path)
     with chromium() as browser:
         for page in (FILE, "report/scene-arm.html"):

@@ -87,7 +87,7 @@ def test_a_report_of_studies_without_titles_has_no_faults(folder, tmp_path):
     with Store(bare, create=True) as store:
         plan = store.plan()
         studies = [msgspec.structs.replace(s, title=s.problem) for s in plan.studies]
-        store.save_plan(msgspec.structs.replace(plan, studies=studies))
+        store.keep(msgspec.structs.replace(plan, studies=studies))
     path = write_markdown_report(bare)
     assert faults(path) == []
     scene = bare / "report" / "scene-pendulum.md"

@@ -90,7 +90,7 @@ def test_a_scene_in_two_folders_is_taken_from_the_one_measured_last(tmp_path):
         folder = machine(tmp_path / name, [planted("pendulum", name, FREE, h=0.1)], name, date)
         with Store(folder, create=True) as store:
             (scene,) = store.scenes().values()
-            store.save_scene(msgspec.structs.replace(scene, title=name))
+            store.keep(msgspec.structs.replace(scene, title=name))
         folders.append(folder)
     merge(folders, tmp_path / "out")
     with Store(tmp_path / "out") as store:
@@ -125,7 +125,7 @@ def test_the_most_samples_and_the_largest_budget_are_the_plan_of_both(tmp_path, 
     for folder, most in zip(folders, (3, 9), strict=True):
         with Store(plant(folder, [planted("pendulum", "m", FREE, h=0.1)]), create=True) as store:
             plan = msgspec.structs.replace(store.plan(), samples=most, budget_s=10.0 * most)
-            store.save_plan(plan)
+            store.keep(plan)
     merge([folders[k] for k in order], tmp_path / "out")
     with Store(tmp_path / "out") as store:
         plan = store.plan()
@@ -195,7 +195,7 @@ def test_merge_refuses_and_leaves_everything_as_it_is(old, tmp_path, stepbench):
 def test_a_damaged_store_leaves_no_half_a_store(old, tmp_path, stepbench):
     bad = edited(old, "bad", lambda record: None)
     with Store(bad, create=True) as store:
-        store._db.execute("DROP TABLE scenes")
+        store._db.execute("DROP TABLE samples")
     result = stepbench("merge", old, bad, "--out", tmp_path / "out")
     assert result.exit_code == 1
     assert "cannot be read" in result.output

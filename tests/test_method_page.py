@@ -89,7 +89,7 @@ def test_the_page_of_each_method_has_its_charts(tmp_path):
 def test_the_front_page_knows_the_own_method(tmp_path, mine):
     plant(tmp_path, everything())
     with Store(tmp_path, create=True) as store:
-        store.save_plan(msgspec.structs.replace(store.plan(), mine=mine))
+        store.keep(msgspec.structs.replace(store.plan(), mine=mine))
     text = write_html_report(tmp_path).read_text(encoding="utf-8")
     assert f'"highlight":"{mine if mine == "poor" else ""}"' in text.replace(": ", ":")
 

@@ -34,10 +34,10 @@ def folder(tmp_path_factory) -> Path:
         facts = IntegratorFacts(title="Mine.", files=["my method.py"])
         plan = store.plan()
         known = {r.integrator: facts for r in store.records().values() if r.integrator != LONG}
-        store.save_plan(msgspec.structs.replace(plan, integrators=known))
+        store.keep(msgspec.structs.replace(plan, integrators=known))
         for scene in store.scenes().values():
             text = "Like ``slider_crank_minimal``; a and lam ring."
-            store.save_scene(msgspec.structs.replace(scene, description=text))
+            store.keep(msgspec.structs.replace(scene, description=text))
     write_html_report(folder)
     write_markdown_report(folder)
     return folder

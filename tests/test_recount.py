@@ -68,7 +68,7 @@ def write_odd(folder, records):
         studies = [
             Study(title=k, problem=k, t_end=1.0, figures=[], cells=own) for k, own in cells.items()
         ]
-        store.save_plan(Plan(name="odd", title="Odd", samples=3, budget_s=1.0, studies=studies))
+        store.keep(Plan(name="odd", title="Odd", samples=3, budget_s=1.0, studies=studies))
     return folder
 
 

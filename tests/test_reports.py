@@ -277,7 +277,7 @@ def test_a_scene_over_two_intervals_is_described_once(tmp_path: Path) -> None:
     plant(tmp_path, some())
     with Store(tmp_path, create=True) as store:
         scene = next(s for s in store.scenes().values() if s.problem == "spring_mass")
-        store.save_scene(msgspec.structs.replace(scene, t_end=2.0))
+        store.keep(msgspec.structs.replace(scene, t_end=2.0))
     write_html_report(tmp_path)
     page = Document(whole_report(tmp_path))
     assert page.words.count("A second paragraph.") == 2

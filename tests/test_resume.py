@@ -63,7 +63,7 @@ def rows(out: Path) -> int:
         with closing(sqlite3.connect(url, uri=True, timeout=5)) as db:
             return sum(
                 db.execute(f"SELECT COUNT(*) FROM {table}").fetchone()[0]
-                for table in ("records", "samples")
+                for table in ("results WHERE kind = 'Record'", "samples")
             )
     except sqlite3.Error:
         return 0
@@ -148,7 +148,7 @@ def keep(store: Store, stopped: bool = True, **more: object) -> None:
         fingerprint=made_by(REGISTRY.problem("pendulum").fingerprint),
     )
     store.save(msgspec.structs.replace(record, **more), rows)
-    store.save_scene(msgspec.structs.replace(scene, **more))
+    store.keep(msgspec.structs.replace(scene, **more))
 
 
 def missing(store: Store, **more: float) -> tuple[int, int]:

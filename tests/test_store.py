@@ -12,12 +12,7 @@ from pathlib import Path
 import pytest
 from small_stores import A_DAMPING, A_SCENE, NO_ROWS, a_record, change, filled
 
-from bench.results.records import (
-    Environment,
-    Plan,
-    Rows,
-    Study,
-)
+from bench.results.records import Damping, Environment, Plan, Rows, Study
 from bench.results.store import FILE, Store, StoreError
 
 NOT_A_DATABASE = "not a database, but long enough to have a header" * 50
@@ -38,12 +33,12 @@ def test_everything_written_is_read_back(tmp_path):
     )
     rows = Rows(t=[0.0, 1 / 3], values={"q": [[1.0, 2.0], [0.1, 1e-300]]})
     with Store(tmp_path / "deep" / "er", create=True) as store:
-        store.save_plan(plan)
+        store.keep(plan)
         number = store.save_environment(machine)
-        store.save_scene(A_SCENE)
-        store.save_damping("newmark", A_DAMPING)
-        store.save_damping("forgotten", A_DAMPING)
-        store.save_damping("forgotten", None)
+        store.keep(A_SCENE)
+        store.keep(A_DAMPING, "newmark")
+        store.keep(A_DAMPING, "forgotten")
+        store.forget(Damping, "forgotten")
         store.save(a_record(environment=number), rows)
         for k, seconds in enumerate((0.1, 0.2, 0.05)):
             store.add_sample("k", k, seconds)
@@ -73,7 +68,7 @@ def test_records_come_in_the_order_of_the_plan(tmp_path):
     with Store(tmp_path, create=True) as store:
         for key in ("a", "old", "c"):
             store.save(a_record(key), Rows(t=[]))
-        store.save_plan(Plan(name="p", title="", samples=1, budget_s=1.0, studies=[study]))
+        store.keep(Plan(name="p", title="", samples=1, budget_s=1.0, studies=[study]))
         assert list(store.records()) == ["c", "a", "old"]
 
 
@@ -91,8 +86,8 @@ def test_a_file_that_is_no_store_is_refused(tmp_path):
 def test_a_store_of_another_schema_is_refused_with_the_way_out(tmp_path):
     Store(tmp_path, create=True).close()
     with closing(sqlite3.connect(tmp_path / FILE)) as db, db:
-        db.execute("UPDATE meta SET value = '99' WHERE name = 'schema'")
-    with pytest.raises(StoreError, match=r"schema 99.*--fresh"):
+        db.execute("PRAGMA user_version = 99")
+    with pytest.raises(StoreError, match=r"its schema is 99, not.*--fresh"):
         Store(tmp_path)
 
 
@@ -152,8 +147,8 @@ def test_fresh_replaces_a_damaged_file_and_its_log(tmp_path):
 
 
 def test_fresh_replaces_a_store_of_another_schema(tmp_path):
-    change(filled(tmp_path), "UPDATE meta SET value = '99' WHERE name = 'schema'")
-    with pytest.raises(StoreError, match="schema 99"):
+    change(filled(tmp_path), "PRAGMA user_version = 99")
+    with pytest.raises(StoreError, match="schema is 99"):
         Store(tmp_path, create=True)
     Store(tmp_path, create=True, fresh=True).close()
     with Store(tmp_path) as store:
@@ -169,31 +164,12 @@ def test_fresh_in_a_folder_that_cannot_be_written_is_refused_and_keeps_it(shared
 
 
 def test_a_missing_table_is_named_with_the_way_out(tmp_path):
-    change(filled(tmp_path), "DROP TABLE scenes")
+    change(filled(tmp_path), "DROP TABLE samples")
     with (
         Store(tmp_path) as store,
-        pytest.raises(StoreError, match=r"cannot be read \(no such table: scenes\).*--fresh"),
+        pytest.raises(StoreError, match=r"cannot be read \(no such table: samples\).*--fresh"),
     ):
-        store.scenes()
-
-
-def test_a_store_from_before_there_was_a_table_is_read(tmp_path):
-    for table in ("damping", "experiments", "long_runs"):
-        change(filled(tmp_path / table), f"DROP TABLE {table}")
-        with Store(tmp_path / table) as store:
-            assert getattr(store, table)() == {}
-            assert list(store.records()) == ["k"]
-
-
-def test_samples_from_before_they_told_their_invocation_are_read_and_completed(tmp_path):
-    change(filled(tmp_path), "ALTER TABLE samples DROP COLUMN invocation")
-    before = (tmp_path / FILE).read_bytes()
-    with Store(tmp_path) as store:
-        assert (store.records()["k"].run_s, store.records()["k"].rounds) == ([1.0], [(0, 0)])
-    assert (tmp_path / FILE).read_bytes() == before
-    with Store(tmp_path, create=True) as store:
-        store.add_sample("k", 2, 3.0, 4)
-        assert store.records()["k"].rounds == [(0, 0), (4, 2)]
+        store.records()
 
 
 def test_a_plan_cannot_be_changed(tmp_path):
@@ -214,7 +190,7 @@ def test_reading_changes_no_byte_and_cannot_write(tmp_path):
     assert (tmp_path / FILE).read_bytes() == before
 
 
-@pytest.mark.parametrize("sql", ["", "CREATE TABLE other (x)", "CREATE TABLE meta (name, value)"])
+@pytest.mark.parametrize("sql", ["", "CREATE TABLE other (x)"])
 def test_a_database_that_is_no_store_is_refused_and_left_as_it_is(tmp_path, sql):
     change(tmp_path, sql)
     before = (tmp_path / FILE).read_bytes()

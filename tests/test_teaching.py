@@ -62,7 +62,7 @@ def test_the_first_use_of_a_term_and_every_doi_are_links(tmp_path):
         for scene in store.scenes().values():
             scene.source = "A (1985), doi:10.1016/0377-0427(85)90008-1: <i>; B, doi:10.1/x."
             scene.equations = ["0 = Phi(q, t)"]
-            store.save_scene(scene)
+            store.keep(scene)
     write_html_report(folder)
     text = (folder / "report" / "scene-pendulum.html").read_text(encoding="utf-8")
     link = "https://doi.org/10.1016/0377-0427(85)90008-1"

@@ -84,7 +84,7 @@ def test_a_part_of_a_suite_is_titled_by_what_was_run(tmp_path):
     assert part.heading([]) == "quick"
     folder = plant(tmp_path / "store", runs, plan=False)
     with Store(folder, create=True) as store:
-        store.save_plan(part)
+        store.keep(part)
     report = read_report(folder, interactive=False)
     assert report.title == "quick: 1 scene, 2 integrators"
     assert "3 ok, 0 failed with a reason" in report.stored.state
@@ -108,7 +108,7 @@ def test_merged_stores_keep_the_method_of_one_s_own(tmp_path):
     for name, mine, title in (("one", "", "One"), ("two", "good", "")):
         folder = plant(tmp_path / name, [ended("ok")], plan=False)
         with Store(folder, create=True) as store:
-            store.save_plan(
+            store.keep(
                 Plan(name=name, title=title, samples=1, budget_s=1.0, studies=[], mine=mine)
             )
     merge([tmp_path / "one", tmp_path / "two"], tmp_path / "all")

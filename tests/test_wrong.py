@@ -161,7 +161,7 @@ def test_pages_and_terminal_say_the_same(store):
 def test_the_cause_leads_to_the_chapter_of_the_atlas(store):
     folder = edited(store, "with_atlas", lambda r: None)
     with Store(folder, create=True) as opened:
-        opened.save_experiment(msgspec.structs.replace(AN_EXPERIMENT, name=UNDAMPED))
+        opened.keep(msgspec.structs.replace(AN_EXPERIMENT, name=UNDAMPED))
     write_html_report(folder)
     assert (folder / "report" / "atlas.html").read_text().count(f'id="atlas-{UNDAMPED}"') == 1
     front = (folder / "report.html").read_text(encoding="utf-8").replace(" ", "")

@@ -109,7 +109,7 @@ def complete_experiments(
         with Runner(jobs, Limits(budget_s, memory_gib), progress) as runner:
             for experiment in missing:
                 progress.working(experiment.title)
-                store.save_experiment(_run(experiment, added, registry, runner))
+                store.keep(_run(experiment, added, registry, runner))
                 progress.advance()
         stored = store.experiments()
     return [stored[e.name] for e in experiments]

@@ -122,7 +122,7 @@ def drift(
         def kept(method: MethodFacts) -> LongRun:
             sources, task = scene.sources | method.sources, (scene.spec, method.spec, step, steps)
             found = options.guarded(method.spec, drift_job, sources, budget, *task)
-            store.save_long_run(found)
+            store.keep(found)
             return found
 
         results, faults = of_each(methods, kept)

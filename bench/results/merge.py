@@ -13,7 +13,9 @@ from pathlib import Path
 
 import msgspec
 
-from bench.results.records import INTERRUPTED, Plan, Record, Study
+from bench.results.drift import LongRun
+from bench.results.experiments import ExperimentResult
+from bench.results.records import INTERRUPTED, Damping, Plan, Record, SceneRecord, Study
 from bench.results.store import FILE, Store
 from problems.spec import SpecError
 
@@ -25,7 +27,7 @@ class _Source:
     """A store with all that it holds but the sampled values, which are copied one by one."""
 
     def __init__(self, store: Store) -> None:
-        self.store, self.plan, self.scenes = store, store.plan(), store.scenes()
+        self.store, self.plan = store, store.plan()
         self.environments, self.records = store.environments(), store.records()
         self.measured = max(map(self._date, self.records.values()), default=_LONG_AGO)
 
@@ -100,16 +102,9 @@ def _write(sources: Sequence[_Source], kept: dict[str, _Source], folder: Path) -
     numbers: dict[bytes, int] = {}
     with Store(folder, create=True) as store:
         if plans := [source.plan for source in sources if source.plan]:
-            store.save_plan(_united(plans))
+            store.keep(_united(plans))
         for source in sorted(sources, key=lambda source: source.measured):
-            for scene in source.scenes.values():
-                store.save_scene(scene)
-            for run in source.store.long_runs().values():
-                store.save_long_run(run)
-            for found in source.store.experiments().values():
-                store.save_experiment(found)
-            for integrator, damping in source.store.damping().items():
-                store.save_damping(integrator, damping)
+            store.take(source.store, (SceneRecord, LongRun, ExperimentResult, Damping))
         for source in sources:
             own = {}
             for number, environment in source.environments.items():

@@ -22,7 +22,7 @@ from bench.results.quantities import (
 from bench.results.table import short_exponent
 
 #: Version of the records below. A store of another version is refused with a hint.
-SCHEMA = 2
+SCHEMA = 3
 
 #: Status of a cell whose run somebody or something ended from outside; it is run again.
 INTERRUPTED = "interrupted"

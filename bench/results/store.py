@@ -1,14 +1,16 @@
-"""The store: one SQLite file (write-ahead log) per run folder, written row by row.
+"""The store: one SQLite file (write-ahead log) per run folder.
 
-Only the process that plans writes to it. Each finished cell is one transaction, so that a run
-killed at any moment has lost nothing but the cell in work.
+All results are rows of one table: kind (the name of a record's class), key, and the value as JSON.
+A new study needs no other table. Timing samples, which come one by one, have one of their own. Only
+the process that plans writes. Each finished cell is one transaction, so that a run killed at any
+moment has lost nothing but the cell in work.
 """
 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -16,27 +18,16 @@ import msgspec
 
 from bench.results.drift import LongRun
 from bench.results.experiments import ExperimentResult
-from bench.results.records import Damping, Environment, Plan, Record, Rows, SceneRecord
+from bench.results.records import SCHEMA, Damping, Environment, Plan, Record, Rows, SceneRecord
 from bench.results.store_file import (
     FILE,
-    INVOCATIONS,
     WAY_OUT,
-    add_invocations,
-    check_schema,
-    locked,
-    open_to_read,
-    prepare,
-    remove,
-)
-from bench.results.store_file import StoreError as StoreError
-from bench.results.stored_values import (
+    StoreError,
     Unreadable,
-    crashed,
     decoded,
     encoded,
-    storable,
-    storable_or,
-    undescribed,
+    locked,
+    opened_to_read,
 )
 from problems.plain_text import clean
 
@@ -45,20 +36,30 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-#: Times in s that a clock can tell.
-_TIMES = 1e-12, 1e12
-
-#: Tables that stores of earlier versions may lack.
-_LATER = ("experiments", "long_runs", "damping")
-
-#: Most rows that are named in the sentence about those set aside.
+_TABLES = f"""
+BEGIN IMMEDIATE;
+CREATE TABLE results (kind TEXT, key TEXT, value BLOB NOT NULL, PRIMARY KEY (kind, key));
+CREATE TABLE samples (key TEXT, number INTEGER, seconds REAL NOT NULL, invocation INTEGER,
+    PRIMARY KEY (key, number));
+PRAGMA user_version = {SCHEMA};
+COMMIT;
+"""
+#: Keys of values that hold their own.
+_KEYS = {
+    Plan: lambda plan: "plan",
+    Record: lambda record: record.key,
+    SceneRecord: lambda scene: f"{scene.problem} | {scene.t_end!r}",
+    ExperimentResult: lambda found: found.name,
+    LongRun: lambda run: run.key,
+}
+#: Most rows that are named in the sentence on those left out.
 _NAMED = 3
 
 
 class SetAside(NamedTuple):
-    """A row that cannot be read: its table, its key, and the reason."""
+    """A row that cannot be read: its kind, its key, and the reason."""
 
-    table: str
+    kind: str
     key: str
     reason: str
 
@@ -86,26 +87,35 @@ class Store:
 
     def __init__(self, folder: Path, create: bool = False, fresh: bool = False) -> None:
         self.folder = Path(folder)
-        self._path = path = self.folder / FILE
-        opened: sqlite3.Connection | None = None
+        self._path = self.folder / FILE
         self._lock: FileLock | None = None
+        self._spoilt: dict[tuple[str, str], str] = {}
+        opened: sqlite3.Connection | None = None
         try:
             if create:
                 self.folder.mkdir(parents=True, exist_ok=True)
                 self._lock = locked(self.folder)
                 if fresh:
-                    remove(path)
-                opened = sqlite3.connect(path, isolation_level=None, timeout=30.0)
-                prepare(opened)
-            elif path.is_file():
-                opened = open_to_read(path)
+                    # The file goes last: a log left without its file would meet the new one.
+                    for suffix in ("-wal", "-shm", ""):
+                        self._path.with_name(FILE + suffix).unlink(missing_ok=True)
+                opened = sqlite3.connect(self._path, isolation_level=None, timeout=30.0)
+                opened.execute("PRAGMA journal_mode=WAL")
+                opened.execute("PRAGMA synchronous=NORMAL")
+                if not opened.execute("SELECT 1 FROM sqlite_master").fetchone():
+                    opened.executescript(_TABLES)
+            elif self._path.is_file():
+                opened = opened_to_read(self._path)
             else:
                 raise StoreError(
                     f"{self.folder} holds no stepbench results; run 'stepbench run' first."
                 )
-            check_schema(opened, path)
-            if create:
-                add_invocations(opened)
+            (version,) = opened.execute("PRAGMA user_version").fetchone()
+            if version != SCHEMA:
+                raise StoreError(
+                    f"{self._path} is no stepbench store of this version (its schema is {version}, "
+                    f"not {SCHEMA}); {WAY_OUT}."
+                )
         except (OSError, sqlite3.Error, StoreError) as error:
             if opened is not None:
                 opened.close()
@@ -113,11 +123,10 @@ class Store:
                 self._lock.release()
             if isinstance(error, StoreError):
                 raise
-            raise StoreError(f"The store {path} cannot be opened ({error}); {WAY_OUT}.") from error
-        # Text that is no UTF-8 costs its row, not the query.
-        opened.text_factory = lambda text: text.decode(errors="replace")
+            raise StoreError(
+                f"The store {self._path} cannot be opened ({error}); {WAY_OUT}."
+            ) from error
         self._db = opened
-        self._spoilt: dict[tuple[str, str], str] = {}
 
     def close(self) -> None:
         """Close the file; the write-ahead log is folded in."""
@@ -132,108 +141,95 @@ class Store:
         self.close()
 
     # ---- writing -----------------------------------------------------------------------
-    def save_plan(self, plan: Plan) -> None:
-        """Keep the plan of a run; reports follow it. Unfit facts of integrators are left out."""
-        facts = {name: facts for name, facts in plan.integrators.items() if storable(facts)}
-        plan = msgspec.structs.replace(plan, integrators=facts)
-        self._put("meta", "plan", self._encoded(plan))
+    def keep(self, value: Any, key: str | None = None) -> None:
+        """Keep a value, in the place of an earlier one of its kind and key.
+
+        Parameters
+        ----------
+        value
+            A plan, the description of a scene, a result of a study.
+        key
+            Its key, if it does not hold one.
+        """
+        with self._transaction():
+            self._put(value, _KEYS[type(value)](value) if key is None else key)
+
+    def forget(self, kind: type, key: str) -> None:
+        """Forget the value of a kind and a key, if there is one."""
+        with self._transaction() as db:
+            db.execute("DELETE FROM results WHERE kind = ? AND key = ?", (kind.__name__, key))
+
+    def take(self, other: Store, kinds: Iterable[type]) -> None:
+        """Keep all that another store has of some kinds."""
+        names = [kind.__name__ for kind in kinds]
+        marks = ", ".join("?" * len(names))
+        rows = other._read(
+            f"SELECT kind, key, value FROM results WHERE kind IN ({marks}) ORDER BY rowid", *names
+        )
+        with self._transaction() as db:
+            db.executemany("INSERT OR REPLACE INTO results VALUES (?, ?, ?)", rows)
 
     def save_environment(self, environment: Environment) -> int:
         """Keep the environment of an invocation; returns its number."""
-        self._put("environments", None, self._encoded(environment))
-        return self._read("SELECT MAX(id) FROM environments")[0][0]
-
-    def save_scene(self, scene: SceneRecord) -> None:
-        """Keep a scene's description, reference and drawings; the reason if they are unfit."""
-        scene, value = storable_or(scene, lambda error: undescribed(scene, error))
-        self._put("scenes", scene.problem, scene.t_end, value)
-
-    def save_experiment(self, found: ExperimentResult) -> None:
-        """Keep the result of an experiment of the atlas."""
-        self._put("experiments", found.name, self._encoded(found))
-
-    def save_long_run(self, run: LongRun) -> None:
-        """Keep a long run, in the place of an earlier one with the same steps."""
-        self._put("long_runs", run.key, self._encoded(run))
-
-    def save_damping(self, integrator: str, damping: Damping | None) -> None:
-        """Keep the damping of a method by its printed name; None forgets it."""
-        if damping is None:
-            with self._transaction() as db:
-                db.execute("DELETE FROM damping WHERE integrator = ?", (clean(integrator),))
-            return
-        why = "It cannot be stored: {}.".format
-        _, value = storable_or(damping, lambda error: Damping(omega_h=[], message=why(error)))
-        self._put("damping", integrator, value)
+        number = max(self.environments(), default=0) + 1
+        self.keep(environment, str(number))
+        return number
 
     def save(self, record: Record, rows: Rows) -> None:
-        """Keep a finished cell with its rows, in one transaction; forgets older samples.
-
-        Sampled values that could not be read again are left out; a record that could not is kept
-        as that of a crashed run. Its message says so.
-        """
-        try:
-            sampled = encoded(rows)
-        except Unreadable as error:
-            sampled = encoded(Rows(t=[]))
-            said = f"{record.message} Its sampled values cannot be stored: {error}."
-            record = msgspec.structs.replace(record, message=said.strip())
-        record, value = storable_or(record, lambda error: crashed(record, error))
-        names = map(clean, (record.key, record.problem, record.integrator, record.status))
+        """Keep a finished cell with its rows, in one transaction; forgets older samples."""
         with self._transaction() as db:
             db.execute("DELETE FROM samples WHERE key = ?", (clean(record.key),))
-            row = *names, value, sampled
-            db.execute("INSERT OR REPLACE INTO records VALUES (?, ?, ?, ?, ?, ?)", row)
+            if self._put(rows, record.key) is not rows:
+                said = f"{record.message} Its sampled values cannot be stored."
+                record = msgspec.structs.replace(record, message=said.strip())
+            self._put(record, record.key)
 
     def add_sample(
         self, key: str, number: int, seconds: float, invocation: int | None = None
     ) -> None:
         """Keep one timing sample of a cell: its round, in an invocation (None: the cell's own)."""
-        self._put("samples", key, number, seconds, invocation)
-
-    def forget_spoilt_samples(self) -> None:
-        """Forget the timing samples that cannot be read, with all others of their cells.
-
-        Rounds of samples are taken anew as a whole, so that those of several cells stay in step.
-        """
-        spoilt = {(key,) for key, _, _, seconds in self._samples() if seconds is None}
         with self._transaction() as db:
-            db.executemany("DELETE FROM samples WHERE key = ?", spoilt)
+            row = clean(key), number, seconds, invocation
+            db.execute("INSERT OR REPLACE INTO samples VALUES (?, ?, ?, ?)", row)
 
     # ---- reading -----------------------------------------------------------------------
-    def set_aside(self) -> list[SetAside]:
-        """All rows that cannot be read; the other methods pass over them."""
-        self._spoilt.clear()
-        readers = self.environments, self.scenes, self.experiments, self.long_runs, self.damping
-        for read in (self.plan, *readers, self.records, self.keys_with_rows):
-            read()
-        return [SetAside(*place, reason) for place, reason in self._spoilt.items()]
+    def values(self, kind: type[T]) -> dict[str, T]:
+        """The values of a kind by key, in the order in which they were kept.
+
+        Those that cannot be read are left out, and noted for `set_aside`.
+        """
+        read = "SELECT key, value FROM results WHERE kind = ? ORDER BY rowid"
+        found = {}
+        for key, raw in self._read(read, kind.__name__):
+            with suppress(Unreadable):
+                found[key] = self._decoded(key, raw, kind)
+        return found
 
     def plan(self) -> Plan | None:
         """The plan of the latest run, or None."""
-        found = self._read("SELECT value FROM meta WHERE name = 'plan'")
-        return self._decoded("plan", "plan", found[0][0], Plan) if found else None
+        return self.values(Plan).get("plan")
 
     def environments(self) -> dict[int, Environment]:
         """All environments by number."""
-        return self._values("environments", Environment, "id")
+        return {int(number): value for number, value in self.values(Environment).items()}
 
     def scenes(self) -> dict[tuple[str, float], SceneRecord]:
         """All scenes by (problem, t_end), in this order."""
-        return dict(sorted(self._values("scenes", SceneRecord, "problem", "t_end").items()))
+        found = {(s.problem, s.t_end): s for s in self.values(SceneRecord).values()}
+        return dict(sorted(found.items()))
 
     def experiments(self) -> dict[str, ExperimentResult]:
         """Results of the experiments of the atlas by name, in the order of their numbers."""
-        found = self._values("experiments", ExperimentResult, "name")
+        found = self.values(ExperimentResult)
         return dict(sorted(found.items(), key=lambda pair: pair[1].number))
 
     def long_runs(self) -> dict[str, LongRun]:
         """Long runs by key, in the order in which they were kept."""
-        return self._values("long_runs", LongRun, "key")
+        return self.values(LongRun)
 
     def damping(self) -> dict[str, Damping]:
         """Damping of methods by their printed names."""
-        return self._values("damping", Damping, "integrator")
+        return self.values(Damping)
 
     def records(self) -> dict[str, Record]:
         """All finished cells by key, with their timing samples, in the order of the plan.
@@ -242,16 +238,14 @@ class Store:
         """
         # Before the records: a run that goes on meanwhile may add samples, but takes no record
         # away, so that every sample read here finds its record below.
-        samples = self._samples()
-        found = self._values("records", Record, "key")
-        plan = self.plan()
+        samples = self._read("SELECT * FROM samples ORDER BY key, number")
+        found, plan = self.values(Record), self.plan()
         planned = [key for study in plan.studies for key in study.cells] if plan else []
         records = {key: found[key] for key in dict.fromkeys([*planned, *found]) if key in found}
         for record in records.values():
             record.rounds, record.run_s = [], []
-        for key, invocation, number, seconds in samples:
-            if key in records and seconds is not None:
-                record = records[key]
+        for key, number, seconds, invocation in samples:
+            if record := records.get(key):
                 taken_by = record.environment if invocation is None else invocation
                 record.rounds.append((taken_by, number))
                 record.run_s.append(seconds)
@@ -265,72 +259,41 @@ class Store:
         KeyError
             If the cell is not there.
         """
-        found = self._read("SELECT rows FROM records WHERE key = ?", key)
-        if not found:
-            raise KeyError(key)
-        return self._decoded("rows", key, found[0][0], Rows) or Rows(t=[])
+        read = "SELECT value FROM results WHERE kind = 'Rows' AND key = ?"
+        for (raw,) in self._read(read, key):
+            with suppress(Unreadable):
+                return self._decoded(key, raw, Rows)
+            return Rows(t=[])
+        raise KeyError(key)
 
-    def keys_with_rows(self) -> set[str]:
-        """The keys of the cells whose sampled values can be read."""
-        found = self._read("SELECT key, rows FROM records")
-        return {key for key, raw in found if self._decoded("rows", str(key), raw, Rows)}
+    def set_aside(self) -> list[SetAside]:
+        """All rows that cannot be read; the other methods pass over them."""
+        self._spoilt.clear()
+        for kind in (*_KEYS, Environment, Damping, Rows):
+            self.values(kind)
+        return [SetAside(*place, reason) for place, reason in self._spoilt.items()]
 
     # ---- parts -------------------------------------------------------------------------
-    def _values(self, table: str, kind: type[T], *columns: str) -> dict[Any, T]:
-        """The values of a table by their keys; those that cannot be read are noted."""
-        if table in _LATER and not self._read("SELECT 1 FROM sqlite_master WHERE name = ?", table):
-            return {}
-        values = {}
-        for *key, raw in self._read(
-            f"SELECT {', '.join(columns)}, value FROM {table} ORDER BY rowid"
-        ):
-            name = ", ".join(map(str, key))
-            value = self._decoded(table, name, raw, kind)
-            if value is None:
-                continue
-            # Damping and environments do not hold their keys.
-            own = [getattr(value, column, k) for column, k in zip(columns, key, strict=True)]
-            if None in key or own != key:
-                self._note(table, name, "its key is not that of its value")
-            else:
-                values[tuple(key) if len(key) > 1 else key[0]] = value
-        return values
+    def _put(self, value: Any, key: str) -> Any:
+        """Write a value, or that in its place if it could not be read again; returns which."""
+        try:
+            raw = encoded(value)
+        except Unreadable as error:
+            if (value := _instead(value, error)) is None:
+                text = f"The result {key!r} cannot be stored in {self.folder}: {error}."
+                raise StoreError(text) from None
+            raw = encoded(value)
+        row = type(value).__name__, clean(key), raw
+        self._db.execute("INSERT OR REPLACE INTO results VALUES (?, ?, ?)", row)
+        return value
 
-    def _samples(self) -> list[tuple[str, int | None, int, float | None]]:
-        """Key, invocation, number and seconds of the timing samples; None for seconds that cannot
-        be read, and where the invocation is not known."""
-        samples = []
-        invocations = "invocation" if self._read(INVOCATIONS) else "NULL"
-        for key, owner, invocation, number, seconds in self._read(
-            f"SELECT samples.key, records.key, {invocations}, number, seconds FROM samples "
-            "LEFT JOIN records ON records.key = samples.key ORDER BY samples.key, number"
-        ):
-            known = isinstance(number, int) and isinstance(seconds, float)
-            good = known and owner is not None and _TIMES[0] <= seconds <= _TIMES[1]
-            if not good:
-                reason = f"{str(seconds)[:40]!r} is no time in s" if owner else "it has no record"
-                self._note("samples", f"{key}, number {number}", reason)
-            samples.append((key, invocation, number, seconds if good else None))
-        return samples
-
-    def _decoded(self, table: str, key: str, raw: object, kind: type[T]) -> T | None:
-        """A value, or None if it cannot be read, which is noted."""
+    def _decoded(self, key: str, raw: Any, kind: type[T]) -> T:
+        """A value; one that cannot be read is noted."""
         try:
             return decoded(raw, kind)
         except Unreadable as error:
-            self._note(table, key, str(error))
-            return None
-
-    def _encoded(self, value: object) -> bytes:
-        """JSON of a value that is the bench's own."""
-        try:
-            return encoded(value)
-        except Unreadable as error:
-            name = type(value).__name__
-            raise StoreError(f"{name} cannot be stored in {self.folder}: {error}.") from None
-
-    def _note(self, table: str, key: str, reason: str) -> None:
-        self._spoilt[table, key] = reason
+            self._spoilt[kind.__name__, key] = str(error)
+            raise
 
     def _read(self, sql: str, *parameters: object) -> list[tuple]:
         """All rows of a query."""
@@ -339,14 +302,6 @@ class Store:
         except sqlite3.Error as error:
             text = f"The store {self._path} cannot be read ({error}); {WAY_OUT}."
             raise StoreError(text) from error
-
-    def _put(self, table: str, *row: object) -> None:
-        """Write a row in the place of that with the same key; texts are made clean."""
-        values = [clean(value) if isinstance(value, str) else value for value in row]
-        with self._transaction() as db:
-            db.execute(
-                f"INSERT OR REPLACE INTO {table} VALUES ({', '.join('?' * len(row))})", values
-            )
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
@@ -362,11 +317,27 @@ class Store:
             ) from error
 
 
+def _instead(value: Any, reason: Unreadable) -> Any:
+    """What is kept in the place of a value that could not be read: whose it is, and the reason."""
+    why = f"cannot be stored: {reason}."
+    if isinstance(value, Record):
+        names = ("key", "problem", "integrator", "controls", "h", "pattern", "rtol", "atol", "t0")
+        names += ("t_end", "environment", "budget_s", "family", "formulation", "fingerprint")
+        kept = {name: getattr(value, name) for name in names}
+        return Record(**kept, status="crashed", message=f"The result {why}")
+    if isinstance(value, SceneRecord):
+        about = {name: getattr(value, name) for name in ("problem", "t_end", "t0", "fingerprint")}
+        return SceneRecord(**about, description=f"The description of this scene {why}")
+    if isinstance(value, Damping):
+        return Damping(omega_h=[], message=f"It {why}")
+    return Rows(t=[]) if isinstance(value, Rows) else None
+
+
 def set_aside_text(found: Sequence[SetAside]) -> str:
     """Say how many rows cannot be read, and name a few; empty if all can be."""
     if not found:
         return ""
-    named = [f"{row.table} {clean(row.key)[:80]!r} ({row.reason})" for row in found[:_NAMED]]
+    named = [f"{row.kind} {clean(row.key)[:80]!r} ({row.reason})" for row in found[:_NAMED]]
     more = [f"{len(found) - _NAMED} more"] if len(found) > _NAMED else []
     rows = "1 row" if len(found) == 1 else f"{len(found)} rows"
     return f"{rows} of the store cannot be read and left out: {'; '.join([*named, *more])}."

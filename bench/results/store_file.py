@@ -1,47 +1,37 @@
-"""The file of a store: its tables, its lock, opening it for writing and for reading alone."""
+"""The file of a store: its lock, opening it to read, and values as JSON."""
 
 from __future__ import annotations
 
 import errno
+import json
 import sqlite3
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
-from bench.results.records import SCHEMA
-from problems.plain_text import clean
+import msgspec
+
+from problems.plain_text import clean, clean_json
 
 if TYPE_CHECKING:
     from filelock import FileLock
 
+T = TypeVar("T")
+
 FILE = "stepbench.sqlite"
+WAY_OUT = "start again with --fresh or another --out"
 #: Locked by whoever writes; the system takes the lock away from a process that ends in any way.
 #: Not the database itself, whose own locks SQLite would lose when another file object is closed.
 _LOCK = ".stepbench.lock"
-
-_TABLES = """
-CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS environments (id INTEGER PRIMARY KEY, value BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS scenes (
-    problem TEXT, t_end REAL, value BLOB NOT NULL, PRIMARY KEY (problem, t_end));
-CREATE TABLE IF NOT EXISTS records (
-    key TEXT PRIMARY KEY, problem TEXT NOT NULL, integrator TEXT NOT NULL, status TEXT NOT NULL,
-    value BLOB NOT NULL, rows BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS damping (integrator TEXT PRIMARY KEY, value BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS experiments (name TEXT PRIMARY KEY, value BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS long_runs (key TEXT PRIMARY KEY, value BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS samples (
-    key TEXT NOT NULL REFERENCES records(key), number INTEGER NOT NULL, seconds REAL NOT NULL,
-    invocation INTEGER, PRIMARY KEY (key, number));
-"""
-
-#: Finds the column of the invocation, which samples of earlier versions lack.
-INVOCATIONS = "SELECT 1 FROM pragma_table_info('samples') WHERE name = 'invocation'"
-
-WAY_OUT = "start again with --fresh or another --out"
+#: Most characters of a reason.
+_LONGEST = 200
 
 
 class StoreError(RuntimeError):
     """The folder has no readable store, or the store cannot be written."""
+
+
+class Unreadable(ValueError):
+    """A value that is not what the store holds; the message says why."""
 
 
 def locked(folder: Path) -> FileLock | None:
@@ -62,29 +52,8 @@ def locked(folder: Path) -> FileLock | None:
     return lock
 
 
-def remove(path: Path) -> None:
-    # The file goes last: a log left behind without its file would meet the new one.
-    for suffix in ("-wal", "-shm", ""):
-        path.with_name(path.name + suffix).unlink(missing_ok=True)
-
-
-def prepare(db: sqlite3.Connection) -> None:
-    db.execute("PRAGMA journal_mode=WAL")
-    db.execute("PRAGMA synchronous=NORMAL")
-    # One transaction, so that a store that has tables also has its schema.
-    db.executescript(
-        f"BEGIN IMMEDIATE; {_TABLES} "
-        f"INSERT OR IGNORE INTO meta VALUES ('schema', CAST('{SCHEMA}' AS BLOB)); COMMIT;"
-    )
-
-
-def add_invocations(db: sqlite3.Connection) -> None:
-    """Give samples of an earlier version the column of their invocation, which is not known."""
-    if not db.execute(INVOCATIONS).fetchone():
-        db.execute("ALTER TABLE samples ADD COLUMN invocation INTEGER")
-
-
-def open_to_read(path: Path) -> sqlite3.Connection:
+def opened_to_read(path: Path) -> sqlite3.Connection:
+    """Open a file that must not change, also in a folder that cannot be written."""
     uri = f"{path.absolute().as_uri()}?mode=ro"
     db = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=30.0)
     try:
@@ -104,14 +73,34 @@ def open_to_read(path: Path) -> sqlite3.Connection:
     return sqlite3.connect(f"{uri}&immutable=1", uri=True, isolation_level=None)
 
 
-def check_schema(db: sqlite3.Connection, path: Path) -> None:
-    has_meta = db.execute("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone()
-    row = has_meta and db.execute("SELECT value FROM meta WHERE name = 'schema'").fetchone()
-    if not row:
-        raise StoreError(f"{path} is no stepbench store (it has no schema); {WAY_OUT}.")
-    # Compared as text: a damaged version may be no number.
-    found = clean(row[0].decode(errors="replace") if isinstance(row[0], bytes) else str(row[0]))
-    if found != str(SCHEMA):
-        raise StoreError(
-            f"The store {path} has schema {found}, this version reads {SCHEMA}; {WAY_OUT}."
-        )
+def decoded(raw: bytes, kind: type[T]) -> T:
+    """Read a value.
+
+    Raises
+    ------
+    Unreadable
+        If it is not of this kind.
+    """
+    try:
+        return msgspec.json.decode(raw, type=kind)
+    except (msgspec.DecodeError, UnicodeError, TypeError, RecursionError) as error:
+        raise Unreadable(clean(str(error))[:_LONGEST]) from None
+
+
+def encoded(value: object) -> bytes:
+    """Write a value, with clean text, so that it can be read again.
+
+    Raises
+    ------
+    Unreadable
+        If it could not be read.
+    """
+    try:
+        raw = msgspec.json.encode(value)
+    except UnicodeEncodeError:  # half a surrogate pair, as of a path that is not UTF-8
+        raw = clean(json.dumps(msgspec.to_builtins(value), ensure_ascii=False)).encode()
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise Unreadable(clean(str(error))[:_LONGEST]) from None
+    raw = clean_json(raw)
+    decoded(raw, type(value))
+    return raw

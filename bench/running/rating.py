@@ -135,7 +135,7 @@ class Search:
             while cells := (choose or of_all)():
                 suite = self._restricted(cells)
                 if missing := missing_cells(suite, self.store, self.registry):
-                    self.store.save_plan(suite.plan)
+                    self.store.keep(suite.plan)
                     return missing
                 self._take()
             return []

@@ -34,13 +34,12 @@ def runner_for(suite: Suite, jobs: int, progress: Progress, cluster: str | None 
 def missing_cells(suite: Suite, store: Store, registry: Inventory) -> list[Cell]:
     """List the cells to be run: those without a readable record of this source, and those that
     were interrupted or ran out of a smaller budget."""
-    stored, with_rows = store.records(), store.keys_with_rows()
+    stored = store.records()
 
     def is_missing(cell: Cell) -> bool:
         record = stored.get(cell.key)
         return (
             record is None
-            or cell.key not in with_rows
             or record.fingerprint != cell.fingerprint(registry)
             or record.status == INTERRUPTED
             or allowed_more(suite, record)
@@ -81,8 +80,7 @@ def measure_suite(
         Called whenever a process is free, gives all cells that are worth a run now, the best first.
     """
     cells, scenes = missing_cells(suite, store, registry), missing_scenes(suite, store, registry)
-    store.save_plan(suite.plan)
-    store.forget_spoilt_samples()
+    store.keep(suite.plan)
     number = 0
     records = store.records()
     due = any(_samples_due(suite, records, last) for last in (False, True))
@@ -124,7 +122,7 @@ def measure_suite(
             if task.job is Worker.scene:
                 if record := _described(task, answer, progress):
                     record.budget_s, record.memory_gib = suite.plan.budget_s, suite.memory_gib
-                    store.save_scene(record)
+                    store.keep(record)
             else:
                 keep(task.arguments[0], answer)
             if task.job is counted:

@@ -28,7 +28,7 @@ def complete_damping(suite: Suite, store: Store, registry: Inventory, runner: Ru
     known = store.damping()
     for name in suite.plan.integrators:
         if name in known and known[name].fingerprint != _made_by(name, registry):
-            store.save_damping(name, None)
+            store.forget(Damping, name)
             del known[name]
     due = missing(suite, known, store.scenes(), store.records(), registry)
     if not due:
@@ -44,7 +44,7 @@ def complete_damping(suite: Suite, store: Store, registry: Inventory, runner: Ru
                 continue
             answer = Damping(omega_h=list(omega_h), message=answer.message)
         found = msgspec.structs.replace(answer, fingerprint=_made_by(name, registry))
-        store.save_damping(name, found)
+        store.keep(found, name)
         runner.progress.advance()
 
 

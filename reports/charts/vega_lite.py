@@ -14,8 +14,7 @@ from typing import Any
 
 from bench.results.csv_text import csv_text
 from bench.results.quantities import NORM, NORMS
-from bench.results.stored_values import clean_json
-from problems.plain_text import clean
+from problems.plain_text import clean, clean_json
 from reports.charts.line_styles import LineStyle
 
 #: A chart or a part of one: a specification of Vega-Lite, https://vega.github.io/vega-lite.

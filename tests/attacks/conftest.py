@@ -9,7 +9,6 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from stores import folder, good, whole  # noqa: F401  fixtures
 
 HERE = Path(__file__).parent
 

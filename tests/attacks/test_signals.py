@@ -68,7 +68,7 @@ def folder(tmp_path, planted) -> Iterator[Path]:
     end_all()
 
 
-def saved(folder: Path, table: str = "records") -> int:
+def saved(folder: Path, table: str = "results WHERE kind = 'Record'") -> int:
     """Rows that are stored so far, read beside the running process."""
     try:
         url = f"file:{folder / 'out' / FILE}?mode=ro"

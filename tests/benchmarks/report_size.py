@@ -45,7 +45,7 @@ def plant_many(folder: Path) -> Path:
                 drawings=[{"t": 0.0, "lines": [[(0.0, 0.0), (1.0, 0.2 * i), (2.0, 0.5)]]}],
                 tags=[TAGS[i % 5], TAGS[(i + 2) % 5]],
             )
-            store.save_scene(scene)
+            store.keep(scene)
             for m in range(METHODS):
                 order, label = 1 + m % 5, f"method_{m % 10}[rho_inf={m // 10 / 10}]"
                 for k in range(RUNS):
@@ -63,7 +63,7 @@ def plant_many(folder: Path) -> Path:
                     store.save(record, curves(1.0, {"q": 1}))
                     for n in range(2):
                         store.add_sample(record.key, n, 1e-6 * record.work["residuals"] * (1 + n))
-        store.save_plan(Plan(name="large", title="Large", samples=2, budget_s=1.0, studies=[]))
+        store.keep(Plan(name="large", title="Large", samples=2, budget_s=1.0, studies=[]))
     return folder
 
 
