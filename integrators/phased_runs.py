@@ -243,10 +243,9 @@ class PhasedRun(PreparedRun):
                     return float(_watched(before, before.start(), t)[0][0, event])
                 return float(_watched(phase, self._measured(before, t))[0][-1, event])
 
-            for until in _ends(fall, rows.t, values):
-                at = crossing(value, before.interval[0], until)
-                if at is not None:
-                    break
+            ends = _ends(fall, rows.t, values)
+            times = (crossing(value, before.interval[0], until) for until in ends)
+            at = next((time for time in times if time is not None), None)
             if at is not None and (first is None or at < first[3]):
                 first = kept, before, fall.event, at
         return first

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -271,7 +271,8 @@ def crossing(value: Callable[[float], float], t0: float, until: float) -> float 
     slope = (f(low) - f(high)) / (high - low)
     spacing = np.spacing(max(abs(t0), abs(until)))
     with np.errstate(all="ignore"):  # of equal values near the end
-        root = float(toms748(f, low, high, xtol=spacing, rtol=4 * np.finfo(float).eps))
+        found: Any = toms748(f, low, high, xtol=spacing, rtol=4 * np.finfo(float).eps)
+    root = float(found)
     if f(root) < -64 * spacing * slope:
         return max(t for t, found in seen.items() if found > 0 and t < root)
     return root

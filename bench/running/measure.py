@@ -22,7 +22,7 @@ from problems.answers import array
 from problems.compiled import compiled
 from problems.initial_values import InconsistentStart, NoConsistentStart
 from problems.reference import Reference
-from problems.runtime import Float, jax
+from problems.runtime import Float, jax, jnp
 from problems.system import MechatronicSystem
 from problems.usage import computed_seconds
 from problems.variables import INVARIANTS, State
@@ -146,7 +146,7 @@ def end_at_overlap(run: Trajectory, scene: MechatronicSystem, passes_impacts: bo
     """
     if run.status != "ok" or not scene.has("gaps"):
         return ""
-    gaps = np.asarray(jax.vmap(scene.gaps)(run.q, run.t))
+    gaps = np.asarray(jax.vmap(scene.gaps)(jnp.asarray(run.q), jnp.asarray(run.t)))
     below, size = -gaps, max(np.abs(gaps).max(), np.abs(run.q).max())
     allowed = limit = OVERLAP * size
     if passes_impacts:
