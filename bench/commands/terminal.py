@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable
 from typing import Any, TextIO
@@ -105,7 +106,8 @@ class RunProgress(progress.Progress):
     Parameters
     ----------
     lines
-        Whether, without a terminal, phases and the first result are told in lines.
+        Whether, without a terminal, phases, the first result, and work that belongs to no phase
+        and takes long are told in lines.
 
     Attributes
     ----------
@@ -130,16 +132,19 @@ class RunProgress(progress.Progress):
             disable=not self._console.is_terminal,
         )
         self._spoken = 0.0
+        self._wait = threading.Timer(0.0, lambda: None)
 
     def __enter__(self) -> RunProgress:
         self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._wait.cancel()
         self._bar.stop()
 
     def phase(self, name: str, total: int | None) -> None:
         """Begin a phase of this many steps, or of an unknown number."""
+        self._wait.cancel()
         for earlier in self._bar.task_ids:
             self._bar.remove_task(earlier)
         self._bar.add_task("", total=total, phase=name)
@@ -149,7 +154,15 @@ class RunProgress(progress.Progress):
         """Show the name of the work in hand, which may belong to no phase."""
         if not self._bar.tasks:
             self._bar.add_task("", total=None, phase="")
-        self._bar.update(self._bar.task_ids[0], description=escape(text))
+        task = self._bar.tasks[0]
+        if task.description == escape(text):
+            return
+        self._bar.update(task.id, description=escape(text))
+        self._wait.cancel()
+        if self._lines and not (task.fields["phase"] or self._console.is_terminal):
+            self._wait = threading.Timer(_LINE_EVERY_SECONDS, self.note, [f"Waiting: {text}"])
+            self._wait.daemon = True
+            self._wait.start()
 
     def advance(self) -> None:
         """Count one step as done."""
