@@ -25,6 +25,7 @@ from integrators.adapters.diffrax_methods import (
 )
 from integrators.adapters.diffrax_runs import adaptive_programs
 from problems import MechatronicSystem, jnp
+from problems.scenes.chaplygin_sleigh import ChaplyginSleigh
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
 from problems.spec import SpecError, build
@@ -336,3 +337,11 @@ def test_the_fair_root_finder_needs_no_mention_and_the_other_does():
     assert Kvaerno5().spec == "kvaerno5"
     assert KenCarp4(max_steps=9).spec == "kencarp4[max_steps=9]"
     assert "root_finder=library_default" in KenCarp4(root_finder="library_default").spec
+
+
+def test_constant_steps_take_what_adaptive_ones_take():
+    """Kinematics and constraints of velocities, too."""
+    scene, method = ChaplyginSleigh(), Dopri8(steps="constant")
+    found = (errors_at(method, scene, scene.interval[1], h)["q"].max() for h in (1.0, 0.5))
+    coarse, fine = found
+    assert 2**7.5 * fine < coarse < 1e-3

@@ -16,7 +16,7 @@ from integrators.adapters.diffrax_runs import (
     right_hand_side,
 )
 from integrators.adapters.trajectories import trajectory_from_states
-from integrators.contract import PreparedRun, Trajectory
+from integrators.contract import WIDER, PreparedRun, Trajectory
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_method import NativeMethod
 from integrators.native.step_records import Reading
@@ -115,6 +115,7 @@ class DiffraxStepMethod(NativeMethod):
 
     formulation: ClassVar[str] = "ode"
     states_only: ClassVar[bool] = True
+    takes: ClassVar[tuple[str, ...]] = tuple(WIDER)  # `DiffraxSolver` has refused others
 
     scheme: DiffraxScheme
     scene: MechatronicSystem
