@@ -338,7 +338,7 @@ class Reference:
             tolerance=_TOLERANCE * (1 + which),
             longest=_LONGEST[which] * scene.nominal_step,
             terms=partial(terms, rates, p),
-            **{"ends": first_event} if scene.has("events") else {},
+            ends=first_event if scene.has("events") else lambda step: None,
         )
         return motion, event
 
