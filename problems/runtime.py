@@ -62,8 +62,9 @@ _SETTINGS = {
 }
 #: Variable of XLA: its number of threads, else one for each core. A program runs on them, whoever
 #: calls it. LAPACK's functions of many matrices (jaxlib 0.10.0 to 0.11.0) share their work out to
-#: them once more, and wait on one of them: when all wait, nobody works.
+#: them once more, and wait on one of them: when all wait, nobody works. So one is spare there.
 _THREADS = "NPROC"
+SPARE_THREADS = int(version("jaxlib").startswith(("0.10.", "0.11.0")))
 #: Without optimisation, a program is compiled in a third of the time, and takes four times as long.
 _OPTIMISATION = "xla_backend_optimization_level"
 #: Room for addresses in bytes below which JAX does not start: XLA then asks for it without end.
@@ -83,27 +84,33 @@ def configure() -> None:
     if "jax" in sys.modules:  # imported earlier, for example in a notebook: it may have threads
         sys.modules["jax"].config.update("jax_enable_x64", True)
     else:
-        os.environ.setdefault(_THREADS, str(cores() + 1))
+        os.environ.setdefault(_THREADS, str(cores() + SPARE_THREADS))
+
+
+def use_threads(callers: int) -> None:
+    """Run all programs of this process on one thread, or on as many as call them, and a spare one.
+
+    It has to be called before JAX is used; a user's own setting wins. JAX shares the parts of a
+    program out to its threads: for small parts this costs more than it gains, so that a process
+    that measures times has one.
+    """
+    usual = str(cores() + SPARE_THREADS)
+    if os.environ.get(_THREADS, usual) == usual:  # nobody's, or `configure`'s
+        os.environ[_THREADS] = "1" if callers == 1 else str(callers + SPARE_THREADS)
 
 
 def one_thread() -> None:
-    """Run all programs of this process on one thread; a user's own setting wins.
-
-    It has to be called before JAX is used, by a process that measures times. JAX shares the parts
-    of a program out to its threads: for small parts this costs more than it gains. Ensembles need
-    the threads, as they call programs side by side.
-    """
-    if os.environ.get(_THREADS, "") in ("", str(cores() + 1)):  # nobody's, or `configure`'s
-        os.environ[_THREADS] = "1"
+    """Run all programs of this process on one thread; see `use_threads`."""
+    use_threads(1)
 
 
 def most_callers() -> int:
-    """Return how many threads may call programs at a time: one less than XLA has, at least one.
+    """Return how many threads may call programs at a time: at least one, and else no spare one.
 
     Each program that runs may block one of XLA's threads; a single thread never blocks itself.
     """
     given = os.environ.get(_THREADS, "")
-    return max(1, (int(given) if given.isdecimal() else cores()) - 1)
+    return max(1, (int(given) if given.isdecimal() else cores()) - SPARE_THREADS)
 
 
 def compile_sooner() -> None:

@@ -195,7 +195,7 @@ def test_a_process_with_plugins_neither_reads_nor_writes_programs(monkeypatch):
     monkeypatch.setattr(worker, "use_exports", lambda: used.append(True))
     monkeypatch.setattr(worker, "load_registry", lambda notify, sources: None)
     monkeypatch.setattr(worker.gc, "set_threshold", lambda count: None)
-    monkeypatch.setattr(worker, "one_thread", lambda: None)
+    monkeypatch.setattr(worker, "use_threads", lambda count: None)
     worker.start_worker(lambda phase, words: None, Sources({"mine.py"}))
     assert not used
     worker.start_worker(lambda phase, words: None, Sources())

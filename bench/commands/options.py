@@ -168,7 +168,7 @@ def guarded(
         processors=processors,
         advice="give it less to do, or a larger --budget",
     )
-    return ask_once(about, start_worker, (sources, threads), limits, job, *arguments)
+    return ask_once(about, start_worker, (sources, processors), limits, job, *arguments)
 
 
 # ---- options -----------------------------------------------------------------------------

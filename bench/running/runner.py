@@ -73,7 +73,7 @@ class _WorkerProcess(GuardedProcess):
     that it has had."""
 
     def __init__(self, sources: Sources, limits: Limits, draft: bool) -> None:
-        super().__init__(start_worker, (sources, limits.processors > 1, draft), limits)
+        super().__init__(start_worker, (sources, limits.processors, draft), limits)
         self.sources = sources
         self.group: deque[Task] = deque()
         self.task: Task | None = None

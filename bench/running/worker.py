@@ -39,7 +39,7 @@ from problems.exported_programs import use_exports
 from problems.initial_values import InconsistentStart, NoConsistentStart
 from problems.plain_text import said
 from problems.reference import Reference
-from problems.runtime import check_runtime, compile_sooner, jax, one_thread
+from problems.runtime import check_runtime, compile_sooner, jax, use_threads
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 from problems.usage import computed_seconds, undisturbed
@@ -309,13 +309,10 @@ def memory_mappings() -> int:
         return 0
 
 
-def start_worker(
-    notify: Notify, sources: Sources, threads: bool = False, draft: bool = False
-) -> Worker:
-    """Make the state of a worker process, of one thread unless it runs many runs side by side."""
+def start_worker(notify: Notify, sources: Sources, threads: int = 1, draft: bool = False) -> Worker:
+    """Make the state of a worker process, in which so many threads call programs."""
     gc.set_threshold(_GARBAGE)
-    if not threads:
-        one_thread()
+    use_threads(threads)
     if draft:
         compile_sooner()
     if not sources:
