@@ -110,7 +110,7 @@ def solve_(
 
 def _solution(record: Record, rows: Rows) -> dict[str, Any]:
     """Return end values, errors, work and times of a run, for JSON."""
-    last = {name: values[-1] for name, values in rows.values.items()}
+    last = {name: values[-1] for name, values in rows.values.items() if rows.t}
     return {
         "problem": record.problem,
         "integrator": record.integrator,
@@ -148,7 +148,7 @@ def _end_values(record: Record, rows: Rows, names: Mapping[str, Sequence[str]]) 
     Of a group with many components it has those with the largest errors.
     """
     cells, left_out = [], False
-    for group, values in rows.values.items():
+    for group, values in rows.values.items() if rows.t else ():
         errors = record.components.get(group, {})
         largest = [-(error or 0.0) for error in errors.get("max", [0.0] * len(values[-1]))]
         shown = sorted(np.argsort(largest, kind="stable")[:_SHOWN])

@@ -41,6 +41,7 @@ from problems.plain_text import said
 from problems.reference import Reference
 from problems.runtime import check_runtime, compile_sooner, jax, use_threads
 from problems.spec import SpecError
+from problems.start_equations import miscounted
 from problems.system import MechatronicSystem
 from problems.usage import computed_seconds, undisturbed
 from problems.witnesses import named_points
@@ -195,7 +196,9 @@ class Worker:
             method = self.registry.integrator(record.integrator)
             caution = answers.caution(method, scene) or ""
             overlap = measure.end_at_overlap(run, scene, bool(method.passes_impacts))
-            return f"{caution} {overlap} {uncontrolled(scene, run, record.rtol)}"
+            return (
+                f"{caution} {overlap} {miscounted(scene)} {uncontrolled(scene, run, record.rtol)}"
+            )
 
         def claims() -> dict[str, int]:
             stated = self.registry.integrator(record.integrator).claims(scene)

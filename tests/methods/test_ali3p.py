@@ -43,6 +43,7 @@ from problems.scenes.double_pendulum import DoublePendulumControlled
 from problems.scenes.heavy_top_lie import HeavyTopR3SO3
 from problems.scenes.pendulum import Pendulum
 from problems.spec import SpecError
+from problems.start_equations import miscounted
 
 
 @dataclass(frozen=True)
@@ -231,7 +232,7 @@ class Scissors(RigidBodies):
 
     interval = (0.0, 0.3)
     nominal_step = 0.005
-    redundant = 13
+    redundant = 6
     angle: float = parameter(0.6, "rad", "angle of the bars at the start")
 
     def _corners(self):
@@ -261,6 +262,15 @@ class Scissors(RigidBodies):
             Revolute("rising", "upper shoe", high, across),
             Prismatic("platform", "upper shoe", high, along),
         )
+
+
+def test_a_wrong_number_of_redundant_constraints_is_told_with_the_right_one():
+    """Of 30 freedoms 35 equations leave one, so that 29 are independent."""
+    wrong = type("Wrong", (Scissors,), {"redundant": 13})()
+    assert "6 of its 35 constraints" in miscounted(wrong)
+    assert miscounted(wrong).endswith("state redundant = 6.")
+    assert miscounted(Scissors()) == miscounted(Bricard()) == ""
+    assert "lacks 6 rank," in check_mass(Registry(), Scissors())
 
 
 @pytest.mark.long
