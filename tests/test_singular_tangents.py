@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from helpers import long
 
+from bench.commands.single_runs import _end_values
 from bench.plugins.registry import Registry
+from bench.results.records import Rows
 from integrators import Steps, Tolerances
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
@@ -65,3 +69,9 @@ def test_rank_does_not_depend_on_the_size_of_constraints():
         assert missing_rank(pair, pair.initial_state().q, 0.0) == 1
         assert missing_rank(Pendulum(length=length), pair.initial_state().q, 0.0) == 0
     assert missing_rank(Pendulum(), np.zeros(2), 0.0) == 1
+
+
+def test_a_run_without_a_row_has_a_table_without_values():
+    record = Mock(components={}, points={}, integrator="ida", problem="pendulum", status="diverged")
+    table = _end_values(record, Rows(t=[], values={"q": []}), {"q": ["X [m]"]})
+    assert (table.rows, table.head[2]) == ([], "at the end")
