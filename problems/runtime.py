@@ -67,6 +67,8 @@ _THREADS = "NPROC"
 SPARE_THREADS = int(version("jaxlib").startswith(("0.10.", "0.11.0")))
 #: Without optimisation, a program is compiled in a third of the time, and takes four times as long.
 _OPTIMISATION = "xla_backend_optimization_level"
+#: What this adds to XLA_FLAGS: numbers are the same but for rounding.
+SOONER = f" --{_OPTIMISATION}=0"
 #: Room for addresses in bytes below which JAX does not start: XLA then asks for it without end.
 _LEAST_ADDRESSES = 3 * 2**29
 #: Starts XLA's compiler, which reads XLA_FLAGS then, and ends the process at a flag it refuses.
@@ -118,7 +120,7 @@ def compile_sooner() -> None:
 
     It has to be called before JAX is used.
     """
-    os.environ["XLA_FLAGS"] += f" --{_OPTIMISATION}=0"
+    os.environ["XLA_FLAGS"] += SOONER
 
 
 @cache

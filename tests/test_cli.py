@@ -57,7 +57,23 @@ def test_solve_gives_the_digits_of_the_paper_scene(stepbench):
     assert answer["work"]["steps"] == 50
     assert answer["status"] == "ok"
     assert answer["message"] == ""
-    assert len(answer["time"]["run_s"]) == 7
+    assert answer["time"]["run_s"] == []  # a short run is compiled quickly, and not timed
+
+
+@pytest.mark.usefixtures("without_processes")
+def test_programs_of_which_no_times_are_taken_are_compiled_quickly(stepbench, monkeypatch):
+    from bench.running.runner import Runner
+
+    drafts, run = [], Runner.run
+    monkeypatch.setattr(
+        Runner, "run", lambda self, groups: drafts.append(self.draft) or run(self, groups)
+    )
+    asked = "generalized_alpha", "--t-end", "0.45", "--step"
+    for command, step in (("solve", "1e-3"), ("solve", "5e-7")):
+        result = stepbench(command, "pendulum", *asked, step)
+        assert result.exit_code == 0, result.output
+    assert stepbench("order", "pendulum", asked[0], "--steps", "0.01,0.005,0.0025").exit_code == 0
+    assert drafts == [True, False, True]
 
 
 @pytest.mark.usefixtures("without_processes")

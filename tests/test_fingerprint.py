@@ -19,6 +19,7 @@ from bench.plugins.registry import Registry
 from bench.results import environment
 from bench.running.scene_records import scene_record
 from bench.stability.damping import linear_response
+from problems import runtime
 from problems.scenes.pendulum import Pendulum
 
 PROJECT = Path(bench.__file__).parents[1]
@@ -168,6 +169,16 @@ def test_flags_of_the_compiler_take_part(monkeypatch, flag, takes_part):
     assert (fingerprint(cls) != before) == takes_part
     monkeypatch.undo()
     forget()
+
+
+def test_programs_that_compile_sooner_are_those_of_the_same_fingerprint(monkeypatch):
+    cls = Registry().problems["pendulum"].cls
+    before, flags = fingerprint(cls), os.environ["XLA_FLAGS"]
+    monkeypatch.setenv("XLA_FLAGS", flags)  # to be undone
+    runtime.compile_sooner()
+    assert os.environ["XLA_FLAGS"] != flags
+    forget()
+    assert fingerprint(cls) == before
 
 
 def test_the_c_compiler_takes_part_for_those_that_compile_c(monkeypatch, tmp_path):

@@ -24,6 +24,9 @@ from problems.spec import SpecError
 
 #: Components of a group that a table has at most: those of a planar mechanism of three bodies.
 _SHOWN = 9
+#: Constant steps from which on a well compiled program saves the time that it takes to compile;
+#: runs with fewer, or with steps of their own choice, are not timed.
+_TIMED = 100_000
 
 
 @click.command("solve")
@@ -83,7 +86,7 @@ def solve_(
     sweeps.refuse_alone(vary, seed, jobs, cluster, out)
     end = options.end_time(scene, t_end)
     method = registry.integrator_on(method, scene)
-    resolution = resolution_of(scene, method, step, pattern, rtol, atol)
+    resolution, count = resolution_of(scene, method, step, pattern, rtol, atol), 0
     if isinstance(resolution, Steps):
         count = resolution.count(scene.interval[0], end)
         used = (end - scene.interval[0]) / count
@@ -98,7 +101,8 @@ def solve_(
 
     cell = Cell(scene.spec, method.spec, end, resolution)
     with RunProgress() as progress:
-        ((record, rows),), names = solve_cells([cell], registry, 7, budget, progress=progress)
+        samples = 7 if count >= _TIMED else 0
+        ((record, rows),), names = solve_cells([cell], registry, samples, budget, progress=progress)
     if as_json:
         click.echo(json.dumps(_solution(record, rows), indent=2))
     else:
@@ -199,11 +203,11 @@ def _facts(record: Record) -> list[str]:
         lines.append(f"error of the named points, IFToMM's rule: {record.history_error:.3g}")
     if record.energy_drift is not None:
         lines.append(f"energy drift: {record.energy_drift:.3g}")
+    prepared = f"prepared in {formatted(record.compile_s, '.2g')} s of processor time"
     if record.run_s:
-        lines.append(
-            f"processor time: {record.seconds:.3g} s (median of {len(record.run_s)}), prepared in "
-            f"{formatted(record.compile_s, '.2g')} s"
-        )
+        lines.append(f"{prepared}, run in {record.seconds:.3g} s (median of {len(record.run_s)})")
+    elif record.compile_s:
+        lines.append(f"{prepared}; `stepbench run` takes the times of runs")
     return lines
 
 

@@ -28,7 +28,7 @@ import msgspec
 from bench.plugins.registry import FILE_PREFIX, Registry
 from bench.results.environment import library_versions
 from integrators.lowering.native import compiler_version
-from problems.runtime import CACHE
+from problems.runtime import CACHE, SOONER
 from problems.system import MechatronicSystem
 from problems.whole_files import keep, kept
 
@@ -59,7 +59,7 @@ def fingerprint(made: type | Callable) -> str:
         digest.update(f"{name} {_source(file).digest}\n".encode())
     for base in getattr(made, "__mro__", ()):  # a class that its module has not written itself
         digest.update(str(vars(base).get("source_text", "")).encode())
-    flags = [os.environ.get(flag) for flag in FLAGS]
+    flags = [os.environ.get(flag, "").replace(SOONER, "") for flag in FLAGS]
     compiler = _compiler() if _COMPILES in modules else ""
     digest.update(repr((sorted(library_versions().items()), flags, compiler)).encode())
     return digest.hexdigest()[:12]

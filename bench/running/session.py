@@ -163,6 +163,8 @@ def solve_cells(
 ) -> tuple[list[CellResult], dict[str, list[str]]]:
     """Measure a few cells of one scene and integrator without a store, timed ``samples`` times.
 
+    Programs of which no times are taken are compiled quickly rather than well.
+
     Returns the results, and the names of the components of each group of the scene if known.
     """
     results, names = {}, {}
@@ -170,6 +172,7 @@ def solve_cells(
     tasks = [measure_task(cell, sources) for cell in cells]
     tasks.append(Task(Worker.components, (cells[0].problem,), sources=sources))
     with Runner(1, Limits(budget_s, memory_gib), progress) as runner:
+        runner.draft = not samples
         for task, answer in runner.run([tasks]):
             if task.job is Worker.measure:
                 results[task.label] = result_of(task.arguments[0], answer, registry)

@@ -18,7 +18,7 @@ from bench.guard.limits import MEASURING, PREPARING, REFERENCE, RUNNING
 from bench.guard.serve import Notify
 from bench.plugins.facts import Sources, component_texts, method_facts, scene_facts
 from bench.plugins.reasons import why
-from bench.plugins.registry import Registry
+from bench.plugins.registry import SUFFIXES, Registry
 from bench.results.quantities import PARTS, point_notes
 from bench.results.records import Record, Rows, SceneRecord
 from bench.running import measure
@@ -320,4 +320,6 @@ def start_worker(notify: Notify, sources: Sources, threads: int = 1, draft: bool
         compile_sooner()
     if not sources:
         use_exports()
-    return Worker(load_registry(notify, sources), notify, watched=bool(sources))
+    # Models of MuJoCo bring no code that could change what this process computes.
+    code = any(not source.endswith(SUFFIXES) for source in sources)
+    return Worker(load_registry(notify, sources), notify, watched=code)

@@ -12,6 +12,7 @@ from problems.models.mjcf_fluid import Fluid, ellipsoid, is_immersed
 from problems.models.mjcf_objects import called, is_off, matrix_of, numbers
 from problems.models.mjcf_parts import affine_actuators, lost_actuators, rigid_equalities
 from problems.models.mjcf_tree import branches
+from problems.models.trees import traced_once
 from problems.rotations import quaternion_rate
 from problems.runtime import Array, Float, jnp
 
@@ -92,6 +93,7 @@ class Model:
         at = m.jnt_qposadr[own]
         return at, m.jnt_dofadr[own], m.qpos_spring[at], stiff * (not is_off(m, "SPRING"))
 
+    @traced_once
     def passive(self, q: Array, v: Array) -> Array:
         """Return the forces of springs, dampers and a fluid, in N (or N m)."""
         at_q, at_v, rest, stiff = self._springs
@@ -110,6 +112,7 @@ class Model:
         parts = stiff / np.arange(2, 2 + stiff.shape[1])
         return jnp.sum(way**2 * _polynomial(parts, way)) if len(at_q) else jnp.zeros(())
 
+    @traced_once
     def actuators(self, q: Array, v: Array, control: Float[Array, " nu"]) -> Array:
         """Return the forces of the actuators at a control, in N (or N m).
 

@@ -9,19 +9,34 @@ in space axes, and moments about the origin.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property, wraps
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from problems.rotations import rotation_matrix
-from problems.runtime import Array, Float, jnp
+from problems.runtime import Array, Float, jax, jnp
 
 #: Matrices by which a vector becomes that of its cross product: einsum of this and the vector.
 _CROSS = np.zeros((3, 3, 3))
 _CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = -1.0
 _CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = 1.0
+
+
+def traced_once(method: Callable) -> Callable:
+    """Return a method of arrays that JAX traces once for each object.
+
+    Steps, starts, references and tangents call the same equations, whose tracing takes as long as
+    all else before the first number.
+    """
+
+    @cache  # JAX is loaded late
+    def traced() -> Callable:
+        return jax.jit(method, static_argnums=0)
+
+    return wraps(method)(lambda self, *arrays: traced()(self, *arrays))
 
 
 class Poses(NamedTuple):
@@ -123,6 +138,7 @@ class Tree:
         return picks
 
     # ---- motion
+    @traced_once
     def poses(self, q: Float[Array, " nq"]) -> Poses:
         """Return the poses of the links at coordinates q."""
         hinged, slid = self._picks("hinge"), self._picks("slide")
@@ -162,6 +178,7 @@ class Tree:
         centres = at.origins + jnp.einsum("nij,nj->ni", at.axes, self.centre)
         return centres, jnp.einsum("nij,njk,nlk->nil", at.axes, self.inertia, at.axes)
 
+    @traced_once
     def mass_matrix(self, q: Float[Array, " nq"]) -> Float[Array, "nv nv"]:
         """Return M(q)."""
         at = self.poses(q)
@@ -185,6 +202,7 @@ class Tree:
         lower = upper * products
         return lower + (1 - np.eye(self.nv)) * lower.T
 
+    @traced_once
     def mass_product(self, q: Float[Array, " nq"], a: Float[Array, " nv"]) -> Float[Array, " nv"]:
         """Return M(q) a, in N (or N m), with fewer operations than by M."""
         at = self.poses(q)
@@ -207,6 +225,7 @@ class Tree:
         total = at.moving * (hanging @ force) + at.turning * (hanging @ moment)
         return total.sum(axis=1)
 
+    @traced_once
     def bias(self, q: Float[Array, " nq"], v: Float[Array, " nv"]) -> Float[Array, " nv"]:
         """Return the gyroscopic forces and weights, in N (or N m), on the side of M a."""
         at = self.poses(q)
