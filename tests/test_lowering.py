@@ -22,9 +22,9 @@ from problems.runtime import jax
 #: heavy_top the largest entry, 313 N m, is what is left of gyroscopic terms of 20 800 N m: it is
 #: seen to differ by 1.2e-14, which is 2e-16 of the largest term.
 ROUNDING = 1e-14
-_OF_SMALL_REMAINDERS = {"heavy_top": 2e-14}
-#: Scenes in space whose equations are too long for a compiler; IDA calls them through Python.
-_TOO_LARGE = ("bicycle", "bricard", "mjcf_arm", "mjcf_quadruped")
+_OF_SMALL_REMAINDERS = {"heavy_top": 2e-14, "bricard": 4e-14}
+#: Scenes whose equations are too long for a compiler; IDA calls them through Python.
+_TOO_LARGE = ("mjcf_quadruped",)
 SCENES = Registry([]).problems
 FORMULATIONS = ("index1", "index2", "stabilised_index2", "index3")
 
@@ -72,7 +72,7 @@ def differences(scene, formulation, sparse=False):
 def test_residual_and_jacobian_are_those_of_jax_to_rounding(name, formulation):
     allowed = _OF_SMALL_REMAINDERS.get(name, ROUNDING)
     if name in _TOO_LARGE:
-        with pytest.raises(NotLowered, match="a compiler is given at most 13000"):
+        with pytest.raises(NotLowered, match="a compiler is given at most 25000"):
             differences(scene_or_skip(name), formulation)
         return
     assert max(differences(scene_or_skip(name), formulation)) < allowed
@@ -330,7 +330,7 @@ def test_only_operations_that_matter_remain():
                 jnp.linalg.solve(
                     k * jnp.eye(40) + u[0] + jnp.diag(u[:1] * jnp.ones(40)), u[:1] * jnp.ones(40)
                 )
-                for k in range(8)
+                for k in range(16)
             ),
             "operations",
         ),

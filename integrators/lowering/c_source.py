@@ -60,8 +60,9 @@ static NOINLINE void solve(int n, int m, double *restrict a, double *restrict b)
 """
 #: Lines of a piece, beside those that keep a value for a later piece.
 _PIECE = 500
-#: Operations, and values given to loops and solves, that a compiler takes some four seconds for.
-_MOST_OPERATIONS = 13_000
+#: Operations, and values given to loops and solves, that a compiler takes some ten seconds for; a
+#: third of that in trees of bodies, of which those of an arm of seven joints are fewer.
+_MOST_OPERATIONS = 25_000
 #: Lines of a function, with those that write results.
 _MOST_LINES = 2 * _MOST_OPERATIONS
 

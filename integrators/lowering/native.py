@@ -21,7 +21,7 @@ from problems.whole_files import keep, kept
 _COMPILER = "cc"
 #: Rounding stays as written: no operations are contracted. The library is not for one processor
 #: alone, as a folder of the user may be shared by several machines.
-_FLAGS = ("-O2", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared")
+_FLAGS = ("-O1", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared")
 _CACHE = Path(platformdirs.user_cache_dir("stepbench")) / "native"
 #: Whatever a compilation has left that was killed is removed after so many s.
 _OLD = 86_400
