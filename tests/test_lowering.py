@@ -20,7 +20,7 @@ from problems.runtime import jax
 
 #: Rounding of sums and elementary functions, relative to the largest entry. Near the start of
 #: heavy_top the largest entry, 313 N m, is what is left of gyroscopic terms of 20 800 N m: it is
-#: seen to differ by 1.2e-14, which is 2e-16 of the largest term.
+#: seen to differ by 1.2e-14, which is 2e-16 of the largest term. So it is with bricard.
 ROUNDING = 1e-14
 _OF_SMALL_REMAINDERS = {"heavy_top": 2e-14, "bricard": 4e-14}
 #: Scenes whose equations are too long for a compiler; IDA calls them through Python.
