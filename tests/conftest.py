@@ -164,7 +164,7 @@ def without_processes(monkeypatch):
     monkeypatch.setattr(Runner, "run", run_here)
     monkeypatch.setattr(Runner, "time", lambda self, tasks, samples, have: iter(()))
     monkeypatch.setattr(process, "ask_once", ask_here)
-    monkeypatch.setattr(worker, "one_thread", lambda: None)
+    monkeypatch.setattr(worker, "use_threads", lambda callers: None)
     # In this process tests patch functions: what is made here must not be kept.
     monkeypatch.setattr(worker, "use_exports", lambda: None)
     monkeypatch.setattr(inventory, "keep_references", lambda file_of, told: None)
