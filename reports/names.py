@@ -57,7 +57,6 @@ BUILT_IN = {
     "bliedf": BuiltIn("BLieDF", 340, 7, 1),
     "cr": BuiltIn("CR", 238, 12, 3),
     "energy_momentum": BuiltIn("Energy-momentum", 169, 6, 4),
-    "exudyn": BuiltIn("exudyn", 128, 8, 1),
     "explicit_generalized_alpha": BuiltIn("explicit gα", 226, 6, 2),
     "half_explicit_euler": BuiltIn("Half-explicit Euler", 295, 5, 7),
     "hht_i3": BuiltIn("HHT-I3", 269, 0, 3),

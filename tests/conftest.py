@@ -51,7 +51,6 @@ SLOWEST = (
     "test_fixed_elimination",
     "test_guard",
     "test_new",
-    "test_peers",
     "test_accessibility",
     "test_symplectic",
     "test_browser",

@@ -18,7 +18,6 @@ ROOT = Path(__file__).resolve().parents[1]
 LAYERS = [
     {"problems"},
     {"problems.scenes"},
-    {"problems.engines"},
     {"integrators.multistep", "integrators.kept_rows", "integrators.advice"},
     {"integrators.runs", "integrators.resolutions"},
     {"integrators.phased_runs"},

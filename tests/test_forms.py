@@ -34,7 +34,6 @@ FORMS = {
     "cvode[constraints=baumgarte]": "index 1, Baumgarte",
     "rodas5p": "index 1, unprojected",
     "rodas5p[formulation=index2,constraints=projected]": "index 2, projected",
-    "exudyn[method=trapezoidal_index2]": "index 2",
     "mujoco[integrator=rk4]": "minimal coordinates, soft loops",
 }
 

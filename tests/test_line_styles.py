@@ -126,14 +126,14 @@ def alike(labels: Iterable[str]) -> list[tuple[LineStyle, LineStyle]]:
     return [(one, two) for one, two in pairs if near(one.color, two.color)]
 
 
-@pytest.mark.parametrize("name", ["quick", "full", "sizes", "peers"])
+@pytest.mark.parametrize("name", ["quick", "full", "sizes"])
 def test_lines_of_a_suite_with_near_colours_differ_in_mark_and_dash(name):
     pairs = alike(suite(name))
     assert pairs
     assert [(a, b) for a, b in pairs if a.shape == b.shape or a.dash == b.dash] == []
 
 
-@pytest.mark.parametrize("name", ["quick", "full", "families", "peers", "sizes"])
+@pytest.mark.parametrize("name", ["quick", "full", "families", "sizes"])
 def test_lines_of_a_suite_with_one_mark_have_colours_far_apart(name):
     styles = line_styles(suite(name)).items()
     shared = [

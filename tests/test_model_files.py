@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,7 +19,6 @@ from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
 from integrators.adapters.ida import IDA
 from problems import from_mjcf
-from problems.engines.mujoco_models import hard_acceleration
 from problems.models import mjcf_fields
 from problems.models.mjcf_parts import lacking
 from problems.models.mjcf_read import read
@@ -82,6 +83,44 @@ def of_mujoco(file) -> mujoco.MjModel:
         m.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{RIGID[part]}"))
     m.opt.enableflags, m.opt.jacobian, m.opt.integrator = 0, 0, 0
     return m
+
+
+def hard_acceleration(model: Any, data: Any) -> np.ndarray:
+    """Accelerations of MuJoCo's model with its equalities rigid, from its own M, J and forces.
+
+    It solves M a + J^T f = forces, J a = -J' v. J' v is a central difference of MuJoCo's J along
+    the motion, extrapolated to an increment of zero.
+
+    Parameters
+    ----------
+    model, data
+        ``MjModel`` and ``MjData`` with the state.
+    """
+    mujoco.mj_forward(model, data)
+    if not data.nefc:
+        return data.qacc.copy()
+    jacobian, forces = data.efc_J.reshape(data.nefc, -1).copy(), data.qfrc_smooth.copy()
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    moved = mujoco.MjData(model)
+
+    def speed(time: float) -> np.ndarray:
+        moved.qpos[:] = data.qpos
+        mujoco.mj_integratePos(model, moved.qpos, data.qvel, time)
+        mujoco.mj_forward(model, moved)
+        return moved.efc_J.reshape(jacobian.shape) @ data.qvel
+
+    rows = len(jacobian)
+    whole = np.block([[mass, jacobian.T], [jacobian, np.zeros((rows, rows))]])
+    right = np.concatenate([forces, -_slope(speed, data.qvel)])
+    return np.linalg.lstsq(whole, right)[0][: model.nv]  # a plane tie has a row of zeros
+
+
+def _slope(function: Callable[[float], np.ndarray], speed: np.ndarray) -> np.ndarray:
+    """Its derivative at 0: central differences, extrapolated to an increment of zero."""
+    size = 1e-3 / (np.abs(speed).max() or 1.0)
+    coarse, fine = ((function(h) - function(-h)) / (2 * h) for h in (size, size / 2))
+    return (4 * fine - coarse) / 3
 
 
 @pytest.mark.parametrize("name", [*FEW, *long(*(n for n in VALUED if n not in FEW))])

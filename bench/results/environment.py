@@ -20,7 +20,7 @@ from problems.plain_text import visible
 #: Libraries that compute, by the names of their packages; some may be missing.
 LIBRARIES = (
     *("jax", "jaxlib", "diffrax", "optimistix", "lineax", "equinox", "scikit-sundae", "scipy"),
-    *("numpy", "klujax", "asdex", "solve_dae", "exudyn", "mujoco"),
+    *("numpy", "klujax", "asdex", "solve_dae", "mujoco"),
 )
 
 

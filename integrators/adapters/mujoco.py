@@ -1,23 +1,23 @@
-"""The physics engine MuJoCo as an integrator; needs the extra ``peers``."""
+"""The physics engine MuJoCo as an integrator of its own models; needs the extra ``mujoco``."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from integrators.adapters.engines import Engine, EngineRun
 from integrators.adapters.trajectories import trajectory_from_states
-from integrators.contract import PreparedRun, Trajectory, Work, option
+from integrators.contract import Integrator, PreparedRun, Trajectory, Work, option
+from integrators.kept_rows import kept_rows, width_of
 from integrators.native.endings import Ending
 from integrators.resolutions import Steps
-from problems.engines.agreement import check_agreement
-from problems.engines.mujoco_models import LOOPS, MUJOCO_MODELS, hard_acceleration, mujoco_model
+from problems.initial_values import consistent_start
 from problems.models.mjcf import MujocoScene
 from problems.models.mjcf_objects import load_mujoco
+from problems.spec import SpecError, validate
 from problems.system import MechatronicSystem
 
 #: Coordinates beyond are a solution that blows up; MuJoCo goes on with them.
@@ -25,24 +25,21 @@ _BEYOND = 1e12
 
 
 @dataclass(frozen=True)
-class Mujoco(Engine):
-    """MuJoCo's integrators on its own model of the scene: joint coordinates, soft loops.
+class Mujoco(Integrator):
+    """MuJoCo's integrators on the model of a scene that was made from its file.
 
-    Trees of bodies have joint coordinates and no constraints: pendulum, chain, heavy_top, and
-    models from files. Each loop, as that of slider_crank, is an equality, which MuJoCo holds by a
-    stiff, damped force of its own: its time constant of ``loop_steps`` steps makes it harder as the
-    step falls. Neither gives our multipliers.
+    Loops are equalities, which MuJoCo holds by stiff, damped forces of its own: their time constant
+    of ``loop_steps`` steps makes them harder as the step falls. It has none of our multipliers.
 
     Reported q and v are MuJoCo's own at the ends of its steps. a and lam solve the scene's
-    equations of motion there, as for an ODE method. Without damping in the scene implicitfast
-    steps as euler does.
+    equations of motion there, as for an ODE method; these were compared with MuJoCo's when the file
+    was loaded. Without damping in the scene implicitfast steps as euler does.
 
     ``residuals`` are evaluations of forward dynamics and ``newton`` the iterations of the solver
     of equalities; MuJoCo counts both. It tells no iterations of RK4's inner stages: None.
     """
 
     family: ClassVar[str] = "engine"
-    package: ClassVar[str] = "mujoco"
     calls: ClassVar[str] = "it computes trees of bodies of general kind, in C"
     formulation = "joint_coordinates"
     drift = "soft"
@@ -52,9 +49,9 @@ class Mujoco(Engine):
 
     integrator: str = option(
         "file",
-        "file: that which the model's file names, else euler; euler: semi-implicit; implicitfast, "
-        "implicit: forces of velocities implicit, the latter with gyroscopic ones; discrete: "
-        "positions implicit, too; rk4: explicit Runge-Kutta",
+        "file: that which the model's file names; euler: semi-implicit; implicitfast, implicit: "
+        "forces of velocities implicit, the latter with gyroscopic ones; discrete: positions "
+        "implicit, too; rk4: explicit Runge-Kutta",
         choices=("file", "euler", "implicitfast", "implicit", "discrete", "rk4"),
         always=True,
     )
@@ -62,78 +59,73 @@ class Mujoco(Engine):
         2.0, "time constant of a soft loop in steps; 2 is the hardest that MuJoCo takes", low=2.0
     )
 
-    def scenes(self) -> Collection[type[MechatronicSystem]]:
-        return MUJOCO_MODELS
-
     def supports(self, scene: MechatronicSystem) -> str | None:
-        return None if isinstance(scene, MujocoScene) else super().supports(scene)
+        if isinstance(scene, MujocoScene):
+            return None
+        return "It takes models from files of MuJoCo and URDF, such as mjcf_arm."
 
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
-        smooth = self.chosen(scene) == "rk4" and not isinstance(scene, LOOPS)
-        return dict.fromkeys(("q", "v", "a", "lam"), 4 if smooth else 1)
+        order = 4 if self.chosen(scene) == "rk4" and not scene.sizes.nl else 1
+        return dict.fromkeys(("q", "v", "a", "lam"), order)
 
     def chosen(self, scene: MechatronicSystem) -> str:
         """Return the integrator of MuJoCo that steps a scene."""
-        if self.integrator != "file":
+        if self.integrator != "file" or not isinstance(scene, MujocoScene):
             return self.integrator
-        if not isinstance(scene, MujocoScene):
-            return "euler"
         own = load_mujoco().mjtIntegrator(int(scene.model.m.opt.integrator))
         return own.name.removeprefix("mjINT_").lower()
 
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Steps) -> PreparedRun:
+        validate(self)
+        if not isinstance(scene, MujocoScene):
+            raise SpecError(f"{self.spec} does not take {scene.spec}: {self.supports(scene)}")
+        if len(resolution.pattern) > 1:
+            raise SpecError(f"{self.spec} takes equal steps and no pattern of them.")
         return _MujocoRun(self, scene, t_end, resolution)
 
 
-class _MujocoRun(EngineRun):
-    def __init__(
-        self, method: Mujoco, scene: MechatronicSystem, t_end: float, resolution: Steps
-    ) -> None:
-        super().__init__(method, scene, t_end, resolution)
-        self._mujoco = load_mujoco()
-        q, v = np.asarray(self.start.q), np.asarray(self.start.v)
-        self._stated = mujoco_model(scene, q, v)
-        self._model = model = self._stated.model
-        model.opt.timestep = (self.t[-1] - self.t[0]) / self.steps
-        model.eq_solref[:] = method.loop_steps * model.opt.timestep, 1.0
-        model.eq_solimp[:, :2] = 0.9999  # the hardest
-        self._data = self._mujoco.MjData(model)
-        with self._without_warnings():
-            self._reset()
-            q, v = self._stated.motion(self._data.qpos[None], self._data.qvel[None])
-            a = self._stated.acceleration(hard_acceleration(model, self._data))
-            check_agreement("MuJoCo", scene, self.start, q=q[0], v=v[0], a=a)
-        # From here on: discrete takes forces at the end of a step, also for the acceleration.
-        self._kind = method.chosen(scene)
-        kind = f"mjINT_{self._kind.upper()}"
-        model.opt.integrator = getattr(self._mujoco.mjtIntegrator, kind)
+class _MujocoRun(PreparedRun):
+    """A run at equal steps, from the consistent start of the scene."""
+
+    def __init__(self, method: Mujoco, scene: MujocoScene, t_end: float, resolution: Steps) -> None:
+        self._scene, self._start = scene, consistent_start(scene).z
+        self._mujoco, t0 = load_mujoco(), scene.interval[0]
+        self._steps = resolution.count(t0, t_end)
+        self._t = np.linspace(t0, float(t_end), self._steps + 1)
+        self._model, self._control = scene.in_mujoco()
+        options, self._kind = self._model.opt, method.chosen(scene)
+        options.timestep = (self._t[-1] - t0) / self._steps
+        options.integrator = getattr(self._mujoco.mjtIntegrator, f"mjINT_{self._kind.upper()}")
+        # Else MuJoCo goes on from the start where a solution has blown up.
+        options.disableflags |= self._mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        self._model.eq_solref[:] = method.loop_steps * options.timestep, 1.0
+        self._model.eq_solimp[:, :2] = 0.9999  # the hardest
+        self._data = self._mujoco.MjData(self._model)
 
     @contextlib.contextmanager
-    def _without_warnings(self) -> Iterator[None]:
-        """MuJoCo writes its warnings to a file; the status says the same."""
+    def _reset(self) -> Iterator[None]:
+        """Begin at the start. MuJoCo writes its warnings to a file; the status says the same."""
         before = self._mujoco.get_mju_user_warning()
         self._mujoco.set_mju_user_warning(lambda text: None)
         try:
+            self._mujoco.mj_resetData(self._model, self._data)
+            self._data.qpos[:], self._data.qvel[:] = self._start.q, self._start.v
+            self._data.ctrl[:] = self._control
             yield
         finally:
             self._mujoco.set_mju_user_warning(before)
 
-    def _reset(self) -> None:
-        self._mujoco.mj_resetData(self._model, self._data)
-        self._data.qpos[:], self._data.qvel[:] = self._stated.qpos, self._stated.qvel
-        self._data.ctrl[:] = self._stated.control
-
     def execute(self) -> Any:
-        with self._without_warnings():
-            self._reset()
-            self._mujoco.mj_step(self._model, self._data, self.steps)
+        with self._reset():
+            self._mujoco.mj_step(self._model, self._data, self._steps)
 
     def measure(self) -> Trajectory:
         model, data, mujoco = self._model, self._data, self._mujoco
-        wanted, rows, iterations, failed = self.kept(), [], 0, 0
-        with self._without_warnings():
-            self._reset()
-            for step in range(self.steps + 1):
+        parts = np.linspace(0.0, 1.0, self._steps + 1)
+        wanted = set(kept_rows(parts, width_of(self._scene.sizes)).tolist())
+        rows, iterations, failed = [], 0, 0
+        with self._reset():
+            for step in range(self._steps + 1):
                 if step:
                     mujoco.mj_step(model, data)
                     iterations += int(data.solver_niter.sum())
@@ -142,15 +134,16 @@ class _MujocoRun(EngineRun):
                     break
                 if step in wanted:
                     rows.append((step, data.qpos.copy(), data.qvel.copy()))
-        at, qpos, qvel = (np.array(column) for column in zip(*rows, strict=True))
-        q, v = self._stated.motion(qpos, qvel)
-        q[0], v[0] = self.start.q, self.start.v
+        at, q, v = (np.array(column) for column in zip(*rows, strict=True))
         inner = self._kind == "rk4" and data.nefc > 0
         work = Work(
-            steps=failed - 1 if failed else self.steps,
+            steps=failed - 1 if failed else self._steps,
             residuals=data.timer[mujoco.mjtTimer.mjTIMER_FORWARD].number,
             newton=None if inner else iterations,
         )
-        run = trajectory_from_states(self.scene, self.t[at], q, v, np.zeros((len(at), 0)))
+        run = trajectory_from_states(self._scene, self._t[at], q, v, np.zeros((len(at), 0)))
         run = replace(run, work=work)
-        return self.ended(run, Ending.DIVERGED, failed) if failed else run
+        if not failed:
+            return run
+        status, message = Ending.DIVERGED.outcome(float(self._t[failed]), float(self._t[-1]))
+        return replace(run, status=status, message=message)

@@ -17,6 +17,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from exudyn_slider_crank import exudyn_run
 from opponents import (
     OURS,
     RHO,
@@ -37,22 +38,12 @@ from bench.results.environment import environment
 from integrators import Steps, Tolerances
 from problems.reference import Reference
 from problems.runtime import one_thread
-from problems.scenes.chain import Chain
-from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.pendulum import Pendulum
-from problems.scenes.slider_crank import SliderCrank
 from problems.scenes.spring_mass import SpringMass
 
 #: Steps of the races at equal error in a: a coarse and a fine one.
 _SIZES = (1e-3, 1e-4)
 _PEERS = ("ida", "kvaerno5", "radau")
-#: Scenes of the engines, and equal steps on each.
-_ENGINE_SCENES, _ENGINE_STEPS = (Pendulum(), SliderCrank(), Chain(), HeavyTop()), 10_000
-_ENGINES = (
-    *(OURS, f"generalized_alpha[rho_inf={RHO:g}]", "semi_implicit_euler"),
-    *("exudyn", "exudyn[newton=full]", "exudyn[method=trapezoidal_index2]"),
-    *("mujoco[integrator=euler]", "mujoco[integrator=rk4]"),
-)
 #: Methods on small scenes: steps of those at constant ones, and tolerance of the others.
 _SMALL_SCENES, _SMALL_STEPS, _SMALL_RTOL = (SpringMass(), Pendulum()), 20_000, 1e-8
 _METHODS = (
@@ -114,8 +105,8 @@ def same_equations(rounds: int) -> list[dict[str, Any]]:
         lambda: stepbench(OURS, steps),
         lambda: stepbench(spec, steps),
         c_program,
-        lambda: stepbench("exudyn[rho_inf=0.8,newton=full]", steps),
-        lambda: stepbench("exudyn[rho_inf=0.8]", steps),
+        lambda: exudyn_run("full"),
+        lambda: exudyn_run("modified"),
     )
     title = f"the same {STEPS} steps"
     rows = race(title, "difference of q at the end", contestants, rounds)
@@ -132,21 +123,6 @@ def same_error(h: float, rounds: int, reference: Reference) -> list[dict[str, An
     peers = [lambda spec=spec: equally_accurate(spec, ours.error, reference) for spec in _PEERS]
     contestants = [ours, *present(*peers)]
     return race(f"equal error in a, h={h:g} s", "settled error in a", contestants, rounds)
-
-
-def engines(rounds: int) -> list[dict[str, Any]]:
-    """Engines on models of their own, at equal steps; they solve other discrete equations."""
-    rows = []
-    for scene in _ENGINE_SCENES:
-        start, end = scene.interval
-        steps = Steps((end - start) / _ENGINE_STEPS)
-        makers = [
-            lambda spec=spec, steps=steps, scene=scene: stepbench(spec, steps, scene=scene)
-            for spec in _ENGINES
-        ]
-        title = f"{scene.name}, {_ENGINE_STEPS} equal steps"
-        rows += race(title, "difference of q at the end", present(*makers), rounds)
-    return rows
 
 
 def methods(rounds: int) -> list[dict[str, Any]]:
@@ -204,7 +180,6 @@ def main() -> None:
     reference = Reference(SCENE, T_END)
     for h in _SIZES:
         rows += same_error(h, max(3, given.rounds // 4), reference)
-    rows += engines(max(3, given.rounds // 4))
     rows += methods(max(3, given.rounds // 4))
     print(table(rows, most))
     record = {

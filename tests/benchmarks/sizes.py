@@ -2,7 +2,7 @@
 
 ``make bench`` prints two tables and writes them as JSON. Every size runs in a process of its own,
 so that memory is its own; contestants run in turn, and the least and the median of their processor
-times are given. exudyn is compared with our modified Newton, as it takes modified Newton, too.
+times are given.
 IDA chooses its steps, so that the time for an interval is compared, and the errors at its end stand
 beside it. They are differences from a run of IDA at a much smaller tolerance; that this is the
 answer is checked by our own method, whose error has to fall as its order says. Nothing is asserted
@@ -21,7 +21,6 @@ import numpy as np
 from opponents import alone, options, timed, written
 
 from integrators import Steps, Tolerances
-from integrators.adapters.exudyn import Exudyn
 from integrators.adapters.ida import IDA
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.formulations import dae_layout
@@ -31,9 +30,7 @@ from problems.scenes.chain import Chain
 #: Links, and steps that a sample takes.
 SIZES = ((100, 400), (1000, 200), (10000, 200), (30000, 100), (100000, 50))
 _H, _RHO = 1e-3, 0.8
-_OURS, _THEIRS = ("modified", "full"), "exudyn, sparse"
-#: Largest chain that exudyn is asked for: at ten thousand links it takes minutes to set up.
-_MOST_OF_EXUDYN = 1000
+_OURS = ("modified", "full")
 #: Solutions of the same discrete equations, solved to these tolerances, differ by less.
 _SAME = 1e-7
 
@@ -56,10 +53,6 @@ def measure(links: int, steps: int, rounds: int) -> dict[str, Any]:
     }
     prepared = (time.process_time() - started) / len(runs)
     contestants = {kind: run.execute for kind, run in runs.items()}
-    theirs, exudyn = None, Exudyn(rho_inf=_RHO, linear_solver="sparse")
-    if links <= _MOST_OF_EXUDYN and exudyn.supports(scene) is None:
-        theirs = exudyn.prepare(scene, steps * _H, Steps(_H))
-        contestants[_THEIRS] = theirs.execute
     seconds = {name: [] for name in contestants}
     for _ in range(rounds):
         for name, execute in contestants.items():
@@ -92,8 +85,6 @@ def measure(links: int, steps: int, rounds: int) -> dict[str, Any]:
             "factorisations_per_step": end.work.factorisations / end.work.steps,
             "energy_drift": abs(energy[1] - energy[0]) / kinetic,
         }
-    if theirs is not None:
-        ends[_THEIRS] = theirs.measure().q[-1]
     for name, q in ends.items():
         gap = np.linalg.norm(q - ends["modified"]) / np.linalg.norm(q)
         if not gap < _SAME:
@@ -119,15 +110,11 @@ def table(rows: list[dict[str, Any]]) -> str:
         "|---:|---|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for row in rows:
-        for name in (name for name in (*_OURS, _THEIRS) if name in row):
+        for name in _OURS:
             own = row[name]
             time_of, ratio = own["us_per_step"], "{:.1f} ({:.1f} to {:.1f})".format(*own["ratio"])
-            work = (
-                f"{own['newton_per_step']:.2f} | {own['factorisations_per_step']:.2f}"
-                if name in _OURS
-                else "- | -"
-            )
-            drift = f"{own['energy_drift']:.0e}" if name in _OURS else "-"
+            work = f"{own['newton_per_step']:.2f} | {own['factorisations_per_step']:.2f}"
+            drift = f"{own['energy_drift']:.0e}"
             lines.append(
                 f"| {row['links']} | {name} | {time_of['median']:.0f} ({time_of['least']:.0f}) "
                 f"| {time_of['least'] / row['links']:.2f} | {ratio} | {work} "
@@ -228,14 +215,14 @@ def main() -> None:
     given = options(__doc__, 7, "stepbench-sizes.json")
     if given.one:
         kind, k = given.one
-        of = {"exudyn": (measure, SIZES), "ida": (against_ida, IDA_SIZES)}[kind]
+        of = {"steps": (measure, SIZES), "ida": (against_ida, IDA_SIZES)}[kind]
         print(json.dumps(of[0](*of[1][int(k)], given.rounds)))
         return
     rows = {
         kind: [alone(__file__, given.rounds, kind, k) for k in range(len(sizes))]
-        for kind, sizes in (("exudyn", SIZES), ("ida", IDA_SIZES))
+        for kind, sizes in (("steps", SIZES), ("ida", IDA_SIZES))
     }
-    written(rows, table(rows["exudyn"]) + "\n\n" + ida_table(rows["ida"]), given.out)
+    written(rows, table(rows["steps"]) + "\n\n" + ida_table(rows["ida"]), given.out)
 
 
 if __name__ == "__main__":

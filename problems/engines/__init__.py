@@ -1,1 +1,0 @@
-"""Scenes stated once more, as models of simulation engines."""
