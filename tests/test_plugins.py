@@ -7,6 +7,8 @@ import json
 import pytest
 from helpers import long
 
+from bench.running.inventory import Inventory
+
 HEAD = """
 from dataclasses import dataclass
 from problems.scenes.pendulum import Pendulum
@@ -107,3 +109,14 @@ def test_a_parameter_in_the_name_and_again_by_itself_is_refused(refused):
     assert "'m' is given in 'pendulum[m=2]' and again by itself" in refused(
         "solve", "pendulum[m=2]", "hht", "--set", "m=1"
     )
+
+
+def test_a_file_is_listed_without_loading_what_is_built_in(tmp_path):
+    (tmp_path / "broken.py").write_text("raise ValueError('no scene')\n")
+    inventory = Inventory([tmp_path / "broken.py"])
+    assert "no scene" in inventory.broken_files()[0]
+    own = inventory._own
+    assert not [
+        p.name for p in (*own.problems.values(), *own.integrators.values()) if "_found" in vars(p)
+    ]
+    assert inventory.integrators["ida"].options  # here it is loaded

@@ -156,9 +156,13 @@ def component_texts(registry: Registry, text: str) -> dict[str, list[str]]:
     return names | {"xdot": [c.rate().text for c in scene.components("x")]}
 
 
-def listing(registry: Registry) -> dict[str, dict[str, PluginFacts]]:
-    """List all plugins by kind and name."""
+def listing(registry: Registry, outside: bool = False) -> dict[str, dict[str, PluginFacts]]:
+    """List all plugins by kind and name; or only those from outside, as it loads what it lists."""
     return {
-        kind: {name: plugin_facts(plugin) for name, plugin in getattr(registry, kind).items()}
+        kind: {
+            name: plugin_facts(plugin)
+            for name, plugin in getattr(registry, kind).items()
+            if plugin.sources or not outside
+        }
         for kind in KINDS
     }

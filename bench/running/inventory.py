@@ -159,7 +159,7 @@ class Inventory:
         return list(
             dict.fromkeys(
                 _unusable(plugin)
-                for plugins in self._listing.values()
+                for plugins in self._from_outside.values()
                 for plugin in plugins.values()
                 if plugin.reason and plugin.origin in self.files
             )
@@ -179,9 +179,16 @@ class Inventory:
     # ---- parts -------------------------------------------------------------------------
     @cached_property
     def _listing(self) -> dict[str, dict[str, PluginFacts]]:
-        """Own plugins, and those from outside: in one process if all of them let it live."""
-        listed = facts.listing(self._own)
-        answer = self._answer(self._sources, facts.listing) if self._sources else listed
+        """Own plugins, and those from outside."""
+        own = facts.listing(self._own)
+        outside = self._from_outside
+        return {kind: own[kind] | outside[kind] | own[kind] for kind in own}
+
+    @cached_property
+    def _from_outside(self) -> dict[str, dict[str, PluginFacts]]:
+        """Plugins from outside: in one process if all of them let it live."""
+        listed: dict[str, dict[str, PluginFacts]] = {kind: {} for kind in KINDS}
+        answer = self._answer(self._sources, facts.listing, True) if self._sources else listed
         if self._outside and (text := self._outside.printed()):
             self._progress.printed("The loading of plugins", text)
         suspects = self._sources
@@ -210,7 +217,7 @@ class Inventory:
         name, _ = spec.split_spec(text)
         if name in getattr(self._own, kind):  # no other may take this name
             return question(self._own, text, *more)
-        plugin = self._listing[kind].get(name)
+        plugin = self._from_outside[kind].get(name)
         if plugin is None and (broken := self.broken_files()):  # one of them may have defined it
             raise PluginFailed(f"There is no {text}. {broken[0]}")
         if plugin is None:
@@ -260,7 +267,7 @@ def _listed_isolated(each: Sequence[str]) -> list[dict[str, dict[str, PluginFact
         while due and len(asked) < _SIDE_BY_SIDE:
             source = due.popleft()
             asked[source] = GuardedProcess(load_registry, (frozenset({source}),), _LIMITS)
-            asked[source].start(facts.listing)
+            asked[source].start(facts.listing, True)
         wait_for_any(asked.values())
         for source, process in list(asked.items()):
             if (answer := process.poll()) is not None:
@@ -268,7 +275,7 @@ def _listed_isolated(each: Sequence[str]) -> list[dict[str, dict[str, PluginFact
                 if isinstance(answer, NoAnswer):
                     without = {source: answer.message}
                     alone = Registry(files_of([source]), [source], without=without)
-                    answer = facts.listing(alone)
+                    answer = facts.listing(alone, True)
                 found[source] = answer
     return [found[source] for source in each]
 
