@@ -256,7 +256,8 @@ def _settings(
 ) -> dict[str, str]:
     """Read name=value pairs, and the keyframe, which is such a pair."""
     keyframe = context.meta.get("keyframe")
-    return name_values(context, parameter, [*items, f"keyframe={keyframe}"] if keyframe else items)
+    named = items if keyframe is None else [*items, f"keyframe={keyframe}"]
+    return name_values(context, parameter, named)
 
 
 def with_set(command: Callable) -> Callable:

@@ -67,6 +67,8 @@ class StepProgram:
         Patterns of sparse tangents, one for each system of equations in a step; dense if empty.
     explicit
         The method has no options of Newton's method, and may not ask for it.
+    dense
+        Solver of the equations that have no pattern.
     to_rounding
         Modified Newton ends at round-off, as full Newton does.
     """
@@ -75,6 +77,7 @@ class StepProgram:
     keeps_tangents: bool = False
     patterns: tuple[Pattern, ...] = ()
     explicit: bool = False
+    dense: LinearSolver = DENSE
     to_rounding: bool = False
 
     def method(self, numbers: Numbers) -> StepFunctions:
@@ -133,7 +136,7 @@ class StepProgram:
                 f"The step of {type(self.functions).__name__} solves equations; inherit from "
                 f"ImplicitStepMethod in place of StepMethod."
             )
-        return SparseSolver(self.patterns[k], numbers.analyses[k]) if self.patterns else DENSE
+        return SparseSolver(self.patterns[k], numbers.analyses[k]) if self.patterns else self.dense
 
 
 class SparseTangents(NamedTuple):
