@@ -301,6 +301,7 @@ def test_the_command_draws_prints_and_writes_tables_for_pandas(stepbench, tmp_pa
         (["spring_mass", "newmark", "--ensemble", "3"], "give --vary"),
         (["spring_mass", "newmark", "--vary", "k:1..2"], "--vary is for an ensemble"),
         (["spring_mass", "newmark", "--seed", "1"], "--seed is for an ensemble"),
+        (["spring_mass", "newmark", "--ensemble", "1000001"], "not in the range 1<=x<=1000000"),
         (["spring_mass", "newmark", "--ensemble", "3", "--vary", "kk:1..2"], "did you mean 'k'"),
         (["spring_mass", "newmark", "--ensemble", "3", "--vary", "k:2..1"], "smaller one first"),
         (["spring_mass", "newmark", "--ensemble", "3", "--vary", "k=2"], "of the form NAME:LOW"),

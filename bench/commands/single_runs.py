@@ -53,7 +53,6 @@ def solve_(
     ensemble: int | None,
     vary: tuple[str, ...],
     seed: int | None,
-    jobs: int | None,
     cluster: str | None,
     out: Path | None,
     budget: float,
@@ -80,10 +79,9 @@ def solve_(
         common = scene.spec, method.spec, given, t_end, budget
         request = EnsembleRequest(*common, ensemble, vary, seed or 0)
         sources = scene.sources | method.sources
-        made_by = f"{scene.fingerprint}-{method.fingerprint}"
-        sweeps.solve_ensemble(sources, request, made_by, jobs, cluster, out, as_json)
+        sweeps.solve_ensemble(sources, request, cluster, out, as_json)
         return
-    sweeps.refuse_alone(vary, seed, jobs, cluster, out)
+    sweeps.refuse_alone(vary, seed, cluster, out)
     end = options.end_time(scene, t_end)
     method = registry.integrator_on(method, scene)
     resolution, count = resolution_of(scene, method, step, pattern, rtol, atol), 0

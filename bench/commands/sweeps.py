@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-from collections.abc import Callable
-from dataclasses import replace
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,20 +15,16 @@ import click
 
 from bench.commands import completion, options
 from bench.commands.pages import view
-from bench.guard.interrupts import remark
 from bench.results.table import Table
 from problems.spec import SpecError
 
 if TYPE_CHECKING:
     from bench.plugins.facts import Sources
+    from bench.sweeps.ensemble import Ensemble
     from bench.sweeps.jobs import EnsembleRequest
-    from bench.sweeps.parts import EnsembleResults, Parts
-    from bench.sweeps.shards import ShardRun
 
-#: Most points of a map, and members of an ensemble, that can be asked for.
-_MOST_POINTS, _MOST_MEMBERS = 1_000_000, 100_000_000
-#: Worker processes if their number is not given.
-_JOBS = 2
+#: Most points of a map, and members of an ensemble: all are in memory.
+_MOST = 1_000_000
 
 
 # ---- maps --------------------------------------------------------------------------------
@@ -143,10 +140,10 @@ def map_(
 def _read_grid(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d{1,9})x(\d{1,9})", text.replace(" ", ""))
     counts = tuple(map(int, match.groups())) if match else (0, 0)
-    if min(counts) < 2 or counts[0] * counts[1] > _MOST_POINTS:
+    if min(counts) < 2 or counts[0] * counts[1] > _MOST:
         raise SpecError(
             f"--grid {text!r} is not allowed; give two numbers of at least 2 as 200x200, and at "
-            f"most {_MOST_POINTS} points."
+            f"most {_MOST} points."
         )
     return counts[0], counts[1]
 
@@ -155,18 +152,9 @@ def _read_grid(text: str) -> tuple[int, int]:
 def with_ensemble(command: Callable) -> Callable:
     """Add the options of an ensemble to `stepbench solve`."""
     for option in (
-        options.with_file(
-            "File for the members, .csv, .json or .parquet, a flat row each, for pandas. Finished "
-            "shards are kept in PATH.parts/; the same command continues there. Without it members "
-            "are in the system's temporary folder, which may be memory."
-        ),
+        options.with_file("File for the members, .csv, .json or .parquet, a flat row each."),
         options.with_cluster(
             "Run the members on the workers of a dask scheduler, such as tcp://host:8786."
-        ),
-        click.option(
-            "--jobs",
-            type=click.IntRange(1, options.MOST_JOBS),
-            help=f"Worker processes that run members; {_JOBS} if not given, 1 on a GPU.",
         ),
         click.option(
             "--seed", type=click.IntRange(min=0), help="Seed of the random draw; 0 if not given."
@@ -180,10 +168,10 @@ def with_ensemble(command: Callable) -> Callable:
         ),
         click.option(
             "--ensemble",
-            type=click.IntRange(1, _MOST_MEMBERS),
+            type=click.IntRange(1, _MOST),
             metavar="N",
-            help="Run N members in shards of some 1000, each one compiled program; needs --vary. "
-            "--budget is that of one shard.",
+            help="Run N members, a million at most, in one compiled program; needs --vary. "
+            "--budget is that of some 1000 members.",
         ),
     ):
         command = option(command)
@@ -191,14 +179,10 @@ def with_ensemble(command: Callable) -> Callable:
 
 
 def refuse_alone(
-    vary: tuple[str, ...],
-    seed: int | None,
-    jobs: int | None,
-    cluster: str | None,
-    out: Path | None,
+    vary: tuple[str, ...], seed: int | None, cluster: str | None, out: Path | None
 ) -> None:
     """Refuse the options of an ensemble for a single run."""
-    given = {"vary": vary, "seed": seed, "jobs": jobs, "cluster": cluster, "out": out}
+    given = {"vary": vary, "seed": seed, "cluster": cluster, "out": out}
     for name, value in given.items():
         if value not in (None, ()):
             raise SpecError(f"--{name} is for an ensemble; give --ensemble N, too.")
@@ -207,130 +191,89 @@ def refuse_alone(
 def solve_ensemble(
     sources: Sources,
     request: EnsembleRequest,
-    fingerprint: str,
-    jobs: int | None,
     cluster: str | None,
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Draw the members, run them in shards, and show or write the results."""
-    from bench.sweeps.parts import EnsembleResults, KeptParts, check_file_name, write_members
-
-    if not request.vary:
-        raise SpecError("An ensemble needs something in which its members differ; give --vary.")
-    if jobs and cluster:
-        raise SpecError("--jobs is for processes of this machine; leave it out with --cluster.")
-    if out:
-        check_file_name(out)
-        remark("Finished members are stored; the same command goes on.")
-    folder = out.with_name(f"{out.name}.parts") if out else None
-    run, parts = _run(sources, request, folder, fingerprint, jobs, cluster)
-    results = EnsembleResults((parts, run.lost), run.plan.shards, run.plan.ranges)
-    if as_json:
-        _print_json(run, results)
-    else:
-        from bench.commands.terminal import show
-
-        show(*_shown(run, results))
-    if out:
-        write_members(out, results.parts())
-        click.echo(f"{request.count} members in {out}", err=as_json)
-    lost = len(run.lost.numbers())
-    if isinstance(parts, KeptParts) and not lost:
-        parts.remove()
-    if not results.statuses["ok"]:
-        _, message = results.first[next(iter(results.statuses))]
-        raise click.ClickException(f"No member succeeded. The first: {message}")
-    if lost:
-        again = "; the same command runs them again, with a larger --budget, too" if out else ""
-        raise click.ClickException(
-            f"Not complete: {lost} of {run.plan.shards} shards were lost{again}."
-        )
-
-
-def _run(
-    sources: Sources,
-    request: EnsembleRequest,
-    folder: Path | None,
-    fingerprint: str,
-    jobs: int | None,
-    cluster: str | None,
-) -> tuple[ShardRun, Parts]:
-    """Run the members that the folder lacks; return what is known of the run, and its parts."""
-    from bench.commands.terminal import RunProgress
+    """Draw and run the members, and show or write the results."""
+    from bench.commands.terminal import RunProgress, show
     from bench.guard.limits import Limits
     from bench.running.cluster import ClusterRunner
     from bench.running.runner import Runner
-    from bench.sweeps.parts import KeptParts, TemporaryParts
-    from bench.sweeps.shards import ShardRun
+    from bench.sweeps.ensemble import OUT_OF_TIME
+    from bench.sweeps.members import (
+        check_file_name,
+        json_texts,
+        parts_of,
+        run_members,
+        write_members,
+    )
     from problems.usage import cores
 
-    workers = processes(jobs, request.count)
-    threads = max(1, cores() // workers)
-    # A shard watches its budget itself, and has half as much again to end by it.
+    if not request.vary:
+        raise SpecError("An ensemble needs something in which its members differ; give --vary.")
+    if out:
+        check_file_name(out)
+    threads, together, began = 1 if cluster else cores(), 1, time.perf_counter()
+    # A part watches its budget itself, and has half as much again to end by it.
     limits = Limits(1.5 * request.budget, processors=threads)
     with RunProgress() as progress:
-        with Runner(workers, limits, progress) as here:
-            run = ShardRun(here, request, sources, progress)
-            about = run.about | {"sources": fingerprint}
-            parts = KeptParts(folder, about) if folder else TemporaryParts()
-            if not cluster:
-                run.complete(here, parts, threads)
-                return run, parts
-        with ClusterRunner(cluster, replace(limits, processors=1), progress) as there:
-            missing = run.plan.shards - len(parts.numbers())
-            run.complete(there, parts, 1, there.together(missing))
-    return run, parts
+        make = partial(ClusterRunner, cluster) if cluster else partial(Runner, 1)
+        with make(limits, progress) as runner:
+            if isinstance(runner, ClusterRunner):
+                together = runner.together(len(parts_of(request.count)))
+            found, fault = run_members(runner, request, sources, threads, together)
+    if as_json:
+        for text in _json(found, json_texts(found.tables())):
+            click.echo(text, nl=False)
+        click.echo()
+    else:
+        show(*_shown(found, time.perf_counter() - began))
+    if out:
+        write_members(out, found.tables())
+        click.echo(f"{len(found.status)} members in {out}", err=as_json)
+    if "ok" not in found.status:
+        raise click.ClickException(f"No member succeeded. The first: {found.message[0]}")
+    lost = request.count - len(found.status) + found.not_run
+    if lost:
+        raise click.ClickException(
+            f"Not complete: {lost} of {request.count} members are missing. {fault or OUT_OF_TIME}"
+        )
 
 
-def processes(jobs: int | None, members: int) -> int:
-    """Return how many worker processes run members on this machine; ``jobs`` if it is given."""
-    from bench.sweeps.jobs import shards_of
-
-    # A process takes most of a GPU's memory for itself.
-    usual = _JOBS if os.environ.get("JAX_PLATFORMS", "cpu") == "cpu" else 1
-    return min(jobs or usual, shards_of(members))
-
-
-def _shown(run: ShardRun, results: EnsembleResults) -> list[Table | str]:
+def _shown(found: Ensemble, seconds: float) -> list[Table | str]:
     """Least, median and largest end values; then statuses, work and times."""
-    plan, count = run.plan, results.statuses.total()
-    title = f"{plan.integrator} on {plan.problem}: {count} members at t={plan.t_end:g} s"
+    count = len(found.status)
+    title = f"{found.integrator} on {found.problem}: {count} members at t={found.t_end:g} s"
     columns = ("min", "median", "max")
     rows = [
         [name, *(f"{numbers[column]:.9g}" for column in columns)]
-        for name, numbers in results.summary().items()
+        for name, numbers in found.summary().items()
     ]
-    lines = [", ".join(f"{number} {status}" for status, number in results.statuses.items())]
-    lines += [
-        f"{status}, first member {member}: {message}"
-        for status, (member, message) in results.first.items()
-        if status != "ok"
-    ]
-    work = ", ".join(f"{name} {counts}" for name, counts in results.work.items())
-    lines.append(f"work of all: {work}")
-    if run.members:
-        lines.append(
-            f"{run.members} members run now, in {run.wall_s:.3g} s: "
-            f"{run.members / run.wall_s:.3g} members/s (all shards together: prepared in "
-            f"{run.compile_s:.2g} s, run in {run.run_s:.3g} s)"
-        )
-    return [Table(title, ["value", *columns], rows), *lines]
+    statuses = Counter(found.status)
+    lines = [", ".join(f"{number} {status}" for status, number in statuses.items())]
+    for status in statuses:
+        k = found.status.index(status)
+        if status != "ok":
+            lines.append(f"{status}, first member {found.member[k]}: {found.message[k]}")
+    work = ", ".join(f"{name} {counts}" for name, counts in found.work.items())
+    times = (
+        f"{count} members in {seconds:.3g} s: {count / seconds:.3g} members/s (all parts together: "
+        f"prepared in {found.compile_s:.2g} s, run in {found.run_s:.3g} s)"
+    )
+    return [Table(title, ["value", *columns], rows), *lines, f"work of all: {work}", times]
 
 
-def _print_json(run: ShardRun, results: EnsembleResults) -> None:
-    from bench.sweeps.parts import json_texts
-
+def _json(found: Ensemble, members: Iterator[str]) -> Iterator[str]:
     answer = {
-        "problem": run.plan.problem,
-        "integrator": run.plan.integrator,
-        "t_end": run.plan.t_end,
-        "statuses": results.statuses,
-        "summary": results.summary(),
-        "compile_s": run.compile_s,
-        "run_s": run.run_s,
+        "problem": found.problem,
+        "integrator": found.integrator,
+        "t_end": found.t_end,
+        "statuses": Counter(found.status),
+        "summary": found.summary(),
+        "compile_s": found.compile_s,
+        "run_s": found.run_s,
     }
-    click.echo(json.dumps(answer, indent=1, allow_nan=False)[:-2] + ',\n "members": ', nl=False)
-    for text in json_texts(results.parts()):
-        click.echo(text, nl=False)
-    click.echo("}")
+    yield json.dumps(answer, indent=1, allow_nan=False)[:-2] + ',\n "members": '
+    yield from members
+    yield "}"

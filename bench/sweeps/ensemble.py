@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,10 @@ from problems.system import MechatronicSystem
 
 #: Begins the names of columns with work counts.
 WORK = "work_"
-_OUT_OF_TIME = "The ensemble's time was used up before; raise the budget."
+#: Message of members that were not run.
+OUT_OF_TIME = "The ensemble's time was used up before; raise the budget."
+#: Members whose rows and texts are in memory together.
+_ROWS = 1024
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,8 @@ class Ensemble:
         Printed names, without the quantities that vary.
     t_end
         End time in s.
+    member
+        Number of each member.
     vary
         The values of each quantity that varies, by name.
     status, message
@@ -46,6 +51,7 @@ class Ensemble:
     integrator: str
     t_end: float
     # Types without shapes, as they are read where an ensemble comes from another process.
+    member: np.ndarray
     vary: dict[str, np.ndarray]
     status: list[str]
     message: list[str]
@@ -53,20 +59,65 @@ class Ensemble:
     compile_s: float
     run_s: float
 
-    def columns(self, first: int = 0) -> dict[str, np.ndarray]:
-        """Return all as a table for pandas, with the number of each member from ``first`` on."""
+    def columns(self, of: slice = slice(None)) -> dict[str, np.ndarray]:
+        """Return all as a table for pandas, or a slice of it."""
         return {
-            "member": first + np.arange(len(self.status)),
-            **self.vary,
-            "status": np.array(self.status),
-            "message": np.array(self.message),
-            **self.values,
+            "member": self.member[of],
+            **{name: column[of] for name, column in self.vary.items()},
+            "status": np.array(self.status[of]),
+            "message": np.array(self.message[of]),
+            **{name: column[of] for name, column in self.values.items()},
+        }
+
+    def tables(self) -> Iterator[dict[str, np.ndarray]]:
+        """Yield the columns of some members after the other; texts of all would take much room."""
+        for k in range(0, len(self.status), _ROWS):
+            yield self.columns(slice(k, k + _ROWS))
+
+    def summary(self) -> dict[str, dict[str, float]]:
+        """Return "min", "median" and "max" of each end value over the members that are ok."""
+        ok = np.array(self.status) == "ok"
+        return {
+            name: {
+                "min": float((good := column[ok]).min()),
+                "median": float(np.median(good)),
+                "max": float(good.max()),
+            }
+            for name, column in self.values.items()
+            if name != "t" and not name.startswith(WORK) and ok.any()
         }
 
     @property
-    def whole(self) -> bool:
-        """Whether the budget was enough to run all members."""
-        return _OUT_OF_TIME not in self.message
+    def work(self) -> dict[str, int]:
+        """Counts of work of all members together."""
+        return {
+            name.removeprefix(WORK): int(column.sum())
+            for name, column in self.values.items()
+            if name.startswith(WORK)
+        }
+
+    @property
+    def not_run(self) -> int:
+        """Number of members for which the budget was not enough."""
+        return self.message.count(OUT_OF_TIME)
+
+
+def joined(parts: Sequence[Ensemble]) -> Ensemble:
+    """Return the members of several parts of an ensemble, one part after the other."""
+    return replace(
+        parts[0],
+        member=np.concatenate([part.member for part in parts]),
+        vary=_joined([part.vary for part in parts]),
+        status=[status for part in parts for status in part.status],
+        message=[message for part in parts for message in part.message],
+        values=_joined([part.values for part in parts]),
+        compile_s=sum(part.compile_s for part in parts),
+        run_s=sum(part.run_s for part in parts),
+    )
+
+
+def _joined(tables: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
 def member_rows(columns: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
@@ -80,15 +131,6 @@ def member_rows(columns: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
     return [dict(zip(columns, row, strict=True)) for row in zip(*lists, strict=True)]
 
 
-def spread(values: np.ndarray) -> dict[str, float]:
-    """Return the least, median and largest of some numbers."""
-    return {
-        "min": float(values.min()),
-        "median": float(np.median(values)),
-        "max": float(values.max()),
-    }
-
-
 def ensemble(
     scene: MechatronicSystem,
     method: Integrator,
@@ -98,6 +140,7 @@ def ensemble(
     budget: float = float("inf"),
     jobs: int | None = None,
     begun: Callable[[], None] = lambda: None,
+    first: int = 0,
 ) -> Ensemble:
     """Run the members of an ensemble.
 
@@ -121,6 +164,8 @@ def ensemble(
         Threads; one per processor if not given.
     begun
         Called when everything is compiled.
+    first
+        Number of the first member.
 
     Returns
     -------
@@ -146,7 +191,7 @@ def ensemble(
     fixed = resolution or default_resolution(scene, method)
     batch = Batch(runs_with(scene, method, fixed, quantities), end)
     count = shape[0]
-    status, message = ["budget_exceeded"] * count, [_OUT_OF_TIME] * count
+    status, message = ["budget_exceeded"] * count, [OUT_OF_TIME] * count
     t, ends, work = np.full(count, scene.interval[0]), {}, {}
     for block in batch.blocks(jobs, budget, begun):
         for k, *ending in zip(block.members, block.status, block.message, strict=True):
@@ -163,6 +208,7 @@ def ensemble(
         spec_without(scene, quantities),
         spec_without(method, quantities),
         end,
+        first + np.arange(count),
         values,
         status,
         message,

@@ -16,19 +16,16 @@ from bench.sweeps.variation import (
     drawn,
     find_range,
     read_ranges,
-    spec_without,
     unvaried_resolution,
 )
 from integrators.contract import Integrator
-from integrators.resolutions import Steps, Tolerances, check_end
+from integrators.resolutions import Steps, Tolerances
 from problems.runtime import check_runtime, jax, jnp
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
 #: Points of a range; fewer along a parameter each value of which needs a reference of its own.
 POINTS, POINTS_INTEGRATED = 100, 25
-#: Most members of a shard of an ensemble: they are lost, and run again, together. A GPU needs many.
-_OF_SHARD, _OF_SHARD_GPU = {"cpu": 1024}, 65536
 
 
 @dataclass(frozen=True, eq=False)  # tasks have a hash, and so must what is in them
@@ -129,48 +126,7 @@ class EnsembleRequest(SweepRequest):
     seed: int
 
 
-@dataclass(frozen=True)
-class EnsemblePlan:
-    """An ensemble's request, checked and worked out.
-
-    Attributes
-    ----------
-    problem, integrator
-        Printed names, without the quantities that vary.
-    t_end
-        End time in s.
-    ranges
-        What varies, by name.
-    shards
-        Number of parts into which the members are divided, whoever runs them.
-    """
-
-    problem: str
-    integrator: str
-    t_end: float
-    ranges: dict[str, Range]
-    shards: int
-
-
-def shards_of(count: int, backend: str = "cpu") -> int:
-    """Return into how many shards so many members are divided on a kind of device."""
-    return -(-count // _OF_SHARD.get(backend, _OF_SHARD_GPU))
-
-
-def plan_job(worker: Worker, request: EnsembleRequest) -> EnsemblePlan:
-    """Read an ensemble's request; refuse what cannot be run."""
-    scene, method, ranges, _ = request.prepared(worker, read_ranges(request.vary, "--vary"))
-    quantities, t_end = [varied.quantity for varied in ranges.values()], request.t_end
-    return EnsemblePlan(
-        spec_without(scene, quantities),
-        spec_without(method, quantities),
-        check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end),
-        ranges,
-        shards_of(request.count, jax.default_backend()),
-    )
-
-
-def shard_job(
+def members_job(
     worker: Worker, request: EnsembleRequest, first: int, count: int, threads: int
 ) -> Ensemble:
     """Run ``count`` members of an ensemble from the ``first`` on."""
@@ -184,4 +140,5 @@ def shard_job(
         request.budget,
         threads,
         begun=lambda: worker.notify(RUNNING, "running the members"),
+        first=first,
     )

@@ -59,10 +59,7 @@ NEEDED = {
     "realtime": {"rate": ["--rate", "1kHz"]},
     "figure": {"scene": ["--scene", "pendulum"]},
     **{f"map {name}": {"over": ["--over", "rho_inf,th0"]} for name in ("step", "rtol", "atol")},
-    **{
-        f"solve {option}": MEMBERS
-        for option in ("ensemble", "vary", "seed", "jobs", "cluster", "out")
-    },
+    **{f"solve {option}": MEMBERS for option in ("ensemble", "vary", "seed", "cluster", "out")},
 }
 #: Not wrong there: these commands tell of a plugin that is of no use, and any seed will do.
 TOLD = re.compile(

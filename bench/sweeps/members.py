@@ -1,0 +1,174 @@
+"""Members of an ensemble: run in parts by a worker process or a cluster, and tables of them.
+
+How members are divided depends on their number and the kind of device alone, and a member's values
+on its own number: whoever runs a part gives the same bits, on processors of the same kind with the
+same libraries.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.guard.interrupts import remark
+from bench.guard.process import Refused
+from bench.plugins.facts import Sources
+from bench.results.csv_text import csv_export
+from bench.running.runner import Runner, Task
+from bench.sweeps.ensemble import Ensemble, joined, member_rows
+from bench.sweeps.jobs import EnsembleRequest, members_job
+from problems.spec import SpecError
+
+#: Most members of a part, which come back, or are lost, together. A GPU needs many.
+_OF_PART, _OF_PART_GPU = 1024, 65536
+
+Columns = Mapping[str, np.ndarray]
+
+
+def parts_of(count: int) -> list[tuple[int, int]]:
+    """Return the number of the first member of each part, and of its members."""
+    most = _OF_PART if os.environ.get("JAX_PLATFORMS", "cpu") == "cpu" else _OF_PART_GPU
+    parts = -(-count // most)
+    firsts = [k * count // parts for k in range(parts + 1)]
+    return [(a, b - a) for a, b in itertools.pairwise(firsts)]
+
+
+def run_members(
+    runner: Runner, request: EnsembleRequest, sources: Sources, threads: int, together: int = 1
+) -> tuple[Ensemble, str]:
+    """Run all members of an ensemble.
+
+    Parameters
+    ----------
+    runner
+        Runs the parts, each with so many ``threads``; a worker gets ``together`` parts at a time.
+    request, sources
+        What is run.
+
+    Returns
+    -------
+    tuple
+        The members, without those of parts that have no answer; and the reason of one of these.
+
+    Raises
+    ------
+    SpecError
+        If the request is refused, or a part has no answer before another one has.
+    """
+    about = f"{request.integrator} on {request.problem}"
+    tasks = [
+        Task(
+            members_job,
+            (request, first, count, threads),
+            f"{about}, members {first} to {first + count - 1}",
+            sources=sources,
+        )
+        for first, count in parts_of(request.count)
+    ]
+    groups = [tasks[k : k + together] for k in range(0, len(tasks), together)]
+    if len(tasks) > 1:
+        runner.progress.phase("running members", len(tasks))
+    parts: list[Ensemble] = []
+    fault, done = "", 0
+    for task, answer in runner.run(groups):
+        if isinstance(answer, Ensemble):
+            parts.append(answer)
+            done += len(answer.status)
+            remark(f"{done} of {request.count} members had been run; none is kept.")
+        elif isinstance(answer, Refused):
+            raise SpecError(answer.message)
+        else:
+            fault = f"{task.label}: {answer.message}"
+            if not parts:
+                raise SpecError(fault)
+        runner.progress.advance()
+    remark("")
+    return joined(sorted(parts, key=lambda part: part.member[0])), fault
+
+
+# ---- files for the user ------------------------------------------------------------------
+def check_file_name(path: Path) -> None:
+    """Refuse a file that cannot be written, before any work is done for it.
+
+    Raises
+    ------
+    SpecError
+        If the name says no kind of table, or the library for it is missing.
+    """
+    if path.suffix not in _TEXTS and path.suffix != ".parquet":
+        raise SpecError(
+            f"{path.name} is no table; give a name that ends in .csv, .json or .parquet."
+        )
+    if path.suffix == ".parquet":
+        _parquet()
+
+
+def write_members(path: Path, tables: Iterator[Columns]) -> None:
+    """Write all members, a flat row each, and put the file in place when it is whole."""
+    new = path.with_name(f"{path.name}.new")
+    try:
+        if path.suffix == ".parquet":
+            _write_parquet(new, tables)
+        else:
+            with new.open("w", encoding="utf-8", newline="\n") as file:
+                file.writelines(_TEXTS[path.suffix](tables))
+        new.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            new.unlink()
+        raise
+
+
+def json_texts(tables: Iterator[Columns]) -> Iterator[str]:
+    """Yield the pieces of a list of rows as JSON."""
+    before = "[\n"
+    for table in tables:
+        yield before + json.dumps(member_rows(table), indent=1, allow_nan=False)[2:-2]
+        before = ",\n"
+    yield "\n]"
+
+
+def _csv_texts(tables: Iterator[Columns]) -> Iterator[str]:
+    head = True
+    for table in tables:
+        text = csv_export(member_rows(table))
+        yield text if head else text.partition("\n")[2]
+        head = False
+
+
+_TEXTS = {".csv": _csv_texts, ".json": json_texts}
+
+
+def _write_parquet(path: Path, tables: Iterator[Columns]) -> None:
+    arrow, parquet = _parquet()
+
+    def table(part: Columns) -> Any:
+        columns = [
+            arrow.array(column, mask=~np.isfinite(column) if column.dtype.kind == "f" else None)
+            for column in part.values()
+        ]
+        return arrow.table(columns, names=list(part))
+
+    first = table(next(tables))
+    with parquet.ParquetWriter(path, first.schema) as writer:
+        writer.write_table(first)
+        for part in tables:
+            writer.write_table(table(part))
+
+
+def _parquet() -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise SpecError(
+            "A file .parquet needs pyarrow; install it by: pip install 'stepbench[parquet]'."
+        ) from None
+    return pyarrow, pyarrow.parquet
