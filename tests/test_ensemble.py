@@ -263,7 +263,7 @@ def test_a_member_without_a_start_says_why():
 def test_a_budget_stops_between_blocks(monkeypatch):
     monkeypatch.setattr(batch, "_MOST_LANES", {"cpu": 4})
     scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
-    found = ensemble(scene, method, {"h": np.linspace(0.01, 0.1, 12)}, budget=0.0, jobs=1)
+    found = ensemble(scene, method, {"h": np.linspace(0.01, 0.1, 12)}, budget=0.0)
     assert Counter(found.status) == {"ok": 4, "budget_exceeded": 8}
     assert member_rows(found.columns())[-1]["q1"] is None
 
@@ -275,7 +275,7 @@ ENSEMBLE = ("solve", "spring_mass", "generalized_alpha", "--ensemble", "5", "--t
 @pytest.mark.long
 def test_the_command_draws_prints_and_writes_tables_for_pandas(stepbench, tmp_path):
     vary = ("--vary", "k:0.8..1.2", "--vary", "h:0.001..0.1")
-    csv, js = tmp_path / "m.csv", tmp_path / "m.json"
+    csv = tmp_path / "m.csv"
     result = stepbench(*ENSEMBLE, *vary, "--seed", "3", "-o", csv)
     assert result.exit_code == 0, result.output
     assert "5 ok" in result.output
@@ -284,9 +284,8 @@ def test_the_command_draws_prints_and_writes_tables_for_pandas(stepbench, tmp_pa
     assert table["k"].between(0.8, 1.2).all()
     assert table["h"].between(0.001, 0.1).all()
     assert (table["status"] == "ok").all()
-    answer = json.loads(stepbench(*ENSEMBLE, *vary, "--seed", "3", "--json", "-o", js).stdout)
-    again = pd.read_json(js, precise_float=True)
-    assert list(again["q1"]) == list(table["q1"]) == [row["q1"] for row in answer["members"]]
+    answer = json.loads(stepbench(*ENSEMBLE, *vary, "--seed", "3", "--json").stdout)
+    assert list(table["q1"]) == [row["q1"] for row in answer["members"]]
     assert answer["summary"]["q1"]["median"] == np.median(table["q1"])
     k, h = table["k"].tolist()[2], table["h"].tolist()[2]
     run = alone(f"spring_mass[k={k}]", "generalized_alpha", h, 1.0)
@@ -310,7 +309,7 @@ def test_the_command_draws_prints_and_writes_tables_for_pandas(stepbench, tmp_pa
         (["spring_mass", "newmark", "--ensemble", "3", "--vary", "h:0.1..0.2", "--step", "0.1"],
          "leave --step out"),
         (["spring_mass", "newmark", "--ensemble", "3", "--vary", "k:1..2", "-o", "x.txt"],
-         "ends in .csv, .json or .parquet"),
+         "ends in .csv or .parquet"),
         (["spring_mass", "ida", "--ensemble", "3", "--vary", "k:1..2"],
          "cannot run many members in one program"),
         (["spring_mass", "kvaerno5", "--ensemble", "3", "--vary", "k:1..2"],

@@ -152,7 +152,7 @@ def _read_grid(text: str) -> tuple[int, int]:
 def with_ensemble(command: Callable) -> Callable:
     """Add the options of an ensemble to `stepbench solve`."""
     for option in (
-        options.with_file("File for the members, .csv, .json or .parquet, a flat row each."),
+        options.with_file("File for the members, .csv or .parquet, a flat row each."),
         options.with_cluster(
             "Run the members on the workers of a dask scheduler, such as tcp://host:8786."
         ),
@@ -222,7 +222,7 @@ def solve_ensemble(
         with make(limits, progress) as runner:
             if isinstance(runner, ClusterRunner):
                 together = runner.together(len(parts_of(request.count)))
-            found, fault = run_members(runner, request, sources, threads, together)
+            found, fault = run_members(runner, request, sources, together)
     if as_json:
         for text in _json(found, json_texts(found.tables())):
             click.echo(text, nl=False)

@@ -316,10 +316,10 @@ def _components(file: StudyFile, scene: SceneFacts, registry: Inventory) -> list
 def resolution_of(
     scene: SceneFacts | MechatronicSystem,
     method: MethodFacts | Integrator,
-    step: float | None,
-    pattern: tuple[float, ...] | None,
-    rtol: float | None,
-    atol: float | None,
+    step: float | None = None,
+    pattern: tuple[float, ...] | None = None,
+    rtol: float | None = None,
+    atol: float | None = None,
 ) -> Steps | Tolerances:
     """Return the steps or tolerances of a run.
 

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from bench.running.plan import resolution_of
 from bench.sweeps.batch import Batch, refuse
-from bench.sweeps.variation import default_resolution, find_quantity, runs_with, spec_without
+from bench.sweeps.variation import find_quantity, runs_with, spec_without
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances, check_end
 from problems.spec import SpecError
@@ -138,7 +139,6 @@ def ensemble(
     resolution: Steps | Tolerances | None = None,
     t_end: float | None = None,
     budget: float = float("inf"),
-    jobs: int | None = None,
     begun: Callable[[], None] = lambda: None,
     first: int = 0,
 ) -> Ensemble:
@@ -160,8 +160,6 @@ def ensemble(
         End time in s; the scene's own if not given.
     budget
         Seconds after which no further members are begun; compiling is not counted.
-    jobs
-        Threads; one per processor if not given.
     begun
         Called when everything is compiled.
     first
@@ -188,12 +186,12 @@ def ensemble(
         raise SpecError("A value of an ensemble is not a finite number.")
     started = time.perf_counter()
     quantities = {find_quantity(name, scene, method): v for name, v in values.items()}
-    fixed = resolution or default_resolution(scene, method)
+    fixed = resolution or resolution_of(scene, method)
     batch = Batch(runs_with(scene, method, fixed, quantities), end)
     count = shape[0]
     status, message = ["budget_exceeded"] * count, [OUT_OF_TIME] * count
     t, ends, work = np.full(count, scene.interval[0]), {}, {}
-    for block in batch.blocks(jobs, budget, begun):
+    for block in batch.blocks(budget=budget, begun=begun):
         for k, *ending in zip(block.members, block.status, block.message, strict=True):
             status[k], message[k] = ending
         t[block.members] = block.t_last

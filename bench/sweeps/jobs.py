@@ -126,9 +126,7 @@ class EnsembleRequest(SweepRequest):
     seed: int
 
 
-def members_job(
-    worker: Worker, request: EnsembleRequest, first: int, count: int, threads: int
-) -> Ensemble:
+def members_job(worker: Worker, request: EnsembleRequest, first: int, count: int) -> Ensemble:
     """Run ``count`` members of an ensemble from the ``first`` on."""
     scene, method, ranges, fixed = request.prepared(worker, read_ranges(request.vary, "--vary"))
     return ensemble(
@@ -138,7 +136,6 @@ def members_job(
         fixed,
         request.t_end,
         request.budget,
-        threads,
         begun=lambda: worker.notify(RUNNING, "running the members"),
         first=first,
     )

@@ -7,13 +7,13 @@ same libraries.
 
 from __future__ import annotations
 
+import io
 import itertools
 import json
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from bench.running.runner import Runner, Task
 from bench.sweeps.ensemble import Ensemble, joined, member_rows
 from bench.sweeps.jobs import EnsembleRequest, members_job
 from problems.spec import SpecError
+from problems.whole_files import put
 
 #: Most members of a part, which come back, or are lost, together. A GPU needs many.
 _OF_PART, _OF_PART_GPU = 1024, 65536
@@ -41,14 +42,14 @@ def parts_of(count: int) -> list[tuple[int, int]]:
 
 
 def run_members(
-    runner: Runner, request: EnsembleRequest, sources: Sources, threads: int, together: int = 1
+    runner: Runner, request: EnsembleRequest, sources: Sources, together: int = 1
 ) -> tuple[Ensemble, str]:
     """Run all members of an ensemble.
 
     Parameters
     ----------
     runner
-        Runs the parts, each with so many ``threads``; a worker gets ``together`` parts at a time.
+        Runs the parts; a worker gets ``together`` of them at a time.
     request, sources
         What is run.
 
@@ -66,7 +67,7 @@ def run_members(
     tasks = [
         Task(
             members_job,
-            (request, first, count, threads),
+            (request, first, count),
             f"{about}, members {first} to {first + count - 1}",
             sources=sources,
         )
@@ -102,31 +103,20 @@ def check_file_name(path: Path) -> None:
     SpecError
         If the name says no kind of table, or the library for it is missing.
     """
-    if path.suffix not in _TEXTS and path.suffix != ".parquet":
+    if path.suffix not in (".csv", ".parquet"):
+        raise SpecError(f"{path.name} is no table; give a name that ends in .csv or .parquet.")
+    if path.suffix == ".parquet" and not find_spec("pyarrow"):
         raise SpecError(
-            f"{path.name} is no table; give a name that ends in .csv, .json or .parquet."
+            "A file .parquet needs pyarrow; install it by: pip install 'stepbench[parquet]'."
         )
-    if path.suffix == ".parquet":
-        _parquet()
 
 
-def write_members(path: Path, tables: Iterator[Columns]) -> None:
+def write_members(path: Path, tables: Iterable[Columns]) -> None:
     """Write all members, a flat row each, and put the file in place when it is whole."""
-    new = path.with_name(f"{path.name}.new")
-    try:
-        if path.suffix == ".parquet":
-            _write_parquet(new, tables)
-        else:
-            with new.open("w", encoding="utf-8", newline="\n") as file:
-                file.writelines(_TEXTS[path.suffix](tables))
-        new.replace(path)
-    except BaseException:
-        with suppress(OSError):
-            new.unlink()
-        raise
+    put(path, _parquet(tables) if path.suffix == ".parquet" else "".join(_csv_texts(tables)))
 
 
-def json_texts(tables: Iterator[Columns]) -> Iterator[str]:
+def json_texts(tables: Iterable[Columns]) -> Iterator[str]:
     """Yield the pieces of a list of rows as JSON."""
     before = "[\n"
     for table in tables:
@@ -135,7 +125,7 @@ def json_texts(tables: Iterator[Columns]) -> Iterator[str]:
     yield "\n]"
 
 
-def _csv_texts(tables: Iterator[Columns]) -> Iterator[str]:
+def _csv_texts(tables: Iterable[Columns]) -> Iterator[str]:
     head = True
     for table in tables:
         text = csv_export(member_rows(table))
@@ -143,32 +133,21 @@ def _csv_texts(tables: Iterator[Columns]) -> Iterator[str]:
         head = False
 
 
-_TEXTS = {".csv": _csv_texts, ".json": json_texts}
+def _parquet(tables: Iterable[Columns]) -> bytes:
+    import pyarrow
+    from pyarrow import parquet
 
-
-def _write_parquet(path: Path, tables: Iterator[Columns]) -> None:
-    arrow, parquet = _parquet()
-
-    def table(part: Columns) -> Any:
-        columns = [
-            arrow.array(column, mask=~np.isfinite(column) if column.dtype.kind == "f" else None)
-            for column in part.values()
-        ]
-        return arrow.table(columns, names=list(part))
-
-    first = table(next(tables))
-    with parquet.ParquetWriter(path, first.schema) as writer:
-        writer.write_table(first)
-        for part in tables:
-            writer.write_table(table(part))
-
-
-def _parquet() -> tuple[Any, Any]:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise SpecError(
-            "A file .parquet needs pyarrow; install it by: pip install 'stepbench[parquet]'."
-        ) from None
-    return pyarrow, pyarrow.parquet
+    file = io.BytesIO()
+    whole = pyarrow.concat_tables(
+        pyarrow.table(
+            {
+                name: pyarrow.array(
+                    column, mask=~np.isfinite(column) if column.dtype.kind == "f" else None
+                )
+                for name, column in table.items()
+            }
+        )
+        for table in tables
+    )
+    parquet.write_table(whole, file)
+    return file.getvalue()

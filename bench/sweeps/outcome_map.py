@@ -11,8 +11,9 @@ import numpy as np
 
 from bench.results.quantities import GROUPS, group_and_norm
 from bench.running.errors import Scales, component_errors, finite, scales, whole_error
+from bench.running.plan import resolution_of
 from bench.sweeps.batch import Batch, BatchRun, Block
-from bench.sweeps.variation import Range, default_resolution, runs_with, spec_without
+from bench.sweeps.variation import Range, runs_with, spec_without
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances, check_end
 from problems.plain_text import said
@@ -37,7 +38,6 @@ def outcome_map(
     error: str = "a:end",
     threshold: float = 0.1,
     budget: float = float("inf"),
-    jobs: int | None = None,
     begun: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
     """Run a method on a scene at every point of a grid over two quantities.
@@ -49,7 +49,7 @@ def outcome_map(
     ranges, counts
         The two quantities with their ranges (`bench.sweeps.variation.find_range`), and the number
         of values of each.
-    resolution, t_end, budget, jobs, begun
+    resolution, t_end, budget, begun
         As `bench.sweeps.ensemble.ensemble` takes them.
     error
         Group and norm of the relative error, as `bench.running.errors.relative_errors` takes it,
@@ -81,12 +81,12 @@ def outcome_map(
     sides = [varied.even(count) for varied, count in zip(ranges, counts, strict=True)]
     points = (table.ravel() for table in np.meshgrid(*sides))
     grid = dict(zip((varied.quantity for varied in ranges), points, strict=True))
-    runs = runs_with(scene, method, resolution or default_resolution(scene, method), grid)
+    runs = runs_with(scene, method, resolution or resolution_of(scene, method), grid)
     batch = Batch(runs, end, every_row=norm != "end")
     outcome, reasons = np.full(len(runs), OUTCOMES.index("not_run")), {}
     errors = np.full(len(runs), np.nan)
     meter = _ErrorMeter(runs, end, group, norm)
-    for block in batch.blocks(jobs, budget, begun):
+    for block in batch.blocks(budget=budget, begun=begun):
         errors[block.members], failed = meter.errors(block)
         for k, member in enumerate(block.members):
             name, reason = block.status[k], block.message[k]

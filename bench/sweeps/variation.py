@@ -152,13 +152,8 @@ def find_range(
             f"smaller one first."
         )
     # Refuses ends that the scene or the integrator does not allow.
-    runs_with(scene, method, default_resolution(scene, method), {quantity: [low, high]})
+    runs_with(scene, method, resolution_of(scene, method), {quantity: [low, high]})
     return Range(quantity, low, high)
-
-
-def default_resolution(scene: MechatronicSystem, method: Integrator) -> Steps | Tolerances:
-    """Return the step or tolerances of a run to which none are given."""
-    return Steps(scene.nominal_step) if method.controls == "step" else Tolerances()
 
 
 def runs_with(
