@@ -200,16 +200,16 @@ def test_files_hold_the_same_members(asked, tmp_path, monkeypatch):
     for file in files:
         write_members(file, found.tables())
     assert sorted(tmp_path.iterdir()) == files
-    rows = json.loads("".join(json_texts(found.tables())))
+    rows = json.loads("".join(json_texts(found)))["members"]
     assert rows == member_rows(found.columns())
     assert [row["member"] for row in rows] == list(range(COUNT))
     table = pd.read_parquet(files[1])
     for name in rows[0]:
         shown = table[name].astype(object).where(table[name].notna(), None)
         assert shown.tolist() == [row[name] for row in rows]
-    text = pd.read_csv(files[0], float_precision="round_trip")
+    text = pd.read_csv(files[0])
     assert len(text) == COUNT
-    assert text["q1"].dropna().tolist() == table["q1"].dropna().tolist()
+    assert text["q1"].dropna().tolist() == pytest.approx(table["q1"].dropna().tolist(), rel=1e-15)
 
 
 # ---- the command -------------------------------------------------------------------------

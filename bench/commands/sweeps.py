@@ -6,7 +6,7 @@ import json
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -224,7 +224,7 @@ def solve_ensemble(
                 together = runner.together(len(parts_of(request.count)))
             found, fault = run_members(runner, request, sources, together)
     if as_json:
-        for text in _json(found, json_texts(found.tables())):
+        for text in json_texts(found):
             click.echo(text, nl=False)
         click.echo()
     else:
@@ -262,18 +262,3 @@ def _shown(found: Ensemble, seconds: float) -> list[Table | str]:
         f"prepared in {found.compile_s:.2g} s, run in {found.run_s:.3g} s)"
     )
     return [Table(title, ["value", *columns], rows), *lines, f"work of all: {work}", times]
-
-
-def _json(found: Ensemble, members: Iterator[str]) -> Iterator[str]:
-    answer = {
-        "problem": found.problem,
-        "integrator": found.integrator,
-        "t_end": found.t_end,
-        "statuses": Counter(found.status),
-        "summary": found.summary(),
-        "compile_s": found.compile_s,
-        "run_s": found.run_s,
-    }
-    yield json.dumps(answer, indent=1, allow_nan=False)[:-2] + ',\n "members": '
-    yield from members
-    yield "}"

@@ -11,6 +11,7 @@ import io
 import itertools
 import json
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -116,13 +117,22 @@ def write_members(path: Path, tables: Iterable[Columns]) -> None:
     put(path, _parquet(tables) if path.suffix == ".parquet" else "".join(_csv_texts(tables)))
 
 
-def json_texts(tables: Iterable[Columns]) -> Iterator[str]:
-    """Yield the pieces of a list of rows as JSON."""
-    before = "[\n"
-    for table in tables:
+def json_texts(found: Ensemble) -> Iterator[str]:
+    """Yield the pieces of an object of JSON with a summary, and the rows of all members."""
+    answer = {
+        "problem": found.problem,
+        "integrator": found.integrator,
+        "t_end": found.t_end,
+        "statuses": Counter(found.status),
+        "summary": found.summary(),
+        "compile_s": found.compile_s,
+        "run_s": found.run_s,
+    }
+    before = json.dumps(answer, indent=1, allow_nan=False)[:-2] + ',\n "members": [\n'
+    for table in found.tables():
         yield before + json.dumps(member_rows(table), indent=1, allow_nan=False)[2:-2]
         before = ",\n"
-    yield "\n]"
+    yield "\n]}"
 
 
 def _csv_texts(tables: Iterable[Columns]) -> Iterator[str]:
