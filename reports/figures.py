@@ -57,7 +57,7 @@ def _figure(draw: Callable[..., Spec]) -> Callable[..., altair.LayerChart]:
         except ImportError:
             raise ImportError(
                 "Altair is not installed; install stepbench[figures], or write the figure with "
-                "'stepbench figure'."
+                "'stepbench report --figure'."
             ) from None
         return altair.LayerChart.from_dict(figure)
 

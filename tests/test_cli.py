@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import subprocess
 import sys
+import webbrowser
 
 import numpy as np
 import pandas as pd
 import pytest
 from small_stores import a_record
 
-from bench.commands.main import main
+from bench.commands import results
+from bench.commands.main import _GONE, main
 from bench.commands.single_runs import _end_values
 from bench.results.records import Rows
+from bench.results.store import Store
 from problems.reference import Reference
 from problems.scenes.spring_mass import SpringMass
 
@@ -144,7 +148,13 @@ def test_tables_for_people_show_the_same(stepbench):
         (["run", "-p", "nothing"], "no scene 'nothing'"),
         (["run", "-i", "nothing"], "no integrator 'nothing'"),
         (["report", "nowhere"], "no stepbench results"),
-        (["export", "nowhere"], "no stepbench results"),
+        (["report", "nowhere", "--csv"], "no stepbench results"),
+        (["report", "--csv", "--open"], "--open and --csv do not go together"),
+        (["report", "--json", "--figure", "convergence"], "--json and --figure do not go together"),
+        (["report", "--t-end", "1"], "--t-end belongs to a figure; name its kind by --figure"),
+        (["report", "-i", "ida", "--csv"], "--integrator belongs to a figure"),
+        (["report", "-o", "a.svg"], "say --csv, --json or --figure"),
+        (["report", "--open", "-o", "a.csv"], "say --csv, --json or --figure"),
     ],
 )
 @pytest.mark.usefixtures("without_processes")
@@ -217,12 +227,12 @@ def test_records_open_in_pandas(stepbench, tmp_path):
     )
     result = stepbench("run", profile, "--out", out, "--jobs", 2)
     assert result.exit_code == 0, result.output
-    text = stepbench("export", out).stdout
+    text = stepbench("report", out, "--csv").stdout
     frame = pd.read_csv(io.StringIO(text), float_precision="round_trip")
     assert len(frame) == 4
     steps = frame[frame.integrator.str.startswith("newmark")]
     assert (steps.error_q_max.diff().dropna() < 0).all()
-    stepbench("export", out, "--json", "-o", tmp_path / "records.json")
+    stepbench("report", out, "--json", "-o", tmp_path / "records.json")
     again = pd.DataFrame(json.loads((tmp_path / "records.json").read_text()))
     assert again.error_q_max.tolist() == frame.error_q_max.tolist()
     # The store alone is enough to make the pages again.
@@ -262,12 +272,33 @@ def test_an_added_integrator_goes_into_the_first_study_of_a_scene_alone():
     assert all("index3" in key for key in second.cells)
 
 
+@pytest.mark.parametrize("name", _GONE)
+def test_a_command_that_went_names_the_new_one(refused, name):
+    told = refused(name, "--help")
+    assert told.startswith(f"Error: The command {name} is ")
+    assert name not in main.commands
+    assert set(re.findall(r"stepbench (\S+)", told)) <= set(main.commands)
+
+
+def test_report_shows_its_page_in_the_browser(refused, stepbench, tmp_path, monkeypatch):
+    page, shown = tmp_path / "report.html", []
+    Store(tmp_path, create=True).close()
+    monkeypatch.setattr(results, "write_reports", lambda folder, one: page.write_text(f"{one}"))
+    monkeypatch.setattr(webbrowser, "open", lambda url: shown.append(url) or True)
+    assert stepbench("report", tmp_path).exit_code == 0
+    assert not shown
+    assert stepbench("report", tmp_path, "--open", "--single-file").exit_code == 0
+    assert shown == [page.as_uri()]
+    assert page.read_text() == "True"
+    monkeypatch.setattr(webbrowser, "open", lambda url: False)
+    assert f"the page is {page}" in refused("report", tmp_path, "--open")
+
+
 def test_help_has_examples_for_every_command(stepbench):
     for name, command in main.commands.items():
         text = stepbench(name, "--help").output
         assert "Usage:" in text
-        if name != "report":
-            assert "Examples:" in text, name
+        assert "Examples:" in text, name
         assert command.help
 
 

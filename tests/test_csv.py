@@ -59,7 +59,7 @@ def test_the_export_has_published_digits_and_its_file_decides_the_form(
     ]
     folder = plant(tmp_path / "store", [run])
     for name in ("a.csv", "a.JSON"):
-        stepbench("export", folder, "-o", tmp_path / name)
+        stepbench("report", folder, "-o", tmp_path / name)
     (row,) = json.loads((tmp_path / "a.JSON").read_text())
     assert row["published"][0]["computed"] == [0.5, 2.1]
     frame = pd.read_csv(tmp_path / "a.csv")
@@ -67,7 +67,7 @@ def test_the_export_has_published_digits_and_its_file_decides_the_form(
     for value in frame.iloc[0]:  # no value of Python's
         assert not isinstance(value, str) or not value.startswith(("{'", "[{'"))
     assert "ends in .csv and --json was given" in refused(
-        "export", folder, "--json", "-o", tmp_path / "b.csv"
+        "report", folder, "--json", "-o", tmp_path / "b.csv"
     )
 
 
@@ -75,13 +75,13 @@ def test_the_export_has_lists_and_names(stepbench, tmp_path):
     run = planted("pendulum", "good", {"q": (1.0, 2)}, h=0.1, pattern=(1 / 3, 2 / 3))
     run.components = {"q": {"max": [1 / 7, None]}}
     folder = plant(tmp_path / "store", [run])
-    (row,) = json.loads(stepbench("export", folder, "--json").stdout)
+    (row,) = json.loads(stepbench("report", folder, "--json").stdout)
     assert row["pattern"] == [1 / 3, 2 / 3]
     assert row["run_s"] == pytest.approx([3e-5, 3.03e-5, 3.06e-5])
     assert row["error_q_components_max"] == [1 / 7, None]
     assert row["error_q_components_end"] == []
     assert row["environment"] == "Model 1, 8 cores, 2025-03-01T10:00:00+00:00"
-    frame = pd.read_csv(io.StringIO(stepbench("export", folder).stdout))
+    frame = pd.read_csv(io.StringIO(stepbench("report", folder, "--csv").stdout))
     assert frame.pattern[0] == "0.333333333 0.666666667"
     assert frame.run_s[0] == "3e-05 3.03e-05 3.06e-05"
     assert frame.error_q_components_max[0] == "0.142857143 nan"

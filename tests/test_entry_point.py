@@ -122,7 +122,7 @@ def test_scenes_are_offered(line):
     "line",
     [
         *(("solve", "pendulum"), ("order", "pendulum"), ("map", "pendulum"), ("stability",)),
-        *(("run", "-i"), ("run", "--mine"), ("atlas", "-i"), ("figure", "x", "y", "-i")),
+        *(("run", "-i"), ("run", "--mine"), ("atlas", "-i"), ("report", "x", "-i")),
         *(("check",), ("list", "pendulum")),
     ],
 )
@@ -146,7 +146,7 @@ def test_suites_experiments_and_parameters_are_offered():
     assert [item.type for item in completer.get_completions(["run"], "my_")] == ["file"]
     assert list(offered("atlas", "undamped")) == ["undamped_index3"]
     assert offered("show", "pendulum", "--set", "th") == {"th0=": "amplitude: angle at rest at t=0"}
-    assert set(offered("figure", "x", "conv")) == {"convergence"}
+    assert set(offered("report", "x", "--figure", "conv")) == {"convergence"}
     assert "--mine" in offered("run", "--m")
 
 

@@ -154,7 +154,7 @@ def test_the_only_scene_needs_no_name_and_intervals_are_chosen(tmp_path):
 def test_a_figure_is_as_wide_as_a_column_in_every_format(folder, tmp_path, stepbench, kind):
     files = {suffix: tmp_path / f"fig.{suffix}" for suffix in ("svg", "png", "pdf", "json")}
     for file in files.values():
-        result = stepbench("figure", folder, kind, "--scene", "pendulum", "-o", file)
+        result = stepbench("report", folder, "--figure", kind, "--scene", "pendulum", "-o", file)
         assert result.exit_code == 0, result.output
         assert f"Figure: {file}" in result.output
     drawing = ElementTree.parse(files["svg"]).getroot()
@@ -203,12 +203,12 @@ def test_a_figure_is_as_wide_as_a_column_in_every_format(folder, tmp_path, stepb
     ],
 )
 def test_figures_are_refused_in_one_sentence(folder, refused, arguments, words):
-    assert words in refused("figure", folder, *arguments)
+    assert words in refused("report", folder, "--figure", *arguments)
 
 
 def test_an_empty_store_is_told(tmp_path, stepbench):
     Store(tmp_path, create=True).close()
-    result = stepbench("figure", tmp_path, "convergence")
+    result = stepbench("report", tmp_path, "--figure", "convergence")
     assert "The store holds no finished run" in result.output
 
 

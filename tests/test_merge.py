@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import webbrowser
 from pathlib import Path
 
 import msgspec
@@ -200,19 +199,3 @@ def test_a_damaged_store_leaves_no_half_a_store(old, tmp_path, stepbench):
     assert result.exit_code == 1
     assert "cannot be read" in result.output
     assert not (tmp_path / "out").exists()
-
-
-# ---- open --------------------------------------------------------------------------------
-def test_open_shows_the_page_or_says_where_none_is(tmp_path, stepbench, refused, monkeypatch):
-    shown = []
-    monkeypatch.setattr(webbrowser, "open", lambda url: shown.append(url) or True)
-    result = stepbench("open", tmp_path)
-    assert result.exit_code == 1
-    assert "There is no page" in result.output
-    assert "stepbench run" in result.output
-    for name, folder in (("report.html", tmp_path), ("other.html", tmp_path / "other.html")):
-        (tmp_path / name).write_text("x")
-        assert stepbench("open", folder).exit_code == 0
-        assert shown.pop() == (tmp_path / name).as_uri()
-    monkeypatch.setattr(webbrowser, "open", lambda url: False)
-    assert f"the page is {tmp_path / 'report.html'}" in refused("open", tmp_path)

@@ -90,6 +90,6 @@ def test_the_later_of_two_runs_is_kept(folder):
 
 def test_every_command_of_the_tutorial_is_one_of_the_tool(stepbench):
     names = set(re.findall(r"stepbench (\w+)", TEXT))
-    assert {"run", "new", "check", "export", "figure", "compare", "merge", "open"} <= names
+    assert {"run", "new", "check", "report", "compare", "merge"} <= names
     for name in names - {"is"}:
         assert stepbench(name, "--help").exit_code == 0, name

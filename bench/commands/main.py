@@ -38,6 +38,17 @@ _MODULES = (
     realtime,
     sweeps,
 )
+#: The answer to commands of the release before, by name; for one release.
+_GONE = {
+    "export": "is an option of report now: stepbench report FOLDER --csv (or --json)",
+    "figure": "is an option of report now: stepbench report FOLDER --figure KIND",
+    "open": "is an option of report now: stepbench report FOLDER --open",
+    "card": "is gone: stepbench run ends with the answer, and the report begins with it",
+    "choose": "is gone: stepbench recommend SCENE names an integrator and its step",
+    "history": "is gone: stepbench compare OLD NEW compares two folders",
+    "gradient": "is gone: runs have no derivatives any more",
+    "precision": "is gone: integrators run in 64 bits alone",
+}
 #: Exit code of a command that Ctrl-C ended.
 _INTERRUPTED = 130
 
@@ -47,8 +58,11 @@ class ShortErrors(click.Group):
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
+            told = suggest(args[0], self.list_commands(ctx))
             raise click.ClickException(
-                f"There is no command {args[0]!r}; {suggest(args[0], self.list_commands(ctx))}."
+                f"The command {args[0]} {_GONE[args[0]]}."
+                if args[0] in _GONE
+                else f"There is no command {args[0]!r}; {told}."
             )
         return super().resolve_command(ctx, args)
 

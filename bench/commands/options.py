@@ -39,10 +39,10 @@ class PathName(click.Path):
     Parameters
     ----------
     kind
-        What there may be; "page" is a file or a folder that holds one. A new file needs a folder.
+        What there may be. A new file needs a folder.
     """
 
-    def __init__(self, kind: Literal["file", "folder", "page"]) -> None:
+    def __init__(self, kind: Literal["file", "folder"]) -> None:
         super().__init__(path_type=Path)
         self.kind = kind
 
@@ -51,7 +51,6 @@ class PathName(click.Path):
         text = os.fspath(value)
         if not text.strip():
             self.fail(f"the name of the {self.kind} is empty.", param, ctx)
-        allowed = ("file", "folder") if self.kind == "page" else (self.kind,)
         path = Path(text)
         try:
             there = _KINDS.get(stat.S_IFMT(path.stat().st_mode), "thing")
@@ -62,7 +61,7 @@ class PathName(click.Path):
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             self.fail(f"{text!r} names no {self.kind}: {reason}.", param, ctx)
-        if there not in allowed:
+        if there != self.kind:
             self.fail(f"{text!r} is a {there}; name a {self.kind}.", param, ctx)
         return path
 

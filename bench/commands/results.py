@@ -1,4 +1,4 @@
-"""The commands for stored results: flat rows, comparisons and pictures."""
+"""The commands for stored results: pages, flat rows, figures and comparisons."""
 
 from __future__ import annotations
 
@@ -11,39 +11,117 @@ import msgspec
 
 from bench.commands import completion, options
 from bench.commands.options import PathName
-from bench.commands.pages import view
+from bench.commands.pages import view, write_reports
 from bench.results.compare import compare_folders, read_limits, regressions
 from bench.results.csv_text import csv_export
 from bench.results.flat_rows import flatten
 from bench.results.merge import merge
-from bench.results.quantities import ASKED, COSTS, NORM, NORMS
+from bench.results.quantities import ASKED, COST, COSTS, NORM, NORMS
 from bench.results.store import Store
 from problems.spec import SpecError
 
 #: The page in a folder of results.
 _PAGE = "report.html"
+#: Forms of flat rows, which are endings of files.
+_FORMS = ("csv", "json")
 #: Most regressions that are named on the screen.
 _NAMED = 10
 
 
 @click.command()
 @options.with_results
-@click.option("--csv", "form", flag_value="csv", help="Comma-separated (default).")
-@click.option("--json", "form", flag_value="json", help="A JSON array of flat rows.")
-@options.with_file("File, whose ending .csv or .json decides; the screen if not given.")
-def export(folder: Path, form: str | None, out: Path | None) -> None:
-    """Write all records as flat rows, for pandas.
+@click.option("--single-file", is_flag=True, help="One HTML file that holds all pages, to mail.")
+@click.option("--open", "opened", is_flag=True, help="Open the pages in the browser, too.")
+@click.option("--csv", "form", flag_value="csv", help="Write all records as comma-separated rows.")
+@click.option("--json", "form", flag_value="json", help="Write them as a JSON array of flat rows.")
+@click.option(
+    "--figure",
+    "kind",
+    metavar="KIND",
+    help="Write one figure for a paper, as wide as a column: work_precision, convergence, "
+    "trajectory or errors_over_time.",
+    shell_complete=completion.choices(
+        "work_precision", "convergence", "trajectory", "errors_over_time"
+    ),
+)
+@click.option(
+    "--scene",
+    help="Figure: the scene; may be left out if the folder has one.",
+    shell_complete=completion.scenes,
+)
+@click.option(
+    "--error", metavar="GROUP:NORM", help=f"Figure: which error, as a:end; q:{NORM} if not given."
+)
+@click.option(
+    "--cost", help=f"Figure: seconds, or a count as residuals or steps; {COST} if not given."
+)
+@click.option(
+    "--component",
+    metavar="GROUP:PLACE",
+    help="Figure: what a trajectory shows, as a:Y; q:1 if not given.",
+)
+@options.with_integrators("Figure: only this integrator; repeatable.")
+@click.option(
+    "--t-end", type=float, help="Figure: end time in s, if FOLDER has the scene with several."
+)
+@options.with_file(
+    "File of rows, whose ending .csv or .json decides (the screen if not given), or of a figure, "
+    "which ends in .svg, .png, .pdf or .json (Vega-Lite; KIND.svg if not given)."
+)
+def report(
+    folder: Path,
+    single_file: bool,
+    opened: bool,
+    form: str | None,
+    kind: str | None,
+    out: Path | None,
+    **question: Any,
+) -> None:
+    """Make the report pages anew from the results in FOLDER, or write rows or a figure of them.
 
     \b
     Examples:
-      stepbench export stepbench-results -o records.csv
-      stepbench export --json > records.json
+      stepbench report --open
+      stepbench report before --single-file
+      stepbench report stepbench-results --csv -o records.csv
+      stepbench report --json > records.json
+      stepbench report --figure work_precision --scene pendulum --error a:max
+      stepbench report --figure convergence --scene pendulum --error lam:settled \\
+          -i newmark -i hht -o orders.pdf
+      stepbench report --figure trajectory --scene pendulum --component a:Y -o a.png
     """
-    ending = out.suffix.lower().lstrip(".") if out else ""
-    if form and ending in ("csv", "json") and form != ending:
-        raise SpecError(f"{out} ends in .{ending} and --{form} was given; leave one of them out.")
-    if not form:
-        form = "json" if ending == "json" else "csv"
+    # What the question leaves open, the writer decides.
+    asked = {name: value for name, value in question.items() if value not in (None, ())}
+    pages = "--open" if opened else "--single-file" if single_file else ""
+    wanted = [*filter(None, [pages, form and f"--{form}", kind is not None and "--figure"])]
+    if len(wanted) > 1:
+        raise SpecError(f"{wanted[0]} and {wanted[1]} do not go together; give one of them.")
+    if asked and kind is None:
+        option = next(iter(asked)).removesuffix("s").replace("_", "-")
+        raise SpecError(f"--{option} belongs to a figure; name its kind by --figure.")
+    if out and not wanted and _ending(out) in _FORMS:
+        form = _ending(out)
+    if kind is not None:
+        written = view("figure")(kind, folder, out or Path(f"{kind}.svg"), **asked)
+        options.tell_set_aside(folder)
+        click.echo(f"Figure: {written}")
+    elif form:
+        _write_rows(folder, form, out)
+    elif out:
+        raise SpecError(f"{out} is a file of rows or of a figure; say --csv, --json or --figure.")
+    else:
+        options.tell_set_aside(folder)  # says clearly if there is none
+        write_reports(folder, single_file)
+        if opened:
+            _open(folder / _PAGE)
+
+
+def _write_rows(folder: Path, form: str, out: Path | None) -> None:
+    """Write all records as flat rows, for pandas."""
+    if out and _ending(out) in {*_FORMS} - {form}:
+        raise SpecError(
+            f"{out} ends in {out.suffix} and --{form} was given; leave one of them out."
+        )
     with Store(folder) as store:
         machines = store.environments()
         rows = [flatten(record, machines) for record in store.records().values()]
@@ -52,6 +130,18 @@ def export(folder: Path, form: str | None, out: Path | None) -> None:
     if out:
         out.write_text(text, encoding="utf-8")
     click.echo(f"{len(rows)} records in {out}" if out else text, nl=bool(out))
+
+
+def _ending(file: Path) -> str:
+    return file.suffix.lower().removeprefix(".")
+
+
+def _open(page: Path) -> None:
+    import webbrowser
+
+    if not webbrowser.open(page.resolve().as_uri()):
+        raise SpecError(f"No browser could be opened; the page is {page.resolve()}.")
+    click.echo(f"Opened: {page}")
 
 
 def _limits(
@@ -136,73 +226,6 @@ def merge_(folders: tuple[Path, ...], out: Path) -> None:
     for folder, count in merged.twice.items():
         click.echo(f"{count} of them were there several times; kept is what {folder} measured.")
     click.echo(f"For the pages: stepbench report {out}")
-
-
-@click.command("open", short_help="Open a report in the browser.")
-@click.argument("folder", type=PathName("page"), default=options.RESULTS)
-def open_(folder: Path) -> None:
-    """Open the report in FOLDER, or a page given by its path, in the browser.
-
-    \b
-    Examples:
-      stepbench open
-      stepbench open comparison/comparison.html
-    """
-    import webbrowser
-
-    page = folder if folder.suffix == ".html" else folder / _PAGE
-    if not page.is_file():
-        raise SpecError(
-            f"There is no page {page}; 'stepbench run' makes one, and 'stepbench report FOLDER' "
-            "makes it anew."
-        )
-    if not webbrowser.open(page.resolve().as_uri()):
-        raise SpecError(f"No browser could be opened; the page is {page.resolve()}.")
-    click.echo(f"Opened: {page}")
-
-
-@click.command()
-@click.argument("folder", type=PathName("folder"))
-@click.argument(
-    "kind",
-    metavar="KIND",
-    shell_complete=completion.choices(
-        "work_precision", "convergence", "trajectory", "errors_over_time"
-    ),
-)
-@click.option(
-    "--scene",
-    help="The scene; may be left out if the folder has one.",
-    shell_complete=completion.scenes,
-)
-@click.option("--error", metavar="GROUP:NORM", help="Which error, as a:max; q:end if not given.")
-@click.option("--cost", help="seconds, or a count as residuals (if not given) or steps.")
-@click.option(
-    "--component", metavar="GROUP:PLACE", help="What a trajectory shows, as a:Y; q:1 if not given."
-)
-@options.with_integrators("Only this integrator; repeatable.")
-@click.option("--t-end", type=float, help="End time in s, if FOLDER has the scene with several.")
-@options.with_file(
-    "File that ends in .svg, .png, .pdf or .json (Vega-Lite); KIND.svg if not given."
-)
-def figure(folder: Path, kind: str, out: Path | None, **question: Any) -> None:
-    """Write one figure for a paper.
-
-    It is as wide as a column, and shows the results in FOLDER. KIND is work_precision, convergence,
-    trajectory or errors_over_time.
-
-    \b
-    Examples:
-      stepbench figure stepbench-results work_precision --scene pendulum --error a:max
-      stepbench figure stepbench-results convergence --scene pendulum --error lam:settled \\
-          -i newmark -i hht -o orders.pdf
-      stepbench figure stepbench-results trajectory --scene pendulum --component a:Y -o a.png
-    """
-    # What the question leaves open, the writer decides.
-    asked = {name: value for name, value in question.items() if value is not None}
-    written = view("figure")(kind, folder, out or Path(f"{kind}.svg"), **asked)
-    options.tell_set_aside(folder)
-    click.echo(f"Figure: {written}")
 
 
 @click.command("versus")

@@ -1,4 +1,4 @@
-"""The commands for whole suites: `stepbench run` and `stepbench report`."""
+"""The command for whole suites: `stepbench run`."""
 
 from __future__ import annotations
 
@@ -193,18 +193,3 @@ def in_common(records: Sequence[Record]) -> str:
     ((reason, count),) = reasons.most_common(1)
     share = "All end with" if count == len(records) else f"{count} of {len(records)} end with"
     return f"{share} {reason}"
-
-
-@click.command()
-@options.with_results
-@click.option("--single-file", is_flag=True, help="One HTML file that holds all pages, to mail.")
-def report(folder: Path, single_file: bool) -> None:
-    """Make the report pages anew from the results in FOLDER.
-
-    \b
-    Examples:
-      stepbench report
-      stepbench report before --single-file
-    """
-    options.tell_set_aside(folder)  # says clearly if there is none
-    write_reports(folder, single_file)

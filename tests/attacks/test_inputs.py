@@ -31,11 +31,8 @@ RIGHT = {
     "order": ["pendulum", "newmark"],
     "run": ["quick"],
     "report": ["{store}"],
-    "export": ["{store}"],
     "compare": ["{store}", "{store}"],
     "merge": ["{store}"],
-    "open": ["{store}"],
-    "figure": ["{store}", "convergence"],
     "versus": ["newmark", "ida", "{store}"],
     "stability": ["newmark"],
     "drift": ["pendulum", "newmark"],
@@ -48,16 +45,23 @@ RIGHT = {
     # Parameters that only other arguments take:
     **{f"solve {name}": ["pendulum", "ida"] for name in ("rtol", "atol")},
     **{f"map {name}": ["pendulum", "generalized_alpha_adaptive"] for name in ("rtol", "atol")},
-    "figure cost": ["{store}", "work_precision"],
-    "figure component": ["{store}", "trajectory"],
 }
+FIGURE = {"scene": ["--scene", "pendulum"]}
 MEMBERS = {"ensemble": ["--ensemble", "2"], "vary": ["--vary", "th0:1..2"]}
 #: Options that go with the arguments or with the parameter that is wrong.
 NEEDED = {
     "map": {"over": ["--over", "h,rho_inf"]},
     "merge": {"out": ["--out", "all"]},
     "realtime": {"rate": ["--rate", "1kHz"]},
-    "figure": {"scene": ["--scene", "pendulum"]},
+    **{
+        f"report {option}": FIGURE | {"kind": ["--figure", kind]}
+        for kind, taken in (
+            ("convergence", ("kind", "scene", "error", "integrators", "t_end")),
+            ("work_precision", ("cost",)),
+            ("trajectory", ("component",)),
+        )
+        for option in taken
+    },
     **{f"map {name}": {"over": ["--over", "rho_inf,th0"]} for name in ("step", "rtol", "atol")},
     **{f"solve {option}": MEMBERS for option in ("ensemble", "vary", "seed", "cluster", "out")},
 }

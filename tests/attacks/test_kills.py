@@ -112,7 +112,7 @@ def test_a_killed_group_leaves_nothing_and_goes_on(folder, how):
     os.killpg(process.pid, KILL)
     process.process.wait(promised_seconds())
     process.check_nothing_left()
-    shown = Started(folder, "export", "out", "--json", "-o", "rows.json")
+    shown = Started(folder, "report", "out", "--json", "-o", "rows.json")
     assert shown.finish() == 0, shown.said
     check_goes_on(folder, CELLS - len(json.loads((folder / "rows.json").read_text())))
 

@@ -64,7 +64,7 @@ def limit(which: int, most: int) -> Callable[[], None]:
 
 def stored(out: Path) -> list[float]:
     """Errors of the stored runs, which every attack on a finished store has to leave."""
-    code, text = ask("export", out, "--json")
+    code, text = ask("report", out, "--json")
     assert code == 0, text
     return [record["error_q_max"] for record in json.loads(text)]
 
@@ -132,8 +132,8 @@ READ_ONLY = {
     "fresh": ("run $T --out $D/out --fresh", "Read-only file system"),
     "new store": ("run $T --out $D/other", "Read-only file system"),
     "report": ("report $D/out", "The results are stored."),
-    "export": ("export $D/out -o $D/x.csv", "Read-only file system"),
-    "figure": ("figure $D/out work_precision --scene oscillator -o $D/f.svg", "Read-only"),
+    "export": ("report $D/out --csv -o $D/x.csv", "Read-only file system"),
+    "figure": ("report $D/out --figure work_precision --scene oscillator -o $D/f.svg", "Read-only"),
     "merge": ("merge $D/out $D/out --out $D/all", "Read-only"),
     "show": ("show oscillator -o $D/scene.svg", "Read-only"),
 }
@@ -141,7 +141,7 @@ READ_ONLY = {
 
 @attack
 def test_a_folder_that_is_read_only_is_named_by_every_command(disk, profile):
-    script = RUN + "mount --bind $D $D\nmount -o remount,ro,bind $D\nask export $D/out\n"
+    script = RUN + "mount --bind $D $D\nmount -o remount,ro,bind $D\nask report $D/out --csv\n"
     script += "".join(f"ask {command}\n" for command, _ in READ_ONLY.values())
     made, read, *answers = in_a_namespace(script, disk, profile)
     assert (made[0], read[0]) == (0, 0)

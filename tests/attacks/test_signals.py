@@ -45,9 +45,9 @@ ENDLESS = {
 #: Commands of about so many seconds.
 SHORT = {
     "show": ("show pendulum --animate", 1.5),
-    "figure": ("figure planted convergence --scene pendulum", 1.2),
+    "figure": ("report planted --figure convergence --scene pendulum", 1.2),
     "report": ("report planted", 2.0),
-    "export": ("export planted", 0.2),
+    "export": ("report planted --csv", 0.2),
     "list": ("list", 0.2),
 }
 ENTRIES = {"script": STEPBENCH, "module": MODULE}
@@ -175,7 +175,7 @@ def test_imports_end_at_a_random_moment(folder, entry, seed):
 @attack
 @pytest.mark.parametrize("seed", range(10))
 def test_a_signal_at_the_very_end_is_obeyed_or_too_late(folder, seed):
-    process = Started(folder, "export", "planted")
+    process = Started(folder, "report", "planted", "--csv")
     process.wait_for(lambda: "pendulum" in process.said)
     time.sleep(random.Random(seed).uniform(0, 0.05))
     to_all(process, INT)
@@ -206,7 +206,7 @@ def test_a_reader_that_reads_nothing_more_holds_nothing_up(folder, number):
         except BlockingIOError:
             pass
     os.set_blocking(writing, True)
-    process = Started(folder, "export", "planted", output=writing)
+    process = Started(folder, "report", "planted", "--csv", output=writing)
     process.wait_until_it_obeys()
     time.sleep(1.0)
     assert process.process.poll() is None
@@ -260,7 +260,7 @@ def test_a_run_ends_and_goes_on(folder, moment, number, send):
     kept = saved(folder)
     assert kept >= before
     if kept:
-        export = Started(folder, "export", "out", "--json", "-o", "rows.json")
+        export = Started(folder, "report", "out", "--json", "-o", "rows.json")
         assert export.finish() == 0, export.said
         assert len(json.loads((folder / "rows.json").read_text())) == kept
     check_goes_on(folder, kept)

@@ -170,13 +170,19 @@ def ended(arguments: list[str], **more) -> subprocess.CompletedProcess[bytes]:
         ["list"],
         *(
             pytest.param(line, marks=pytest.mark.attack)
-            for line in (["list", "--json"], ["--help"], ["export"], ["--version"], ["run", "-h"])
+            for line in (
+                ["list", "--json"],
+                ["--help"],
+                ["report", "--csv"],
+                ["--version"],
+                ["run", "-h"],
+            )
         ),
     ],
 )
 @pytest.mark.parametrize("kind", ["closed", "full"])
 def test_an_answer_that_cannot_be_given_is_no_success(store, arguments, kind):
-    line = [*arguments, str(store)] if arguments == ["export"] else arguments
+    line = [*arguments, str(store)] if arguments == ["report", "--csv"] else arguments
     with open("/dev/full", "wb") as full:
         more = {"preexec_fn": closed(1)} if kind == "closed" else {"stdout": full}
         result = ended(line, **more)
@@ -195,9 +201,9 @@ def test_an_answer_that_is_lost_at_the_end_is_told(monkeypatch):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("arguments", [["list"], ["list", "--json"], ["export"]])
+@pytest.mark.parametrize("arguments", [["list"], ["list", "--json"], ["report", "--csv"]])
 def test_a_reader_that_leaves_early_ends_it_quietly(store, arguments):
-    line = [*arguments, str(store)] if arguments == ["export"] else arguments
+    line = [*arguments, str(store)] if arguments == ["report", "--csv"] else arguments
     reader, writer = os.pipe()
     os.close(reader)
     result = ended(line, stdout=writer)
@@ -269,5 +275,5 @@ def test_a_run_needs_no_name_in_utf_8_and_no_place_for_its_messages(stepbench, t
         result = ended(["run", str(profile), "--out", folder], stderr=full)
     assert result.returncode == 0
     assert sum(name.startswith("report.") for name in os.listdir(folder)) == 2
-    exported = stepbench("export", folder, "--json")
+    exported = stepbench("report", folder, "--json")
     assert [row["status"] for row in json.loads(exported.stdout)] == ["ok"]
