@@ -109,7 +109,8 @@ def answered(monkeypatch):
         names = {"q": ["X [m]", "Y [m]"]}
         return [(record, curves(1.0, {"q": 2, "lam": 1})) for record in runs], names
 
-    monkeypatch.setattr("bench.notebook.functions.solve_cells", solve_cells)
+    for module in ("bench.notebook.functions", "bench.running.session"):
+        monkeypatch.setattr(f"{module}.solve_cells", solve_cells)
     return asked
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import pytest
 from planted import STEPS, planted
 
-from bench.commands import studies
+from bench.commands import orders
 from bench.plugins.registry import Registry
 from bench.results.records import Study
 from bench.results.store import Store
+from bench.running.plan import DEFAULT_HALVINGS
 from bench.running.profiles import read_profile
+from integrators.resolutions import Steps
 from problems.dependence import mass_varies
 from problems.spec import SpecError
 from reports.series import series_of
@@ -55,24 +57,69 @@ def test_methods_that_choose_their_steps_or_have_two_runs_are_left_out():
     )
 
 
-def test_methods_are_taken_as_named_and_stand_under_titles_that_are_true(stepbench, monkeypatch):
-    suites = []
+@pytest.fixture
+def suites(monkeypatch):
+    """The suites that commands would run."""
+    planned = []
 
     def run_suite(suite, *_, **__):
-        suites.append(suite)
+        planned.append(suite)
         raise SpecError("Planned")
 
-    monkeypatch.setattr(studies, "run_suite", run_suite)
-    answer = stepbench("orders-table", "bathe", "rattle", "phem56", "-p", "double_pendulum")
+    monkeypatch.setattr(orders, "run_suite", run_suite)
+    return planned
+
+
+def test_several_methods_on_a_scene_take_the_steps_that_are_given(stepbench, suites):
+    asked = "--set", "th0=1.0", "--t-end", "1.35", "--steps", "0.1,0.05,0.025", "--budget", "7"
+    stepbench("order", "pendulum", "newmark", "bdf2", *asked, "--pattern", "0.3,0.7")
+    stepbench("order", "pendulum", "newmark", "--markdown")
+    given, alone = suites
+    assert {c.problem for c in given.cells.values()} == {"pendulum[th0=1.0]"}
+    assert {c.integrator.partition("[")[0] for c in given.cells.values()} == {"newmark", "bdf2"}
+    assert {(c.t_end, c.resolution.pattern) for c in given.cells.values()} == {(1.35, (0.3, 0.7))}
+    assert {c.resolution.h for c in given.cells.values()} == {0.1, 0.05, 0.025}
+    assert (given.plan.budget_s, given.plan.samples, len(given.plan.studies)) == (7, 0, 1)
+    assert len(alone.cells) == DEFAULT_HALVINGS
+
+
+def test_of_any_suite_the_methods_of_constant_steps_are_measured(stepbench, suites):
+    stepbench("order", "quick")
+    (suite,) = suites
+    assert suite.cells
+    assert {type(c.resolution) for c in suite.cells.values()} == {Steps}
+    assert all("orders" in study.figures for study in suite.plan.studies)
+    assert (suite.plan.samples, suite.atlas) == (0, False)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["pendulum"], "No integrator is named for pendulum"),
+        (["pendulum", "newmark", "--jobs", "3"], "--jobs is for a table; name several"),
+        (["pendulum", "newmark", "bdf2", "--json"], "--json is for one integrator"),
+        (["pendulum", "newmark", "bdf2", "--steps", "0.1,0.05"], "at least three step sizes"),
+        (["orders", "newmark", "--t-end", "2"], "belong to one scene; a suite has its own"),
+        (["pendulum", "newmark", "ida"], "chooses its own steps, over which no order"),
+    ],
+)
+def test_a_table_is_refused_in_a_sentence(refused, suites, arguments, words):
+    assert words in refused("order", *arguments)
+    assert not suites
+
+
+def test_methods_are_taken_as_named_and_stand_under_titles_that_are_true(stepbench, suites):
+    answer = stepbench("order", "orders", "bathe", "rattle", "phem56")
     assert answer.exit_code == 1
     assert "phem56 chooses its own steps, over which no order can be measured" in answer.stderr
     assert not suites
     named = "hht_classical", "bathe", "phem56[steps=constant]"
-    stepbench("orders-table", *named, "-p", "double_pendulum")
-    (suite,) = suites
+    stepbench("order", "orders", *named)
+    suite = suites.pop()
     found = {
         study.title: sorted({suite.cells[key].integrator for key in study.cells})
         for study in suite.plan.studies
+        if study.problem == "double_pendulum"
     }
     published = "Two rods: one-step methods of second order as first published"
     assert found == {
@@ -83,18 +130,18 @@ def test_methods_are_taken_as_named_and_stand_under_titles_that_are_true(stepben
 
 @pytest.mark.long
 def test_the_command_measures_claims_and_orders(stepbench, tmp_path):
-    answer = stepbench("orders-table", "bdf2", "-p", "pendulum", "--out", tmp_path)
+    answer = stepbench("order", "pendulum", "bdf2", "newmark", "--out", tmp_path)
     assert answer.exit_code == 0, answer.output
     for words in ("BDF2", "claimed", "settled", "with start"):
         assert words in answer.stdout
     with Store(tmp_path) as store:
         plan, records = store.plan(), store.records()
     assert all(isinstance(s, Study) for s in plan.studies)
-    assert {tuple(r.claims.items()) for r in records.values()} == {
+    assert {tuple(r.claims.items()) for r in records.values() if "bdf2" in r.integrator} == {
         tuple(dict.fromkeys(("q", "v", "a", "lam", "x", "y"), 2).items())
     }
     assert "Orders" in (tmp_path / "report.html").read_text(encoding="utf-8")
-    again = stepbench("orders-table", "bdf2", "-p", "pendulum", "--out", tmp_path, "--markdown")
+    again = stepbench("order", "pendulum", "bdf2", "--out", tmp_path, "--markdown")
     assert "| BDF2 | claimed | 2 | 2 | 2 | 2 |" in again.stdout
 
 

@@ -11,6 +11,7 @@ import click
 from bench.commands import (
     completion,
     listing,
+    orders,
     plugins,
     ratings,
     realtime,
@@ -30,6 +31,7 @@ _MODULES = (
     listing,
     plugins,
     single_runs,
+    orders,
     suite,
     ratings,
     recommendations,
@@ -43,6 +45,8 @@ _GONE = {
     "export": "is an option of report now: stepbench report FOLDER --csv (or --json)",
     "figure": "is an option of report now: stepbench report FOLDER --figure KIND",
     "open": "is an option of report now: stepbench report FOLDER --open",
+    "orders-table": "is order with several integrators now: stepbench order SCENE|SUITE "
+    "INTEGRATOR... (stepbench order orders for all)",
     "card": "is gone: stepbench run ends with the answer, and the report begins with it",
     "choose": "is gone: stepbench recommend SCENE names an integrator and its step",
     "history": "is gone: stepbench compare OLD NEW compares two folders",

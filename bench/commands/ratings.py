@@ -21,7 +21,7 @@ from bench.results.store import Store
 from bench.results.table import Table, number
 from bench.running.inventory import Inventory
 from bench.running.plan import Suite, make_suite
-from bench.running.profiles import ProfileFile, StudyFile, read_profile, suite_titles
+from bench.running.profiles import ProfileFile, StudyFile, is_suite, read_profile
 from bench.running.rating import Candidate, Search
 from problems.spec import SpecError
 from problems.whole_files import put
@@ -146,7 +146,7 @@ def suite_of(
     budget: float,
 ) -> Suite:
     """Return the suite of a scene or of a suite's name, whose cells name scenes and methods."""
-    if name in suite_titles() or name.endswith(".toml"):
+    if is_suite(name):
         if settings or t_end is not None:
             raise SpecError("--set and --t-end belong to one scene; a suite has its own.")
         return make_suite(*read_profile(name), registry, (), methods, budget)

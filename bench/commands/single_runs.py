@@ -1,4 +1,4 @@
-"""The commands for runs of one integrator on one scene: `stepbench solve` and `stepbench order`."""
+"""The command for a run of one integrator on one scene: `stepbench solve`."""
 
 from __future__ import annotations
 
@@ -12,15 +12,12 @@ import msgspec
 import numpy as np
 
 from bench.commands import completion, options, sweeps
-from bench.plugins.facts import MethodFacts, SceneFacts
-from bench.results.orders import order_summary
 from bench.results.published import published_table
 from bench.results.quantities import IMPACTS, NORMS
-from bench.results.records import UNSUPPORTED, Record, Rows
+from bench.results.records import Record, Rows
 from bench.results.table import NO_VALUE, Table, formatted
-from bench.running.plan import DEFAULT_HALVINGS, Cell, resolution_of
+from bench.running.plan import Cell, resolution_of
 from integrators.resolutions import Steps
-from problems.spec import SpecError
 
 #: Components of a group that a table has at most: those of a planar mechanism of three bodies.
 _SHOWN = 9
@@ -207,111 +204,3 @@ def _facts(record: Record) -> list[str]:
     elif record.compile_s:
         lines.append(f"{prepared}; `stepbench run` takes the times of runs")
     return lines
-
-
-def order_cells(
-    scene: SceneFacts,
-    method: MethodFacts,
-    steps: Sequence[float] | None,
-    pattern: tuple[float, ...] | None,
-    t_end: float | None,
-) -> list[Cell]:
-    """Return the cells to which an order is fitted.
-
-    Raises
-    ------
-    SpecError
-        If the method chooses its own steps, or steps or the end time are not allowed.
-    """
-    if method.controls != "step":
-        raise SpecError(f"{method.spec} chooses its own steps; an order over h is not defined.")
-    end = options.end_time(scene, t_end)
-    sizes = steps or [scene.nominal_step * 2.0**-k for k in range(DEFAULT_HALVINGS)]
-    if len(sizes) < 3:
-        raise SpecError(f"An order needs at least three step sizes; {len(sizes)} came.")
-    resolutions = [Steps(h, pattern or (1.0,)) for h in sizes]
-    for resolution in resolutions:
-        resolution.count(scene.interval[0], end)  # refuses a step that does not fit
-    return [Cell(scene.spec, method.spec, end, resolution) for resolution in resolutions]
-
-
-@click.command("order")
-@click.argument("problem", shell_complete=completion.scenes)
-@click.argument("integrator", shell_complete=completion.integrators)
-@click.option(
-    "--steps",
-    callback=options.numbers,
-    metavar="H1,H2,...",
-    help="Step sizes in s; five halvings of the scene's nominal step if not given.",
-)
-@options.with_pattern
-@options.with_t_end
-@options.with_set
-@options.with_budget
-@options.with_plugins
-@options.with_as_json
-def order_(
-    problem: str,
-    integrator: str,
-    steps: tuple[float, ...] | None,
-    pattern: tuple[float, ...] | None,
-    t_end: float | None,
-    settings: dict[str, str],
-    budget: float,
-    plugins: tuple[str, ...],
-    as_json: bool,
-) -> None:
-    """Measure the order of one integrator.
-
-    The order of convergence at constant steps is fitted for each group of variables and each norm.
-
-    \b
-    Examples:
-      stepbench order pendulum "generalized_alpha[rho_inf=0.9]" --steps 0.01,0.005,0.0025,0.00125
-      stepbench order spring_mass "generalized_alpha[gamma=updated]" --pattern 0.3,0.7 --t-end 5
-    """
-    registry, scene, method = options.asked_for(problem, integrator, settings, plugins)
-    method = registry.integrator_on(method, scene)
-    cells = order_cells(scene, method, steps, pattern, t_end)
-    from bench.commands.terminal import RunProgress, show
-    from bench.running.session import solve_cells
-
-    with RunProgress() as progress:
-        results, _ = solve_cells(cells, registry, 0, budget, progress=progress)
-    records = [record for record, _ in results]
-    orders = order_summary(records)
-    failed = [record for record in records if record.status != "ok"]
-    refused = all(record.status == UNSUPPORTED for record in records)
-    if as_json:
-        click.echo(json.dumps(orders, indent=2))
-    elif len(failed) < len(records):
-        show(*_order_tables(records, orders))
-    if refused:
-        reason = records[0].message
-        raise click.ClickException(f"{method.spec} does not take {scene.spec}: {reason}")
-    for record in failed:
-        click.echo(f"{record.resolution}: {record.status}: {record.message}", err=True)
-    if len(failed) == len(records):
-        raise click.ClickException("No run succeeded.")
-
-
-def _order_tables(records: Sequence[Record], orders: Mapping[str, Any]) -> tuple[Table, Table]:
-    """Errors at each step in the norm "settled", and the orders fitted in every norm."""
-    name = f"{records[0].integrator} on {records[0].problem}"
-    errors = [
-        [record.resolution.removeprefix("h="), *(formatted(e, ".2e") for e in settled)]
-        for record, *settled in zip(
-            records, *(own["settled"] for own in orders["errors"].values()), strict=True
-        )
-    ]
-    fits = []
-    for group, by_norm in orders["orders"].items():
-        for norm, order in by_norm.items():
-            window = orders["window"][group][norm] or (None, None)
-            found = orders["verdict"][group][norm] if order is None else f"{order:.2f}"
-            points = str(orders["points"][group][norm] or NO_VALUE)
-            fits.append([group, norm, found, points, *(formatted(h, ".3g") for h in window)])
-    return (
-        Table(f"{name}: relative error, norm 'settled'", ["h", *orders["orders"]], errors),
-        Table("Fitted orders", ["group", "norm", "order", "points", "from h", "to h"], fits),
-    )

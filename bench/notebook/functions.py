@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from bench.commands import options
+from bench.commands.orders import order_records
 from bench.commands.pages import write_reports
-from bench.commands.single_runs import order_cells
 from bench.commands.suite import run_suite
 from bench.notebook.answers import Orders, Results, Solution, pandas_module
 from bench.results.flat_rows import flatten
@@ -138,11 +138,17 @@ def order(
     2
     """
     _check(budget=budget)
-    registry, scene, method = options.asked_for(problem, integrator, parameters, plugins)
-    method = registry.integrator_on(method, scene)
-    cells = order_cells(scene, method, steps, tuple(pattern) if pattern else None, t_end)
-    results, _ = solve_cells(cells, registry, 0, budget_s=budget, progress=OnStandardError())
-    records = [record for record, _ in results]
+    records = order_records(
+        problem,
+        integrator,
+        plugins,
+        budget,
+        OnStandardError(),
+        steps=steps,
+        pattern=tuple(pattern) if pattern else None,
+        t_end=t_end,
+        settings=parameters,
+    )
     return Orders(**order_summary(records), _records=records)
 
 

@@ -38,7 +38,6 @@ RIGHT = {
     "drift": ["pendulum", "newmark"],
     "atlas": ["undamped_index3"],
     "map": ["pendulum", "generalized_alpha"],
-    "orders-table": ["newmark"],
     "rate": ["pendulum", "newmark"],
     "realtime": ["pendulum", "newmark"],
     "recommend": ["pendulum"],
@@ -67,7 +66,7 @@ NEEDED = {
 }
 #: Not wrong there: these commands tell of a plugin that is of no use, and any seed will do.
 TOLD = re.compile(
-    r"(list|check) plugins (text|binary)|(run|orders-table) plugins binary|"
+    r"(list|check) plugins (text|binary)|run plugins binary|"
     r"check names (number|half)|solve seed many"
 )
 
