@@ -110,7 +110,7 @@ def offered(*words: str) -> dict[str, str | None]:
 
 @pytest.mark.parametrize(
     "line",
-    [("solve",), ("order",), ("map",), ("show",), ("catalogue",), ("run", "-p"), ("list",)],
+    [("solve",), ("order",), ("map",), ("show",), ("run", "-p"), ("list",)],
 )
 def test_scenes_are_offered(line):
     assert set(offered(*line, "slider")) == {

@@ -115,7 +115,9 @@ def test_a_scene_without_a_picture_is_told_so_and_still_catalogued(stepbench, tm
     assert result.exit_code != 0
     assert "invisible has no picture: it does not define draw(q)" in result.output
     out = tmp_path / "catalogue"
-    result = stepbench("catalogue", "invisible", "spring_mass", "--plugins", plugin, "--out", out)
+    result = stepbench(
+        "list", "invisible", "spring_mass", "--draw", "--plugins", plugin, "--out", out
+    )
     assert result.exit_code == 0, result.output
     page = Document((out / "catalogue.html").read_text())
     paper = (out / "catalogue.md").read_text()

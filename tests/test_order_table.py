@@ -99,7 +99,8 @@ def test_of_any_suite_the_methods_of_constant_steps_are_measured(stepbench, suit
         (["pendulum", "newmark", "--jobs", "3"], "--jobs is for a table; name several"),
         (["pendulum", "newmark", "bdf2", "--json"], "--json is for one integrator"),
         (["pendulum", "newmark", "bdf2", "--steps", "0.1,0.05"], "at least three step sizes"),
-        (["orders", "newmark", "--t-end", "2"], "belong to one scene; a suite has its own"),
+        (["orders", "newmark", "--t-end", "2"], "--t-end belongs to one scene; a suite has"),
+        (["orders", "newmark", "--set", "m=1"], "--set belongs to one scene; a suite has"),
         (["pendulum", "newmark", "ida"], "chooses its own steps, over which no order"),
     ],
 )

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import click
 import msgspec
 
 from bench.commands import completion, options
-from bench.plugins.facts import PluginFacts
+from bench.commands.pages import view
+from bench.plugins.facts import PluginFacts, SceneFacts
 from bench.results.table import Table
 from bench.running.profiles import built_in_profiles, read_profile, suite_titles
 from problems.spec import SpecError, split_spec, suggest
@@ -25,17 +27,33 @@ _LONGEST_NAME = 40
 
 @click.command("list")
 @click.argument("names", nargs=-1, metavar="[KIND|NAME]...", shell_complete=completion.everything)
+@click.option("--draw", is_flag=True, help="Write pages of these scenes, or of all.")
+@click.option(
+    "--out",
+    type=options.PathName("folder"),
+    help="Folder of the pages; stepbench-catalogue if not given.",
+)
+@options.with_given_budget(
+    "Processor time in s after which a page's scene is given up; 300 if not given."
+)
 @options.with_set
 @options.with_plugins
 @options.with_as_json
 def list_(
-    names: tuple[str, ...], settings: dict[str, str], plugins: tuple[str, ...], as_json: bool
+    names: tuple[str, ...],
+    draw: bool,
+    out: Path | None,
+    budget: float | None,
+    settings: dict[str, str],
+    plugins: tuple[str, ...],
+    as_json: bool,
 ) -> None:
     """List scenes, integrators and suites.
 
     Each has a line; one that is not available has a reason. KIND is scenes, integrators or suites.
     The NAME of a scene, an integrator or a suite gives all about it: description and options. JSON
-    is always complete.
+    is always complete. With --draw the scenes come as pages, in HTML and Markdown: each with a
+    picture, its equations, sizes, stiffness along the motion, and reference.
 
     \b
     Examples:
@@ -44,10 +62,12 @@ def list_(
       stepbench list pendulum generalized_alpha
       stepbench list pendulum --set th0=3.0
       stepbench list --json
+      stepbench list --draw
+      stepbench list pendulum car_axis --draw --out mechanisms
     """
-    registry = options.inventory(plugins)
+    registry = options.usable_registry(plugins) if draw else options.inventory(plugins)
     every = {kind: getattr(registry, kind, built_in_profiles()) for kind in WORDS}
-    whole, named = _chosen(names or ("all",), every)
+    whole, named = _chosen(names or (("scenes",) if draw else ("all",)), every)
     if settings:
         if whole or not named["problems"]:
             raise SpecError("--set belongs to scenes: name one.")
@@ -56,6 +76,17 @@ def list_(
             for name, plugin in every["problems"].items()
             if name in named["problems"]
         }
+    if draw:
+        if as_json or any(kind != "problems" for kind in (*whole, *(k for k in named if named[k]))):
+            raise SpecError(
+                "--draw writes pages of scenes alone; name scenes, and leave out --json."
+            )
+        usable = [name for name, plugin in registry.problems.items() if not plugin.reason]
+        scenes = usable if whole else named["problems"]
+        drawn = [registry.problem(name, **settings) for name in scenes]
+        _draw(drawn, budget or 300.0, out or Path("stepbench-catalogue"))
+        return
+    options.refuse("goes with --draw.", out=out, budget=budget)
     if as_json:
         told = {kind: every[kind] if kind in whole else named[kind] for kind in WORDS}
         rows = {
@@ -74,6 +105,19 @@ def list_(
     for kind, own in named.items():
         for name in own:
             show(*(_suite(name) if kind == "suites" else _plugin(kind, every[kind][name])))
+
+
+def _draw(scenes: Sequence[SceneFacts], budget: float, out: Path) -> None:
+    """Write pages of scenes."""
+    from bench.commands.terminal import RunProgress
+    from bench.running.session import describe_scenes
+
+    with RunProgress() as progress:
+        records = describe_scenes(scenes, budget, progress)
+    if not records:
+        raise SpecError("No scene could be described.")
+    for page in view("catalogue")(records, out):
+        click.echo(f"Catalogue: {page}")
 
 
 def _chosen(

@@ -19,6 +19,7 @@ from bench.running.inventory import Inventory
 from bench.running.plan import LARGEST_BUDGET
 from bench.running.progress import OnStandardError
 from integrators.resolutions import Tolerances, check_end
+from problems.spec import SpecError
 
 #: Most worker processes that can be asked for.
 MOST_JOBS = 1000
@@ -168,6 +169,13 @@ def guarded(
         advice="give it less to do, or a larger --budget",
     )
     return ask_once(about, start_worker, (sources, processors), limits, job, *arguments)
+
+
+def refuse(why: str, **given: Any) -> None:
+    """Refuse the first option that is given, with the reason why; raises SpecError."""
+    for name, value in given.items():
+        if value is not None and value is not False and value not in ((), {}):
+            raise SpecError(f"--{name.replace('_', '-')} {why}")
 
 
 # ---- options -----------------------------------------------------------------------------

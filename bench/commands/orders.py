@@ -69,10 +69,6 @@ _FIGURES = ("orders", "convergence")
 def order_(
     problem: str,
     integrators: tuple[str, ...],
-    steps: tuple[float, ...] | None,
-    pattern: tuple[float, ...] | None,
-    t_end: float | None,
-    settings: dict[str, str],
     budget: float | None,
     plugins: tuple[str, ...],
     as_json: bool,
@@ -80,6 +76,7 @@ def order_(
     out: Path | None,
     fresh: bool,
     jobs: int | None,
+    **given: Any,
 ) -> None:
     """Measure the order of integrators at constant steps.
 
@@ -97,11 +94,8 @@ def order_(
       stepbench order orders my_method --plugins my_method.py
       stepbench order orders --markdown
     """
-    given = {"steps": steps, "pattern": pattern, "t_end": t_end, "settings": settings}
     if len(integrators) == 1 and not (markdown or is_suite(problem)):
-        for option, value in {"out": out, "fresh": fresh, "jobs": jobs}.items():
-            if value:
-                raise SpecError(f"--{option} is for a table; name several integrators.")
+        options.refuse("is for a table; name several integrators.", out=out, fresh=fresh, jobs=jobs)
         _show_one(problem, integrators[0], as_json, plugins, budget or _BUDGET_S, **given)
         return
     if as_json:
@@ -223,10 +217,8 @@ def _suite(
     """The runs of methods on a scene, or on the scenes of a suite."""
     named = _of_constant_steps(registry, integrators)
     if is_suite(name):
-        if steps or pattern or t_end is not None or settings:
-            raise SpecError(
-                "--steps, --pattern, --t-end and --set belong to one scene; a suite has its own."
-            )
+        why = "belongs to one scene; a suite has its own."
+        options.refuse(why, steps=steps, pattern=pattern, t_end=t_end, set=settings)
         title, profile = read_profile(name)
         files = [
             replace(

@@ -1,4 +1,4 @@
-"""The commands for scenes and integrators themselves: `check`, `new`, `show`, `catalogue`."""
+"""The commands for scenes and integrators themselves: `check`, `new`, `show`."""
 
 from __future__ import annotations
 
@@ -251,33 +251,3 @@ def show_(
     pictures = options.guarded(about, Worker.pictures, scene.sources, budget, *task)
     written = view("animation" if animate else "still")(scene.spec, pictures, path)
     click.echo(f"Picture: {written}")
-
-
-@click.command()
-@click.argument("names", nargs=-1, metavar="[PROBLEM]...", shell_complete=completion.scenes)
-@options.with_folder("stepbench-catalogue", "Folder of the pages.")
-@options.with_budget
-@options.with_plugins
-def catalogue(names: tuple[str, ...], out: Path, budget: float, plugins: tuple[str, ...]) -> None:
-    """Write pages of all scenes, or of those named.
-
-    The catalogue, in HTML and Markdown, has a picture of each scene, its equations, sizes,
-    stiffness along the motion, and reference.
-
-    \b
-    Examples:
-      stepbench catalogue
-      stepbench catalogue pendulum car_axis --out mechanisms
-    """
-    from bench.commands.terminal import RunProgress
-    from bench.running.session import describe_scenes
-
-    registry = options.usable_registry(plugins)
-    usable = [name for name, plugin in registry.problems.items() if not plugin.reason]
-    scenes = [registry.problem(name) for name in names or usable]
-    with RunProgress() as progress:
-        records = describe_scenes(scenes, budget, progress)
-    if not records:
-        raise SpecError("No scene could be described.")
-    for page in view("catalogue")(records, out):
-        click.echo(f"Catalogue: {page}")

@@ -96,9 +96,9 @@ def report(
     wanted = [*filter(None, [pages, form and f"--{form}", kind is not None and "--figure"])]
     if len(wanted) > 1:
         raise SpecError(f"{wanted[0]} and {wanted[1]} do not go together; give one of them.")
-    if asked and kind is None:
-        option = next(iter(asked)).removesuffix("s").replace("_", "-")
-        raise SpecError(f"--{option} belongs to a figure; name its kind by --figure.")
+    if kind is None:
+        given = {name.removesuffix("s"): value for name, value in asked.items()}
+        options.refuse("belongs to a figure; name its kind by --figure.", **given)
     if out and not wanted and _ending(out) in _FORMS:
         form = _ending(out)
     if kind is not None:

@@ -26,7 +26,6 @@ RIGHT = {
     "check": ["pendulum"],
     "new": ["integrator", "mine"],
     "show": ["pendulum"],
-    "catalogue": ["pendulum"],
     "solve": ["pendulum", "newmark"],
     "order": ["pendulum", "newmark"],
     "run": ["quick"],

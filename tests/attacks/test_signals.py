@@ -39,7 +39,7 @@ ENDLESS = {
     "order": "order oscillator newmark --steps 1e-8,5e-9,2e-9",
     "stability": "stability newmark generalized_alpha hht wbz --ratios any",
     "atlas": "atlas -i newmark --fresh",
-    "catalogue": "catalogue",
+    "pages of scenes": "list --draw",
     "check": "check method.py",
 }
 #: Commands of about so many seconds.
