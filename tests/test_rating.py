@@ -1,4 +1,4 @@
-"""The search for the coarsest resolution that meets a rule, and `stepbench rate`."""
+"""The search for the coarsest resolution that meets a rule, of `stepbench recommend` with names."""
 
 import json
 import math
@@ -115,7 +115,7 @@ def test_what_is_no_demand_is_refused(text):
 
 
 def test_rate_finds_sizes_and_keeps_runs(stepbench, tmp_path):
-    rate = "rate", "pendulum", "rattle", "ida", "--t-end", "0.5", "--out", tmp_path, "--json"
+    rate = "recommend", "pendulum", "rattle", "ida", "--t-end", "0.5", "--out", tmp_path, "--json"
     result = stepbench(*rate, "--error", "q:1e-3")
     assert result.exit_code == 0, result.output
     told = json.loads((tmp_path / "rating.json").read_text())
@@ -133,7 +133,7 @@ def test_rate_finds_sizes_and_keeps_runs(stepbench, tmp_path):
 @pytest.mark.long
 def test_a_rule_that_nobody_meets_is_an_error_with_reasons(stepbench, tmp_path):
     result = stepbench(
-        "rate", "pendulum", "half_explicit_euler", "stormer_verlet", "--out", tmp_path,
+        "recommend", "pendulum", "half_explicit_euler", "stormer_verlet", "--out", tmp_path,
         "--t-end", "0.4", "--error", "q:1e-14", "--budget", "2", "--json",
     )  # fmt: skip
     assert result.exit_code == 1
@@ -180,7 +180,7 @@ def test_the_table_of_a_suite_has_the_time_of_the_coarsest_good_run():
 @pytest.mark.long
 def test_the_iftomm_rule_has_two_precisions_and_writes_the_points(stepbench, tmp_path):
     rule = "--rule", "iftomm", "--out", tmp_path, "--t-end", "1", "--json"
-    told = json.loads(stepbench("rate", "iftomm_pendulum", "rattle", *rule).stdout)["ratings"]
+    told = json.loads(stepbench("recommend", "iftomm_pendulum", "rattle", *rule).stdout)["ratings"]
     assert [own["demand"] for own in told] == [
         "error of the named points <= 0.1", "error of the named points <= 0.001",
     ]  # fmt: skip
@@ -195,7 +195,7 @@ def test_the_iftomm_rule_has_two_precisions_and_writes_the_points(stepbench, tmp
 
 def test_a_scene_without_points_is_judged_by_its_energy_or_says_why_not(stepbench, tmp_path):
     rule = "--out", tmp_path, "--t-end", "0.5", "--json"
-    found = stepbench("rate", "pendulum", "rattle", "--rule", "iftomm", *rule)
+    found = stepbench("recommend", "pendulum", "rattle", "--rule", "iftomm", *rule)
     assert "pendulum names no points: its change of energy is judged." in found.stderr
     told = json.loads(found.stdout)["ratings"]
     assert [own["demand"] for own in told] == [
@@ -217,7 +217,11 @@ def test_the_suite_iftomm_has_many_families_and_methods_that_take_its_scenes():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["pendulum"], "No integrator is named"),
+        (["pendulum", "--rule", "iftomm"], "ranked by one error, and 2 are asked for"),
+        (["pendulum", "--error", "q:1", "--error", "a:1"], "or name integrators"),
+        (["pendulum", "--markdown"], "--markdown is for a table of named integrators"),
+        (["pendulum", "ida", "--cost", "seconds"], "--cost ranks all integrators of one scene"),
+        (["iftomm", "--cost", "seconds"], "--cost ranks all integrators of one scene"),
         (["quick", "--t-end", "1"], "belong to one scene"),
         (["pendulum", "ida", "--error", "a"], "is no demand"),
         (["nothing.toml", "ida"], "nothing.toml"),
@@ -227,7 +231,7 @@ def test_the_suite_iftomm_has_many_families_and_methods_that_take_its_scenes():
     ],
 )
 def test_a_rating_that_cannot_be_made_is_refused_in_a_sentence(stepbench, arguments, words):
-    result = stepbench("rate", *arguments)
+    result = stepbench("recommend", *arguments)
     assert result.exit_code == 1
     assert words in result.output
     assert "Traceback" not in result.output

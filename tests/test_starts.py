@@ -199,7 +199,7 @@ HANGS = [word for name in ("X=0", "Y=-1", "X.v=0", "Y.v=0") for word in ("--set"
 @pytest.mark.usefixtures("without_processes")
 @pytest.mark.parametrize(
     "search",
-    [["recommend", "pendulum"], ["rate", "pendulum", "newmark", "--error", "energy:1e-3"]],
+    [["recommend", "pendulum"], ["recommend", "pendulum", "newmark", "--error", "energy:1e-3"]],
 )
 def test_a_search_on_a_scene_at_rest_ends_in_a_sentence(stepbench, tmp_path, search):
     result = stepbench(*search, *HANGS, "--out", tmp_path)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +107,7 @@ def list_(
             show(*(_suite(name) if kind == "suites" else _plugin(kind, every[kind][name])))
 
 
-def _draw(scenes: Sequence[SceneFacts], budget: float, out: Path) -> None:
+def _draw(scenes: list[SceneFacts], budget: float, out: Path) -> None:
     """Write pages of scenes."""
     from bench.commands.terminal import RunProgress
     from bench.running.session import describe_scenes

@@ -1,4 +1,4 @@
-"""The command that searches for cheapest resolutions: `stepbench rate`."""
+"""The search for the cheapest resolutions of named methods, of `stepbench recommend`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import click
 import msgspec
 
-from bench.commands import completion, options
+from bench.commands import options
 from bench.commands.pages import view, write_reports
 from bench.guard.interrupts import remark
 from bench.plugins.facts import SceneFacts
@@ -34,61 +34,26 @@ FILE, TEXTS = "rating.json", "points"
 RULES = {"work-precision": ("a:1e-3",), "iftomm": (f"{POINTS}:1e-1", f"{POINTS}:1e-3")}
 
 
-@click.command("rate")
-@click.argument("name", metavar="SCENE|SUITE")
-@click.argument("methods", nargs=-1, metavar="INTEGRATOR...", shell_complete=completion.integrators)
-@click.option(
-    "--rule",
-    type=click.Choice([*RULES]),
-    default="work-precision",
-    show_default=True,
-    help="Accuracy that is asked for; iftomm: the error of the named points, 0.1 and 0.001.",
-)
-@click.option(
-    "--error",
-    "errors",
-    multiple=True,
-    metavar="QUANTITY:LIMIT",
-    help="Largest error, such as a:1e-3, q:end:1e-6, energy:1e-4 or points:1e-3; repeatable.",
-)
-@options.with_t_end
-@options.with_set
-@options.with_folder("stepbench-rating", "Folder of the results.")
-@options.with_fresh
-@options.with_jobs("Worker processes; timing is done by one at a time.")
-@options.with_given_budget("Processor time in s after which a run is stopped.", default=60.0)
-@click.option("--markdown", is_flag=True, help="Print machine and times in Markdown.")
-@options.with_plugins
-@options.with_as_json
-def rate_(
+def rate(
+    registry: Inventory,
     name: str,
-    methods: tuple[str, ...],
+    methods: Sequence[str],
+    *,
     rule: str,
-    errors: tuple[str, ...],
+    errors: Sequence[str],
     t_end: float | None,
-    settings: dict[str, str],
+    settings: Mapping[str, str],
     out: Path,
     fresh: bool,
     jobs: int,
     budget: float,
     markdown: bool,
-    plugins: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Find the largest step or tolerance that meets a rule, and its cost.
+    """Find the largest step or tolerance of each method that meets a rule, and its cost.
 
-    SCENE or SUITE: one scene, or all scenes of a suite, with the suite's integrators if none is
-    named. Each search is a bisection that follows the convergence of its own errors. The rule
-    iftomm is that of the IFToMM benchmark library; on a scene without named points it limits the
-    change of energy. Beside rating.json are the named points of the best runs as texts.
-
-    \b
-    Examples:
-      stepbench rate iftomm --rule iftomm
-      stepbench rate pendulum generalized_alpha ida --error a:1e-3
-      stepbench rate quick --error q:1e-4 --error energy:1e-5
+    The files of the folder are rating.json and the named points of the best runs as texts.
     """
-    registry = options.usable_registry(plugins)
     suite = suite_of(registry, name, methods, t_end, settings, budget)
     cells = dict.fromkeys((c.problem, c.integrator, c.t_end) for c in suite.cells.values())
     scenes = {scene: registry.problem(scene) for scene, _, _ in cells}
@@ -151,8 +116,6 @@ def suite_of(
             raise SpecError("--set and --t-end belong to one scene; a suite has its own.")
         return make_suite(*read_profile(name), registry, (), methods, budget)
     scene = registry.problem(name, **settings)
-    if not methods:
-        raise SpecError(f"No integrator is named for {scene.spec}; see `stepbench list`.")
     study = StudyFile(problems=[scene.spec], integrators=list(methods), t_end=t_end)
     return make_suite("rating", ProfileFile(study=[study], budget_s=budget), registry)
 

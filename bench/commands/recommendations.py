@@ -1,4 +1,4 @@
-"""The command that finds the cheapest method for a scene: `stepbench recommend`."""
+"""The command that finds the cheapest method and its resolution: `stepbench recommend`."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from pathlib import Path
 import click
 import msgspec
 
-from bench.commands import options
+from bench.commands import completion, options
 from bench.commands.pages import write_reports
-from bench.commands.ratings import demands_on, rating_of, suite_of
+from bench.commands.ratings import RULES, demands_on, rate, rating_of, suite_of
 from bench.guard.interrupts import remark
 from bench.guard.limits import Limits
 from bench.plugins.facts import SceneFacts
 from bench.plugins.registry import SUFFIXES
-from bench.results.demands import demand
+from bench.results.demands import Demand, demand
 from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell
+from bench.running.profiles import is_suite
 from bench.running.race import Race
 from bench.running.rating import Candidate, Search
 from bench.running.runner import Runner
@@ -39,49 +40,72 @@ _PARTS = {"seconds": (0.45, 0.57, 0.66, 0.9), "operations": (0.6, 0.75, 0.85, 0.
 
 
 @click.command("recommend")
-@click.argument("name", metavar="SCENE|FILE")
+@click.argument("name", metavar="SCENE|FILE|SUITE")
+@click.argument(
+    "methods", nargs=-1, metavar="[INTEGRATOR]...", shell_complete=completion.integrators
+)
 @click.option(
     "--error",
-    "error",
-    default="a:1e-3",
-    show_default=True,
+    "errors",
+    multiple=True,
     metavar="QUANTITY:LIMIT",
-    help="Largest error that is allowed, such as a:1e-3, q:end:1e-6, energy:1e-4 or points:1e-3.",
+    help="Largest error that is allowed, such as a:1e-3 (if not given), q:end:1e-6, energy:1e-4 or "
+    "points:1e-3; repeatable where integrators are named.",
+)
+@click.option(
+    "--rule",
+    type=click.Choice([*RULES]),
+    default="work-precision",
+    show_default=True,
+    help="Errors that are asked for if none is given; iftomm: of the named points, 0.1 and 0.001.",
 )
 @click.option(
     "--cost",
     type=click.Choice(["seconds", "operations"]),
-    default="seconds",
-    show_default=True,
-    help="Cost by which methods are ranked.",
+    help="Cost by which all integrators are ranked; seconds if not given.",
 )
-@options.with_given_budget("Time in s for all runs together.", default=60.0, show_default=True)
+@options.with_given_budget(
+    "Time in s for all runs together; where integrators are named, processor time after which a "
+    "run is stopped.",
+    default=60.0,
+    show_default=True,
+)
 @options.with_t_end
 @options.with_set
 @options.with_folder("stepbench-recommendation", "Folder of the results.")
 @options.with_fresh
 @options.with_jobs("Worker processes; timing is done by one at a time.")
+@click.option("--markdown", is_flag=True, help="Print machine and times in Markdown.")
 @options.with_plugins
 @options.with_as_json
 def recommend_(
     name: str,
-    error: str,
-    cost: str,
+    methods: tuple[str, ...],
+    errors: tuple[str, ...],
+    rule: str,
+    cost: str | None,
     budget: float,
     t_end: float | None,
     settings: dict[str, str],
     out: Path,
     fresh: bool,
     jobs: int,
+    markdown: bool,
     plugins: tuple[str, ...],
     as_json: bool,
 ) -> None:
     """Find the integrator, and its step or tolerance, that reaches an accuracy at the least cost.
 
-    No integrator is named: all that take the scene are tried, and dropped as soon as they cannot
-    win. The best are tried with constant steps and another Newton's method, too. FILE is a file
-    with one scene of your own, or a model of MuJoCo or URDF. The same command goes on with the runs
-    that are stored; a larger --budget tries more.
+    Without names all that take the scene are tried, and dropped as soon as they cannot win. The
+    best are tried with constant steps and another Newton's method, too. FILE is a file with one
+    scene of your own, or a model of MuJoCo or URDF. The same command goes on with the runs that are
+    stored; a larger --budget tries more.
+
+    Of each INTEGRATOR that is named, or that a SUITE has for its scenes, the largest step or
+    tolerance is found that meets every error: each search is a bisection that follows the
+    convergence of its own errors. The rule iftomm is that of the IFToMM benchmark library; on a
+    scene without named points it limits the change of energy. Beside rating.json are the named
+    points of the best runs as texts.
 
     \b
     Examples:
@@ -89,15 +113,50 @@ def recommend_(
       stepbench recommend my_scene.py --error q:1e-4 --cost operations
       stepbench recommend robot.xml --set contacts=left_out
       stepbench recommend quarter_car --error a:settled:1e-3 --budget 20
+      stepbench recommend pendulum generalized_alpha ida --error a:1e-3
+      stepbench recommend quick --error q:1e-4 --error energy:1e-5
+      stepbench recommend iftomm --rule iftomm
     """
-    start = time.monotonic()
     own = [name] if name.endswith((".py", *SUFFIXES)) else []
     registry = options.usable_registry([*plugins, *own])
-    scene = registry.problem(_scene_in(registry, name) if own else name, **settings)
-    said: list[str] = []
-    demands = demands_on(scene, [error], "", said)
+    name = _scene_in(registry, name) if own else name
+    common = {
+        "t_end": t_end, "out": out, "fresh": fresh, "jobs": jobs, "budget": budget,
+        "as_json": as_json,
+    }  # fmt: skip
+    if methods or is_suite(name):
+        options.refuse("ranks all integrators of one scene; name none.", cost=cost)
+        more = {"rule": rule, "errors": errors, "settings": settings, "markdown": markdown}
+        rate(registry, name, methods, **common, **more)
+        return
+    options.refuse("is for a table of named integrators; name some.", markdown=markdown)
+    scene, said = registry.problem(name, **settings), []
+    demands = demands_on(scene, errors, rule, said)
     if not demands:
         raise SpecError(" ".join(said))
+    if len(demands) > 1:
+        raise SpecError(
+            f"All integrators are ranked by one error, and {len(demands)} are asked for; give one "
+            "by --error, or name integrators."
+        )
+    _race(registry, scene, demands, cost or "seconds", **common)
+
+
+def _race(
+    registry: Inventory,
+    scene: SceneFacts,
+    demands: list[Demand],
+    cost: str,
+    *,
+    t_end: float | None,
+    out: Path,
+    fresh: bool,
+    jobs: int,
+    budget: float,
+    as_json: bool,
+) -> None:
+    """Find the cheapest of all integrators on a scene within a budget of time in s."""
+    start = time.monotonic()
     suite = suite_of(registry, scene.spec, _methods(registry, scene), t_end, {}, budget)
     title = f"Recommendation for {scene.spec}: {demands[0]}"
     suite = replace(suite, plan=msgspec.structs.replace(suite.plan, title=title))

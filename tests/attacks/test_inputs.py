@@ -37,9 +37,9 @@ RIGHT = {
     "drift": ["pendulum", "newmark"],
     "atlas": ["undamped_index3"],
     "map": ["pendulum", "generalized_alpha"],
-    "rate": ["pendulum", "newmark"],
     "realtime": ["pendulum", "newmark"],
     "recommend": ["pendulum"],
+    "recommend methods": ["pendulum", "newmark"],
     # Parameters that only other arguments take:
     **{f"solve {name}": ["pendulum", "ida"] for name in ("rtol", "atol")},
     **{f"map {name}": ["pendulum", "generalized_alpha_adaptive"] for name in ("rtol", "atol")},
