@@ -274,6 +274,7 @@ def test_what_was_found_before_an_error_is_not_lost(stepbench, tmp_path, planted
         (["friction", "--error", "energy:1"], "friction states no energy"),
         (["nothing.py"], "nothing.py"),
         (["{two}"], "the scenes one_mass, two_masses; name one scene"),
+        (["{one}", "newmark", "--error", "points:1"], "one_mass names no points"),
         (["{none}"], "defines no MechatronicSystem"),
     ],
 )
@@ -281,8 +282,9 @@ def test_bad_input_is_one_sentence(stepbench, tmp_path, arguments, words):
     (tmp_path / "two.py").write_text(
         SCENE.format(CLASS.format("OneMass") + CLASS.format("TwoMasses"))
     )
+    (tmp_path / "one.py").write_text(SCENE.format(CLASS.format("OneMass")))
     (tmp_path / "none.py").write_text('"""Nothing."""\n')
-    files = {name: tmp_path / f"{name}.py" for name in ("two", "none")}
+    files = {name: tmp_path / f"{name}.py" for name in ("one", "two", "none")}
     result = stepbench("recommend", *(text.format(**files) for text in arguments))
     assert result.exit_code
     assert words in result.output

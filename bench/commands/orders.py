@@ -20,14 +20,11 @@ from bench.results.orders import order_summary
 from bench.results.records import UNSUPPORTED, Record
 from bench.results.table import NO_VALUE, Table, formatted
 from bench.running.inventory import Inventory, PluginFailed
-from bench.running.plan import DEFAULT_HALVINGS, Cell, Suite, make_suite
+from bench.running.plan import Suite, make_suite
 from bench.running.profiles import ProfileFile, StudyFile, is_suite, read_profile
 from bench.running.progress import Progress
-from integrators.resolutions import Steps
 from problems.spec import SpecError
 
-#: Fewest steps to which an order is fitted.
-_FEWEST = 3
 #: Processor time of a run in s, if no other is given.
 _BUDGET_S = 300.0
 #: What a report shows of runs that were made for their orders.
@@ -130,24 +127,12 @@ def order_records(
     """
     from bench.running.session import solve_cells
 
-    registry, scene, method = options.asked_for(problem, integrator, settings, plugins)
-    method = registry.integrator_on(method, scene)
-    if method.controls != "step":
-        raise SpecError(f"{method.spec} chooses its own steps; an order over h is not defined.")
-    end, sizes = options.end_time(scene, t_end), _sizes(scene, steps)
-    resolutions = [Steps(h, pattern or (1.0,)) for h in sizes]
-    for resolution in resolutions:
-        resolution.count(scene.interval[0], end)  # refuses a step that does not fit
-    cells = [Cell(scene.spec, method.spec, end, resolution) for resolution in resolutions]
+    registry, scene, _ = options.asked_for(problem, integrator, settings, plugins)
+    cells = [
+        *_on_scene(registry, scene, [integrator], budget, steps, pattern, t_end).cells.values()
+    ]
     results, _ = solve_cells(cells, registry, 0, budget_s=budget, progress=progress)
     return [record for record, _ in results]
-
-
-def _sizes(scene: SceneFacts, steps: Sequence[float] | None) -> list[float]:
-    sizes = list(steps or (scene.nominal_step * 2.0**-k for k in range(DEFAULT_HALVINGS)))
-    if len(sizes) < _FEWEST:
-        raise SpecError(f"An order needs at least three step sizes; {len(sizes)} came.")
-    return sizes
 
 
 def _show_one(
@@ -215,34 +200,50 @@ def _suite(
     settings: Mapping[str, str],
 ) -> Suite:
     """The runs of methods on a scene, or on the scenes of a suite."""
-    named = _of_constant_steps(registry, integrators)
-    if is_suite(name):
-        why = "belongs to one scene; a suite has its own."
-        options.refuse(why, steps=steps, pattern=pattern, t_end=t_end, set=settings)
-        title, profile = read_profile(name)
-        files = [
-            replace(
-                file,
-                figures=_FIGURES,
-                integrators=[text for text in file.integrators if _is_measured(registry, text)],
-            )
-            for file in profile.study
-        ]
-        files = _of_methods(files, registry, named) if named else files
-        profile = replace(profile, study=files, samples=0, atlas=False)
-        return make_suite(title, profile, registry, (), integrators, budget)
-    scene = registry.problem(name, **settings)
+    if not is_suite(name):
+        scene = registry.problem(name, **settings)
+        return _on_scene(registry, scene, integrators, budget or _BUDGET_S, steps, pattern, t_end)
+    why = "belongs to one scene; a suite has its own."
+    options.refuse(why, steps=steps, pattern=pattern, t_end=t_end, set=settings)
+    title, profile = read_profile(name)
+    files = [
+        replace(
+            file,
+            figures=_FIGURES,
+            integrators=[text for text in file.integrators if _is_measured(registry, text)],
+        )
+        for file in profile.study
+    ]
+    if integrators:
+        files = _of_methods(files, registry, _of_constant_steps(registry, integrators))
+    profile = replace(profile, study=files, samples=0, atlas=False)
+    return make_suite(title, profile, registry, (), integrators, budget)
+
+
+def _on_scene(
+    registry: Inventory,
+    scene: SceneFacts,
+    integrators: Sequence[str],
+    budget: float,
+    steps: Sequence[float] | None,
+    pattern: tuple[float, ...] | None,
+    t_end: float | None,
+) -> Suite:
+    """The runs of methods on one scene."""
     if not integrators:
         raise SpecError(f"No integrator is named for {scene.spec}; see `stepbench list`.")
+    _of_constant_steps(registry, integrators)
+    if steps and len(steps) < 3:
+        raise SpecError(f"An order needs at least three step sizes; {len(steps)} came.")
     study = StudyFile(
         problems=[scene.spec],
         integrators=list(integrators),
         t_end=t_end,
-        steps=_sizes(scene, steps),
+        steps=list(steps) if steps else None,  # halvings of the scene's own
         pattern=pattern or (1.0,),
         figures=_FIGURES,
     )
-    profile = ProfileFile(study=[study], samples=0, budget_s=budget or _BUDGET_S)
+    profile = ProfileFile(study=[study], samples=0, budget_s=budget)
     return make_suite("orders", profile, registry, [scene.spec])
 
 
