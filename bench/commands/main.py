@@ -44,7 +44,7 @@ _GONE = {
     "figure": "is an option of report now: stepbench report FOLDER --figure KIND",
     "open": "is an option of report now: stepbench report FOLDER --open",
     "catalogue": "is an option of list now: stepbench list [SCENE]... --draw",
-    "rate": "is recommend with names now: stepbench recommend SCENE|SUITE INTEGRATOR...",
+    "rate": "is recommend with names now (stepbench recommend SCENE|SUITE INTEGRATOR...)",
     "orders-table": "is order with several integrators now: stepbench order SCENE|SUITE "
     "INTEGRATOR... (stepbench order orders for all)",
     "card": "is gone: stepbench run ends with the answer, and the report begins with it",
