@@ -107,9 +107,7 @@ def test_merged_stores_keep_the_method_of_one_s_own(tmp_path):
     for name, mine, title in (("one", "", "One"), ("two", "good", "")):
         folder = plant(tmp_path / name, [ended("ok")], plan=False)
         with Store(folder, create=True) as store:
-            store.keep(
-                Plan(name=name, title=title, samples=1, budget_s=1.0, studies=[], mine=mine)
-            )
+            store.keep(Plan(name=name, title=title, samples=1, budget_s=1.0, studies=[], mine=mine))
     merge([tmp_path / "one", tmp_path / "two"], tmp_path / "all")
     with Store(tmp_path / "all") as store:
         plan = store.plan()
