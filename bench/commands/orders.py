@@ -91,18 +91,33 @@ def order_(
       stepbench order orders my_method --plugins my_method.py
       stepbench order orders --markdown
     """
+    from bench.commands.terminal import RunProgress, show
+
     if len(integrators) == 1 and not (markdown or is_suite(problem)):
         options.refuse("is for a table; name several integrators.", out=out, fresh=fresh, jobs=jobs)
-        _show_one(problem, integrators[0], as_json, plugins, budget or _BUDGET_S, **given)
+        with RunProgress() as progress:
+            seconds = budget or _BUDGET_S
+            found = order_records(problem, integrators[0], plugins, seconds, progress, **given)
+        _show_one(found, as_json)
         return
     if as_json:
         raise SpecError(
             "--json is for one integrator; for a table, `stepbench report FOLDER --json` has "
             "the runs."
         )
-    registry = Inventory(plugins)
+    registry, out = Inventory(plugins), out or Path("stepbench-orders")
     suite = _suite(registry, problem, integrators, budget, **given)
-    _show_many(suite, registry, out or Path("stepbench-orders"), fresh, jobs or 2, markdown)
+    outcome = run_suite(suite, registry, out, fresh, jobs or 2, drawn=not markdown)
+    tables = view("order_tables")(out)
+    if not tables:
+        raise click.ClickException(f"No order was measured. {in_common(outcome.records)}")
+    if markdown:
+        click.echo(view("order_tables_in_markdown")(out))
+        return
+    show(*tables)
+    for sentence in outcome.sentences:
+        click.echo(sentence)
+    write_reports(out)
 
 
 # ---- one method --------------------------------------------------------------------------
@@ -135,19 +150,10 @@ def order_records(
     return [record for record, _ in results]
 
 
-def _show_one(
-    problem: str,
-    integrator: str,
-    as_json: bool,
-    plugins: Sequence[str],
-    budget: float,
-    **given: Any,
-) -> None:
+def _show_one(records: Sequence[Record], as_json: bool) -> None:
     """Show errors and orders of a method on a scene."""
-    from bench.commands.terminal import RunProgress, show
+    from bench.commands.terminal import show
 
-    with RunProgress() as progress:
-        records = order_records(problem, integrator, plugins, budget, progress, **given)
     orders = order_summary(records)
     failed = [record for record in records if record.status != "ok"]
     if as_json:
@@ -284,22 +290,3 @@ def _of_methods(
             rest -= {registry.integrator(text).spec for text in own}
             files += [replace(file, problems=[problem], integrators=own)] if own else []
     return files
-
-
-def _show_many(
-    suite: Suite, registry: Inventory, out: Path, fresh: bool, jobs: int, markdown: bool
-) -> None:
-    """Run a suite, and show the orders that its methods claim beside those that they have."""
-    from bench.commands.terminal import show
-
-    outcome = run_suite(suite, registry, out, fresh, jobs, drawn=not markdown)
-    tables = view("order_tables")(out)
-    if not tables:
-        raise click.ClickException(f"No order was measured. {in_common(outcome.records)}")
-    if markdown:
-        click.echo(view("order_tables_in_markdown")(out))
-        return
-    show(*tables)
-    for sentence in outcome.sentences:
-        click.echo(sentence)
-    write_reports(out)
