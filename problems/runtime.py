@@ -6,7 +6,7 @@ plugins or a help page must not wait for a compiler. ``Array``, ``Float`` ... ar
 arrays, for annotations.
 
 A flag of ours that a newer XLA refuses is left out, an option that it no longer heeds is noticed:
-both cost speed alone. `problems.canary` checks that JAX and NumPy compute what they should.
+both cost speed alone.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from typing import TYPE_CHECKING, Any
 
 import platformdirs
 
-from problems.canary import wrong_functions
 from problems.other_programs import run_program
 from problems.usage import cores
 from problems.whole_files import keep, kept
@@ -210,12 +209,11 @@ class _LateModule:
 
 
 # ---- the user's environment, and newer libraries ---------------------------------------
-def check_runtime(foreign: bool = True) -> str:
+def check_runtime() -> str:
     """Return the sentence on what makes the numbers of this process wrong, or nothing.
 
     To be called before anything is measured, and after plugins are loaded: JAX starts, on this
-    computer's processor, with 64-bit floats, and nobody patched the functions that measure. Those
-    of JAX are tried only if ``foreign`` code is here, as tracing them takes long.
+    computer's processor, with 64-bit floats.
     """
     try:
         platform = jax.local_devices()[0].platform
@@ -226,19 +224,12 @@ def check_runtime(foreign: bool = True) -> str:
         return f"JAX does not start ({reason}); unset {users_settings() or 'its variables'}."
     if platform != "cpu":
         return f"JAX computes on {platform}, but runs are measured on cpu; unset JAX_PLATFORMS."
-    try:
-        if jnp.result_type(float).itemsize != 8:
-            return (
-                "JAX computes with 32-bit floats, which decide the errors of all methods; unset "
-                "JAX_ENABLE_X64, or take the change of jax_enable_x64 out of the plugin."
-            )
-        wrong = wrong_functions(jax, jnp, foreign)
-    except Exception as error:  # a patched function may do anything
-        wrong = [f"one raised {type(error).__name__}"]
-    if not wrong:
-        return ""
-    names = ", ".join(wrong[:5])
-    return f"Functions give wrong results here ({names}); no plugin may patch NumPy or JAX."
+    if jnp.result_type(float).itemsize != 8:
+        return (
+            "JAX computes with 32-bit floats, which decide the errors of all methods; unset "
+            "JAX_ENABLE_X64, or take the change of jax_enable_x64 out of the plugin."
+        )
+    return ""
 
 
 def users_settings() -> str:

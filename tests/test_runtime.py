@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
 import os
 import sys
@@ -24,49 +23,14 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.native import klu, small_matrices
 from integrators.native.kernel import Form, Kernel
 from problems import other_programs, runtime, sparsity
-from problems.canary import wrong_functions
 from problems.runtime import check_runtime
 from problems.scenes.oscillator import Oscillator
 from problems.scenes.pendulum import Pendulum
 
 
-# ---- the canary ------------------------------------------------------------------------
+# ---- right numbers ---------------------------------------------------------------------
 def test_nothing_is_wrong_here():
     assert check_runtime() == ""
-
-
-PATCHES = [
-    ("numpy.linalg", "norm"),
-    ("numpy", "sqrt"),
-    ("numpy", "abs"),
-    ("numpy", "max"),
-    ("numpy", "where"),
-    ("numpy", "isfinite"),
-    ("jax.numpy", "dot"),
-    ("jax.numpy", "where"),
-    ("jax.numpy", "abs"),
-    ("jax.numpy.linalg", "solve"),
-    ("jax", "jvp"),
-]
-
-
-@pytest.mark.parametrize(("module", "name"), PATCHES)
-def test_a_patched_function_is_named(monkeypatch, module, name):
-    original = getattr(importlib.import_module(module), name)
-
-    def patched(*arguments, **options):  # off by less than anybody would see
-        return jax.tree.map(lambda x: x * (1 + 1e-10), original(*arguments, **options))
-
-    monkeypatch.setattr(f"{module}.{name}", patched)
-    wrong = check_runtime()
-    monkeypatch.undo()
-    assert f"{module}.{name}" in wrong
-    assert wrong.endswith("no plugin may patch NumPy or JAX.")
-
-
-def test_a_patched_function_that_raises_is_a_sentence(monkeypatch):
-    monkeypatch.setattr(jnp, "dot", lambda *given: 1 / 0)
-    assert "one raised ZeroDivisionError" in check_runtime()
 
 
 def test_floats_of_32_bits_are_noticed():
@@ -76,10 +40,6 @@ def test_floats_of_32_bits_are_noticed():
         assert "JAX_ENABLE_X64" in check_runtime()
     finally:
         jax.config.update("jax_enable_x64", True)
-
-
-def test_what_the_canary_tries_is_right_by_itself():
-    assert wrong_functions(jax, jnp) == []
 
 
 @pytest.mark.parametrize("rows", [16_385, 20_001])

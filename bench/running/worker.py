@@ -18,7 +18,7 @@ from bench.guard.limits import MEASURING, PREPARING, REFERENCE, RUNNING
 from bench.guard.serve import Notify
 from bench.plugins.facts import Sources, component_texts, method_facts, scene_facts
 from bench.plugins.reasons import why
-from bench.plugins.registry import SUFFIXES, Registry
+from bench.plugins.registry import Registry
 from bench.results.quantities import PARTS, point_notes
 from bench.results.records import Record, Rows, SceneRecord
 from bench.running import measure
@@ -72,20 +72,14 @@ class Worker:
         The scenes and integrators.
     notify
         Told when a job goes on to another phase.
-    watched
-        Whether code from outside may change what this process computes: then that is checked
-        around each run, else at the first one.
     """
 
-    def __init__(
-        self, registry: Registry, notify: Notify = lambda phase, words: None, watched: bool = False
-    ) -> None:
-        self.registry, self.notify, self._watched = registry, notify, watched
+    def __init__(self, registry: Registry, notify: Notify = lambda phase, words: None) -> None:
+        self.registry, self.notify = registry, notify
         self.prepared: dict[str, PreparedRun] = {}
         self._seconds: dict[str, float] = {}
         self._references: dict[tuple[str, float], Reference] = {}
         self._scenes: dict[str, MechatronicSystem] = {}
-        self._found: str | None = None
 
     def problem(self, text: str) -> MechatronicSystem:
         """Return a scene; it is made once, as it finds its dimensions by tracing."""
@@ -228,7 +222,7 @@ class Worker:
         if len(self.prepared) % COUNTED_EVERY == 0 and memory_mappings() > MOST_MAPPINGS:
             self.prepared.clear()
             jax.clear_caches()
-        if wrong := self._wrong():
+        if wrong := check_runtime():
             return Trajectory.failed("crashed", wrong), None
         try:
             answers.facts(integrator)
@@ -249,21 +243,12 @@ class Worker:
             if os.environ.get("STEPBENCH_TRACEBACK"):
                 traceback.print_exc()
             return Trajectory.failed("crashed", f"The integrator failed: {why(error)}"), None
-        if wrong := self._wrong():
+        if wrong := check_runtime():
             return Trajectory.failed("crashed", wrong), None
         self.prepared[cell.key], self._seconds[cell.key] = run, seconds
         if fault := measure.ignored_pattern(trajectory, cell.resolution, *span):
             trajectory.status, trajectory.message = "crashed", fault
         return measure.checked(trajectory, cell.t_end), compile_s
-
-    def _wrong(self) -> str:
-        """Return the sentence on a library or flag that makes computed numbers wrong, or nothing.
-
-        Known numbers are computed for that.
-        """
-        if self._found is None or self._watched:
-            self._found = check_runtime(foreign=self._watched)
-        return self._found
 
     def time(self, cell: Cell) -> float:
         """Take a timing sample: processor seconds of a bare run, by `measure.least_seconds`.
@@ -320,6 +305,4 @@ def start_worker(notify: Notify, sources: Sources, threads: int = 1, draft: bool
         compile_sooner()
     if not sources:
         use_exports()
-    # Models of MuJoCo bring no code that could change what this process computes.
-    code = any(not source.endswith(SUFFIXES) for source in sources)
-    return Worker(load_registry(notify, sources), notify, watched=code)
+    return Worker(load_registry(notify, sources), notify)

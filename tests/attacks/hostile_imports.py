@@ -75,9 +75,6 @@ IMPORTS = {
     "raises_in_workers": (TWICE.format("raise ValueError('twice')"), LOST, "twice"),
     "dies_late": (LATER.format(0.3, "os._exit(6)"), LOST, "exit code 6"),
     "raises_late": (LATER.format(0.2, "sys.exit(3)"), "ok", ""),
-    "patch_numpy_norm": ("np.linalg.norm = lambda *a, **k: 0.0", "crashed", "wrong results"),
-    "patch_numpy_max": ("np.max = lambda *a, **k: 0.0", "crashed", "wrong results"),
-    "patch_jax": ("import jax.numpy as j; j.sin = j.cos", "crashed", "wrong results"),
     "patch_numpy_all": (
         "for n in list(vars(np)):\n    if callable(getattr(np, n)): setattr(np, n, print)",
         LOST,
