@@ -27,7 +27,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from problems.runtime import CACHE, few_calls, jax, jnp, users_settings
+from problems.runtime import CACHE, FEW_CALLS, jax, jnp, users_settings
 from problems.whole_files import keep, kept
 
 T = TypeVar("T")
@@ -82,7 +82,7 @@ def exported(
     """
 
     def compiled(program: Callable) -> Callable:
-        return jax.jit(program, compiler_options=few_calls() if draft else {})
+        return jax.jit(program, compiler_options=FEW_CALLS if draft else {})
 
     if not _used:
         return compiled(function)

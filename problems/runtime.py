@@ -4,18 +4,13 @@ JAX reads these settings from the environment when it is first imported, so they
 and the names ``jax`` and ``jnp`` below import it at the first use of an attribute: a list of
 plugins or a help page must not wait for a compiler. ``Array``, ``Float`` ... are the types of
 arrays, for annotations.
-
-A flag of ours that a newer XLA refuses is left out, an option that it no longer heeds is noticed:
-both cost speed alone.
 """
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import logging
 import os
-import signal
 import sys
 import warnings
 from contextlib import suppress
@@ -27,9 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import platformdirs
 
-from problems.other_programs import run_program
 from problems.usage import cores
-from problems.whole_files import keep, kept
 
 CACHE = Path(platformdirs.user_cache_dir("stepbench"))
 #: Option of XLA: loops that access fewer bytes than this are compiled to one function each.
@@ -37,14 +30,12 @@ _JOINED = "xla_cpu_small_while_loop_byte_threshold"
 #: Every operation has one thread, so that methods are compared and not the use of cores. Loops over
 #: little data that call no library become one function each: for small scenes the calls from one
 #: compiled piece to the next would cost more than their work.
-_FLAGS = (
-    "--xla_cpu_multi_thread_eigen=false",
-    f"--xla_backend_extra_options={_JOINED}=1000000",
-)
+_FLAGS = ["--xla_cpu_multi_thread_eigen=false", f"--xla_backend_extra_options={_JOINED}=1000000"]
 if version("jaxlib").startswith(("0.9.", "0.10.")):
     # XLA had two ways of writing a piece then, and as fast a program by the older one is compiled
-    # sooner. Later releases end a process at this flag, also one whose plugin imports JAX first.
-    _FLAGS += ("--xla_cpu_use_fusion_emitters=false",)
+    # sooner. A later release ends its process at this flag; so `pyproject.toml` allows those alone
+    # that have been tried.
+    _FLAGS.append("--xla_cpu_use_fusion_emitters=false")
 _SETTINGS = {
     "JAX_ENABLE_X64": "1",
     "JAX_PLATFORMS": "cpu",
@@ -64,14 +55,13 @@ _SETTINGS = {
 #: them once more, and wait on one of them: when all wait, nobody works. So one is spare there.
 _THREADS = "NPROC"
 SPARE_THREADS = int(version("jaxlib").startswith(("0.10.", "0.11.0")))
-#: Without optimisation, a program is compiled in a third of the time, and takes four times as long.
-_OPTIMISATION = "xla_backend_optimization_level"
-#: What this adds to XLA_FLAGS: numbers are the same but for rounding.
-SOONER = f" --{_OPTIMISATION}=0"
+#: Options of a program that is called a few times. Without optimisation it is compiled in a third
+#: of the time, and takes four times as long; numbers are the same but for rounding.
+FEW_CALLS = {"xla_backend_optimization_level": 0}
+#: What the same adds to XLA_FLAGS.
+SOONER = " --xla_backend_optimization_level=0"
 #: Room for addresses in bytes below which JAX does not start: XLA then asks for it without end.
 _LEAST_ADDRESSES = 3 * 2**29
-#: Starts XLA's compiler, which reads XLA_FLAGS then, and ends the process at a flag it refuses.
-_START_XLA = "import jax; jax.local_devices(backend='cpu')"
 
 
 class RuntimeFault(RuntimeError):
@@ -131,25 +121,13 @@ def _loaded(name: str) -> ModuleType:
     """
     if "jax" not in sys.modules:
         _refuse_little_room()
-        _leave_out_refused_flags()
         _leave_out_unusable_cache()
         _tell_once_of_broken_programs()
     module = importlib.import_module(name)
     # It imports more of JAX, which has all that was compiled before compiled again.
     importlib.import_module("jax.extend")
-    runs_at_once()
+    sys.modules["jax"].config.update("jax_cpu_enable_async_dispatch", False)
     return module
-
-
-@cache
-def runs_at_once() -> bool:
-    """Ask JAX to run a program before its call returns, and return whether it will."""
-    try:
-        importlib.import_module("jax").config.update("jax_cpu_enable_async_dispatch", False)
-        return True
-    except AttributeError:
-        slower("Short programs take longer: JAX has no jax_cpu_enable_async_dispatch any more.")
-        return False
 
 
 @cache
@@ -161,35 +139,8 @@ def on_gpu() -> bool:
 @cache
 def joins_loops() -> bool:
     """Whether programs are best without a call of a library: XLA compiles loops over little data to
-    one function each, which is found by trying it, or everything to few pieces, on a GPU."""
-    if on_gpu():
-        return True
-    if _JOINED not in os.environ["XLA_FLAGS"]:
-        return False
-    loop = jax.jit(lambda x: jax.lax.fori_loop(0, 9, lambda k, y: k + jnp.sin(y), x))
-    # XLA marks such loops by this word in the compiled program.
-    joined = "xla_cpu_small_call" in str(loop.lower(1.0).compile().as_text())
-    if not joined:
-        slower(f"Small scenes run slowly: XLA no longer joins loops by {_JOINED}.")
-    return joined
-
-
-@cache
-def known_options(**options: Any) -> dict[str, Any]:
-    """Return those options of a compiled program that XLA knows."""
-    known = {}
-    for name, value in options.items():
-        try:
-            jax.jit(lambda x: x, compiler_options={name: value})(0.0)
-            known[name] = value
-        except Exception:  # of whatever kind: programs compile without it, too
-            slower(f"Some programs take longer: XLA no longer knows {name}.")
-    return known
-
-
-def few_calls() -> dict[str, Any]:
-    """Return the options of a program that is called a few times: no optimisation."""
-    return known_options(**{_OPTIMISATION: 0})
+    one function each, or everything to few pieces, on a GPU."""
+    return on_gpu() or _JOINED in os.environ["XLA_FLAGS"]
 
 
 @cache
@@ -208,7 +159,7 @@ class _LateModule:
         return getattr(_loaded(self._name), attribute)
 
 
-# ---- the user's environment, and newer libraries ---------------------------------------
+# ---- the user's environment ------------------------------------------------------------
 def check_runtime() -> str:
     """Return the sentence on what makes the numbers of this process wrong, or nothing.
 
@@ -256,66 +207,19 @@ def _refuse_little_room() -> None:
         )
 
 
-def _leave_out_refused_flags() -> None:
-    """Take out of XLA_FLAGS those of ours that this XLA refuses."""
-    value = os.environ["XLA_FLAGS"]
-    words = _refusal(value)
-    if not words:
-        return
-    refused = [flag for flag in value.split() if _refusal(flag)] or value.split()
-    if set(refused) - set(_FLAGS):
-        raise RuntimeFault(f"XLA_FLAGS={value} is refused: {words}; correct or unset XLA_FLAGS.")
-    # Without a word: the user can do nothing about it.
-    os.environ["XLA_FLAGS"] = " ".join(f for f in value.split() if f not in refused)
-
-
-def _refusal(flags: str) -> str:
-    """XLA's last words with these flags, nothing if it takes them.
-
-    They are tried in another process, once for each release of jaxlib.
-    """
-    key = hashlib.sha256(f"{version('jaxlib')} {flags}".encode()).hexdigest()[:16]
-    file = CACHE / "flags" / key
-    if (known := kept(file)) is not None:
-        return known.decode()
-    words = _start_of_xla(flags)
-    if words is None or (words and _start_of_xla("") != ""):  # the flags are not the reason
-        return ""
-    with suppress(OSError):
-        keep(file, words.encode())
-    return words
-
-
-def _start_of_xla(flags: str) -> str | None:
-    """The last line that XLA writes if it ends itself at these flags, nothing if it starts; None if
-    something else ended it, or it hangs."""
-    try:
-        done = run_program([sys.executable, "-c", _START_XLA], XLA_FLAGS=flags, JAX_PLATFORMS="cpu")
-    except OSError:
-        return None
-    if done.returncode < 0 and done.returncode != -signal.SIGABRT:
-        return None
-    lines = done.stderr.decode(errors="replace").strip().splitlines() if done.returncode else [""]
-    last = lines[-1] if lines else f"exit code {done.returncode}"
-    return last.rpartition("] ")[2]  # XLA's lines begin with [a date and a place]
-
-
 def _leave_out_unusable_cache() -> None:
     """Keep no compiled programs if there is no folder for them; JAX would warn at each one."""
     name = "JAX_COMPILATION_CACHE_DIR"
     folder = os.environ[name]
     if not folder or "://" in folder:
         return
-    try:
+    with suppress(OSError, ValueError):
         Path(folder).mkdir(parents=True, exist_ok=True)
         if os.access(folder, os.W_OK | os.X_OK):
             return
-        reason = "it cannot be written"
-    except (OSError, ValueError) as error:
-        reason = str(getattr(error, "strerror", None) or error)
     os.environ[name] = ""
     slower(
-        f"Compiled programs are not kept, as {name}={folder} is no folder for them ({reason}); set "
+        f"Compiled programs are not kept, as {name}={folder} is no folder that can be written; set "
         f"it to one."
     )
 

@@ -21,8 +21,7 @@ from integrators.adapters.scipy_ode import BDF
 from integrators.contract import Trajectory
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.native import klu, small_matrices
-from integrators.native.kernel import Form, Kernel
-from problems import other_programs, runtime, sparsity
+from problems import runtime, sparsity
 from problems.runtime import check_runtime
 from problems.scenes.oscillator import Oscillator
 from problems.scenes.pendulum import Pendulum
@@ -52,74 +51,6 @@ def test_products_of_many_vectors_are_right(rows):
     np.testing.assert_allclose(found, 5.0 * numbers**2, rtol=1e-14)
 
 
-# ---- flags of XLA ----------------------------------------------------------------------
-@pytest.fixture
-def refusing(monkeypatch, tmp_path):
-    """An XLA that refuses flags with "dropped" in their names; returns the flags it was given."""
-    tried = []
-
-    def start(flags: str) -> str:
-        tried.append(flags)
-        return "Unknown flag in XLA_FLAGS: --xla_dropped" if "dropped" in flags else ""
-
-    monkeypatch.setattr(runtime, "_start_of_xla", start)
-    monkeypatch.setattr(runtime, "CACHE", tmp_path)
-    runtime.slower.cache_clear()
-    return tried
-
-
-def test_a_flag_of_ours_that_xla_refuses_is_left_out(monkeypatch, caplog, refusing):
-    monkeypatch.setattr(runtime, "_FLAGS", ("--xla_kept=1", "--xla_dropped=2"))
-    for _ in range(2):
-        monkeypatch.setenv("XLA_FLAGS", "--xla_kept=1 --xla_dropped=2")
-        runtime._leave_out_refused_flags()
-        assert os.environ["XLA_FLAGS"] == "--xla_kept=1"
-    assert not caplog.messages  # the user can do nothing about it
-    # The verdicts are kept: the second time nothing was tried.
-    assert len(refusing) == len(set(refusing)) + 1
-    assert refusing.count("") == 2  # without flags XLA starts, so that they are the reason
-
-
-def test_a_flag_of_the_user_that_xla_refuses_is_named_with_the_remedy(monkeypatch, refusing):
-    monkeypatch.setenv("XLA_FLAGS", "--xla_kept=1 --xla_dropped=2")
-    with pytest.raises(runtime.RuntimeFault, match=r"XLA_FLAGS=--xla_kept=1 --xla_dropped=2 is"):
-        runtime._leave_out_refused_flags()
-    assert os.environ["XLA_FLAGS"] == "--xla_kept=1 --xla_dropped=2"
-
-
-def test_flags_are_not_to_blame_where_xla_starts_without_them_neither(monkeypatch, tmp_path):
-    monkeypatch.setattr(runtime, "_start_of_xla", lambda flags: "out of memory")
-    monkeypatch.setattr(runtime, "CACHE", tmp_path)
-    runtime._leave_out_refused_flags()
-    assert not list(tmp_path.iterdir())  # and no verdict is kept
-
-
-def test_flags_of_ours_that_are_refused_together_alone_are_left_out(monkeypatch, refusing):
-    both = "--xla_one=1 --xla_two=2"
-    monkeypatch.setattr(runtime, "_start_of_xla", lambda flags: "odd" if flags == both else "")
-    monkeypatch.setattr(runtime, "_FLAGS", both.split())
-    monkeypatch.setenv("XLA_FLAGS", both)
-    runtime._leave_out_refused_flags()
-    assert os.environ["XLA_FLAGS"] == ""
-
-
-@pytest.mark.parametrize(
-    "fate", ["os.kill(os.getpid(), 9)", "os.kill(os.getpid(), 15)", "time.sleep(1000)"]
-)
-def test_a_trial_that_something_else_ends_is_no_verdict(monkeypatch, tmp_path, fate):
-    monkeypatch.setattr(runtime, "_START_XLA", f"import os, time; {fate}")
-    monkeypatch.setattr(runtime, "CACHE", tmp_path)
-    monkeypatch.setattr(other_programs, "_BETWEEN", 0.05)
-    monkeypatch.setattr(other_programs, "_IDLE", 0.2)
-    assert runtime._refusal("--xla_any=1") == ""
-    refuses = "import os, sys; sys.exit(os.environ['XLA_FLAGS'] or 0)"
-    monkeypatch.setattr(runtime, "_START_XLA", refuses)
-    assert runtime._refusal("--xla_any=1") == "--xla_any=1"  # it is tried again
-    (file,) = (tmp_path / "flags").iterdir()
-    file.write_bytes(file.read_bytes().replace(b"any", b"all"))
-    assert runtime._refusal("--xla_any=1") == "--xla_any=1"  # a file that was changed, too
-
-
 def test_the_same_line_of_several_workers_is_told_once():
     progress, told = Progress(), []
     progress.note = told.append
@@ -146,19 +77,10 @@ def test_a_cache_that_cannot_be_used_is_named_and_left(monkeypatch, caplog, tmp_
 
 # ---- what libraries may drop -----------------------------------------------------------
 def test_this_release_drops_nothing():
-    assert runtime.runs_at_once()
+    runtime.jax.devices()
+    assert not jax.config.read("jax_cpu_enable_async_dispatch")
     assert packed_functions.memory_is_shared()
     assert klu.works()
-
-
-@pytest.mark.usefixtures("_forgotten")
-def test_without_its_option_jax_may_run_programs_later(monkeypatch, caplog):
-    def update(name, value):
-        raise AttributeError(f"Unrecognized config option: {name}")
-
-    monkeypatch.setattr(jax.config, "update", update)
-    assert not runtime.runs_at_once()
-    assert "no jax_cpu_enable_async_dispatch any more" in caplog.text
 
 
 def solved(method: Integrator, resolution: Steps | Tolerances) -> Trajectory:
@@ -169,9 +91,8 @@ def solved(method: Integrator, resolution: Steps | Tolerances) -> Trajectory:
 def _forgotten():
     """Nothing that was tried out is remembered, before and after."""
     tried = (
-        *(runtime.joins_loops, runtime.known_options, runtime.runs_at_once, runtime.slower),
-        *(packed_functions.memory_is_shared, diffrax_runs._traced_once, klu.works),
-        *(diffrax_runs.adaptive_programs, sparsity._asdex),
+        *(runtime.slower, packed_functions.memory_is_shared, klu.works, sparsity._asdex),
+        *(diffrax_runs._traced_once, diffrax_runs.adaptive_programs),
     )
     for remembered in tried:
         remembered.cache_clear()
@@ -181,14 +102,12 @@ def _forgotten():
 
 
 @pytest.mark.usefixtures("_forgotten")
-@pytest.mark.parametrize("drop", ["no sharing", "an error", "programs that run later"])
+@pytest.mark.parametrize("drop", ["no sharing", "an error"])
 def test_where_jax_copies_arguments_are_handed_over_anew(monkeypatch, caplog, drop):
     if drop == "no sharing":
         monkeypatch.setattr(jax.dlpack, "from_dlpack", lambda x, copy: jnp.array(x, copy=True))
-    elif drop == "an error":
-        monkeypatch.setattr(jax.dlpack, "from_dlpack", None)
     else:
-        monkeypatch.setattr(packed_functions, "runs_at_once", lambda: False)
+        monkeypatch.setattr(jax.dlpack, "from_dlpack", None)
     call = PackedFunction(lambda t, s: t * s, None, 2).bind()
     assert [np.asarray(call(t, np.ones(2))).tolist() for t in (2.0, 3.0)] == [[2.0] * 2, [3.0] * 2]
     assert "JAX copies their arguments" in caplog.text
@@ -199,36 +118,6 @@ def test_where_jax_copies_arguments_are_handed_over_anew(monkeypatch, caplog, dr
     later(2.0, np.ones(2))
     later(3.0, np.ones(2))
     assert [numbers[0] for numbers in given] == [2.0, 3.0]
-
-
-@pytest.mark.usefixtures("_forgotten")
-def test_a_joined_loop_is_looked_for_in_the_program(monkeypatch, caplog):
-    if not runtime.joins_loops():
-        pytest.skip("XLA_FLAGS of your own keep XLA from joining small loops.")
-    runtime.joins_loops.cache_clear()
-    monkeypatch.setattr(runtime, "_JOINED", "xla_backend")  # XLA ignores options it does not know
-    monkeypatch.setattr(jax.stages.Compiled, "as_text", lambda self: "call")
-    assert not runtime.joins_loops()
-    assert "no longer joins loops" in caplog.text
-
-
-@pytest.mark.usefixtures("_forgotten")
-def test_an_option_of_the_compiler_that_is_unknown_is_left_out(caplog):
-    known = runtime.known_options(xla_cpu_prefer_vector_width=256, xla_cpu_dropped=3)
-    assert known == {"xla_cpu_prefer_vector_width": 256}
-    assert "no longer knows xla_cpu_dropped" in caplog.text
-
-
-@pytest.mark.usefixtures("_forgotten")
-@pytest.mark.parametrize("name", ["xla_cpu_prefer_vector_width", "xla_cpu_dropped"])
-def test_many_runs_give_the_same_without_wide_registers(monkeypatch, name):
-    width = {name: 512}
-    monkeypatch.setattr("integrators.native.kernel.known_options", lambda **_: options(**width))
-    options = runtime.known_options
-    arguments = 2.0, np.array([1.0, 4.0])
-    form = Form.of(*arguments)
-    kernel, packed = Kernel(lambda a, b: a * b, form), form.pack(*arguments)
-    assert kernel.batched(np.stack([packed, packed])).tolist() == [[2.0, 8.0]] * 2
 
 
 @pytest.mark.usefixtures("_forgotten")

@@ -21,7 +21,7 @@ from problems.exported_programs import exported, found_once
 from problems.formulations import Start
 from problems.initial_values import consistent_start
 from problems.layouts import row_layout
-from problems.runtime import Array, Bool, Float, Int, jax, jnp, known_options
+from problems.runtime import Array, Bool, Float, Int, jax, jnp
 from problems.system import MechatronicSystem
 
 #: Names of the loops over steps, and over rows, which is no work of a method.
@@ -98,9 +98,7 @@ class Kernel:
 
     @cached_property
     def _many(self) -> Callable:
-        # Many runs do the same arithmetic side by side: use the widest registers.
-        wide = known_options(xla_cpu_prefer_vector_width=512)
-        return jax.jit(jax.vmap(self.run), compiler_options=wide)
+        return jax.jit(jax.vmap(self.run))
 
     def batched(self, packed: Float[np.ndarray, "k n"], *wanted: Any) -> Any:
         """Run many runs in one program: every argument has one more axis in front."""

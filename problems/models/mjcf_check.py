@@ -17,7 +17,7 @@ from problems.models.mjcf_model import Model
 from problems.models.mjcf_objects import load_mujoco
 from problems.models.mjcf_parts import without
 from problems.rotations import turned
-from problems.runtime import CACHE, Array, Float, few_calls, jax, jnp
+from problems.runtime import CACHE, FEW_CALLS, Array, Float, jax, jnp
 from problems.spec import SpecError
 from problems.whole_files import keep, kept
 
@@ -155,7 +155,7 @@ def _linear(model: Model) -> tuple[Callable, Callable]:
 
         return jax.jacfwd(moved)(jnp.zeros(model.m.nv))
 
-    once = partial(jax.jit, compiler_options=few_calls())
+    once = partial(jax.jit, compiler_options=FEW_CALLS)
     return once(model.equalities), once(along)
 
 
@@ -170,7 +170,7 @@ def compare(model: Model, q: Float[np.ndarray, " nq"]) -> None:
     m, mujoco, rng = without(model.m), load_mujoco(), np.random.default_rng(2)
     stated = reset(m, 0 if m.nkey else None).ctrl.copy()
 
-    @partial(jax.jit, compiler_options=few_calls())
+    @partial(jax.jit, compiler_options=FEW_CALLS)
     def ours(q: Array, v: Array, control: Array) -> dict[str, Array]:
         return {
             "mass matrix": model.mass(q),
