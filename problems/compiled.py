@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from problems.constraints import constraint_acceleration, constraint_velocity
-from problems.exported_programs import exported
 from problems.formulations import (
     Start,
     algebraic_iterations,
@@ -19,7 +18,7 @@ from problems.formulations import (
     with_rates,
 )
 from problems.projections import projected_state
-from problems.runtime import Array, Float, Int, jax, jnp
+from problems.runtime import FEW_CALLS, Array, Float, Int, jax, jnp
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 from problems.variables import INVARIANTS, VARIABLES, Variables
@@ -96,33 +95,27 @@ def _compiled(template: MechatronicSystem) -> Compiled:
             constraint_acceleration(s, q, v, a, t),
         )
 
-    def alone(name: str, function: Callable, draft: bool = False) -> Callable:
-        return exported(function, (name, template), draft=draft)
-
-    def over_rows(name: str, function: Callable) -> Callable:
-        return _over_rows(function, (name, template))
-
     def jump(event: int) -> Callable:
-        return alone(f"jump {event}", lambda p, z: at(p).jump(z, event))
+        return jax.jit(lambda p, z: at(p).jump(z, event))
 
     return Compiled(
-        start=alone("start", lambda p, q, v, x, t: with_rates(at(p), q, v, x, t), draft=True),
-        ode=alone("ode", lambda p, t, s: ode_rate(at(p), t, s)),
-        rates=alone("rates", jax.vmap(rate, (None, 0, 0))),
-        complete=over_rows("complete", lambda p, q, v, x, t: complete(at(p), q, v, x, t)),
-        levels=over_rows("levels", levels),
+        start=jax.jit(
+            lambda p, q, v, x, t: with_rates(at(p), q, v, x, t), compiler_options=FEW_CALLS
+        ),
+        ode=jax.jit(lambda p, t, s: ode_rate(at(p), t, s)),
+        rates=jax.jit(jax.vmap(rate, (None, 0, 0))),
+        complete=_over_rows(lambda p, q, v, x, t: complete(at(p), q, v, x, t)),
+        levels=_over_rows(levels),
         invariants={
-            block: over_rows(block, lambda p, q, v, block=block: getattr(at(p), block)(q, v))
+            block: _over_rows(lambda p, q, v, block=block: getattr(at(p), block)(q, v))
             for block in INVARIANTS
         },
-        points=over_rows("points", lambda p, q: at(p).points(q)),
-        events=over_rows("events", lambda p, q, v, x, t: event_values(at(p), q, v, x, t)),
-        sample=alone("sample", lambda p, z: at(p).sample(z)),
+        points=_over_rows(lambda p, q: at(p).points(q)),
+        events=_over_rows(lambda p, q, v, x, t: event_values(at(p), q, v, x, t)),
+        sample=jax.jit(lambda p, z: at(p).sample(z)),
         jumps=tuple(map(jump, range(_number_of_events(template)))),
-        projected=alone("projected", lambda p, t, s: projected_state(at(p), t, s)),
-        iterations=over_rows(
-            "iterations", lambda p, q, v, x, t: algebraic_iterations(at(p), q, v, x, t)
-        ),
+        projected=jax.jit(lambda p, t, s: projected_state(at(p), t, s)),
+        iterations=_over_rows(lambda p, q, v, x, t: algebraic_iterations(at(p), q, v, x, t)),
     )
 
 
@@ -138,13 +131,13 @@ def _number_of_events(template: MechatronicSystem) -> int:
     return shape[0]
 
 
-def _over_rows(function: Callable, about: tuple) -> Callable:
-    """Vectorise over rows, filled up to whole blocks; ``about`` tells what the function is."""
+def _over_rows(function: Callable) -> Callable:
+    """Vectorise over rows, filled up to whole blocks."""
 
     def rows_at_once(p: Mapping, rows: tuple[Array, ...]) -> Any:
         return jax.vmap(lambda *row: function(p, *row))(*rows)
 
-    large, small = exported(rows_at_once, about), exported(rows_at_once, about, draft=True)
+    large, small = jax.jit(rows_at_once), jax.jit(rows_at_once, compiler_options=FEW_CALLS)
 
     def call(p: Mapping, *rows: np.ndarray) -> Any:
         count, parts, first = len(rows[0]), [], 0

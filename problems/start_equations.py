@@ -14,11 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from problems.constraints import constraint_change
-from problems.exported_programs import exported
 from problems.formulations import Start, algebraic_residual
 from problems.kinematics import q_rate
 from problems.layouts import algebraic_layout
-from problems.runtime import Array, Float, jax, jnp
+from problems.runtime import FEW_CALLS, Array, Float, jax, jnp
 from problems.sparsity import Pattern
 from problems.system import MechatronicSystem
 from problems.variables import State, Variables
@@ -123,7 +122,7 @@ def _rows(template: MechatronicSystem) -> Callable:
         scene = template.with_parameters(p)
         return jax.jacfwd(lambda w: constraint_change(scene, q, jnp.asarray(t), w))(still)
 
-    return exported(rows, ("rows of the constraints", template), draft=True)
+    return jax.jit(rows, compiler_options=FEW_CALLS)
 
 
 # ---- Newton's method -------------------------------------------------------------------

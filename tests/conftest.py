@@ -43,7 +43,6 @@ SLOWEST = (
     "test_kernel_counts",
     "test_figure",
     "test_cli",
-    "test_exported_programs",
     "test_alpha_family",
     "test_constraint_handling",
     "test_ida_sparse",
@@ -165,5 +164,4 @@ def without_processes(monkeypatch):
     monkeypatch.setattr(process, "ask_once", ask_here)
     monkeypatch.setattr(worker, "use_threads", lambda callers: None)
     # In this process tests patch functions: what is made here must not be kept.
-    monkeypatch.setattr(worker, "use_exports", lambda: None)
     monkeypatch.setattr(inventory, "keep_references", lambda file_of, told: None)

@@ -261,7 +261,7 @@ def test_new_tolerances_and_schemes_compile_nothing():
         run = GeneralizedAlphaAdaptive(rho_inf=rho_inf).prepare(scene, t_end, Tolerances(rtol))
         assert run.kernel is first.kernel
         run.measure()
-    assert first.kernel.compiled._cache_size() == 1
+    assert first.kernel.run._cache_size() == 1
 
 
 def test_the_accelerations_scale_is_their_largest_value_so_far():

@@ -285,7 +285,7 @@ def test_schemes_steps_patterns_and_parameters_compile_nothing_new():
             assert kernel_of(method, other) is compiled
             for steps in (Steps(0.01), Steps(0.3), Steps(0.5, (0.3, 0.7))):
                 method.prepare(other, 4.0, steps).measure()
-    assert compiled.compiled._cache_size() == 1
+    assert compiled.run._cache_size() == 1
 
 
 def test_memory_does_not_grow_with_the_number_of_steps():

@@ -152,7 +152,7 @@ def test_other_steps_patterns_and_parameters_compile_nothing_new():
         assert method.prepare(scene, 1.35, resolution).measure().status == "ok"
     for counted in (False, True):
         stepped = DiffraxStepMethod(method.scheme(scene), scene, counted)
-        assert stepped.prepare(scene, 1.35, Steps(0.1)).kernel.compiled._cache_size() == 1
+        assert stepped.prepare(scene, 1.35, Steps(0.1)).kernel.run._cache_size() == 1
 
 
 def test_the_counted_run_takes_the_timed_steps_and_more_of_them_than_max_steps():

@@ -40,7 +40,7 @@ class Program:
 
     def __init__(self, run) -> None:
         arguments = run.end_only
-        lowered = run.kernel.compiled.lower(run.arguments, *arguments)
+        lowered = run.kernel.run.lower(run.arguments, *arguments)
         self.lines: dict[str, list[str]] = {}
         for line in lowered.compile().as_text().splitlines():
             head = re.match(r"(ENTRY )?%([\w.\-]+) \(.*\{$", line)
@@ -151,7 +151,7 @@ def test_what_is_counted_is_what_was_done(newton):
 def test_schemes_steps_and_parameters_compile_nothing_new():
     run = prepared(SliderCrank(), "modified")
     run.measure()
-    compiled = run.kernel.compiled._cache_size()
+    compiled = run.kernel.run._cache_size()
     other = GeneralizedAlpha(rho_inf=0.3, newton="modified")
     for again in (
         prepared(SliderCrank(l1=0.1, w0=3.0), "modified", steps=123),
@@ -159,7 +159,7 @@ def test_schemes_steps_and_parameters_compile_nothing_new():
     ):
         again.measure()
         assert again.kernel is run.kernel
-    assert run.kernel.compiled._cache_size() == compiled
+    assert run.kernel.run._cache_size() == compiled
 
 
 @pytest.mark.long

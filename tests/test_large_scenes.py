@@ -165,7 +165,7 @@ def _bytes(links):
     _, searched = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     run = GeneralizedAlpha(newton="modified").prepare(scene, 0.01, Steps(1e-3))
-    memory = run.kernel.compiled.lower(run.arguments, *run.end_only).compile().memory_analysis()
+    memory = run.kernel.run.lower(run.arguments, *run.end_only).compile().memory_analysis()
     rows = 8 * len(run.end_only[0]) * (width_of(scene.sizes) + 1)
     assert memory.output_size_in_bytes >= rows
     loop = memory.temp_size_in_bytes + memory.output_size_in_bytes - rows

@@ -226,7 +226,7 @@ def turns_of(method: Any, scene: MechatronicSystem) -> dict[str, float]:
     kernel = constant_steps.kernel(program, scene.template(), form)
     packed, wanted = np.zeros(sum(map(math.prod, form.shapes))), (np.zeros(1, int), np.array(0))
     found = defaultdict(float)
-    for cost in loop_costs(kernel.run, program, scene, packed, *wanted):
+    for cost in loop_costs(kernel.run, program, packed, *wanted):
         found[cost.turns] += cost.operations
     return found
 

@@ -224,7 +224,7 @@ def test_other_parameters_compile_nothing_new():
     assert kernels[0] is kernels[1]
     for scene, rho in zip(scenes, (0.8, 0.5), strict=True):
         end(GeneralizedAlpha(linear_solver="sparse", rho_inf=rho), scene, 10, 1e-3)
-    assert kernels[0].compiled._cache_size() == 1
+    assert kernels[0].run._cache_size() == 1
 
 
 def test_no_reference_is_made_of_a_large_scene():

@@ -10,12 +10,11 @@ import numpy as np
 from bench.running.errors import scales
 from integrators.contract import Trajectory
 from problems.constraints import constraint_velocity
-from problems.exported_programs import exported
 from problems.formulations import ode_rate
 from problems.kinematics import q_rate
 from problems.layouts import state_layout
 from problems.reference import Reference
-from problems.runtime import Float, jax, jnp
+from problems.runtime import FEW_CALLS, Float, jax, jnp
 from problems.system import MechatronicSystem
 
 #: Times at which eigenvalues are taken; linearised steps come in blocks with as many nodes, so that
@@ -46,8 +45,7 @@ def _jacobians(template: MechatronicSystem) -> Any:
     def one(p: dict, t: Any, s: Any) -> Any:
         return jax.jacfwd(lambda s: ode_rate(template.with_parameters(p), t, s))(s)
 
-    many = jax.vmap(one, in_axes=(None, 0, 0))
-    return exported(many, ("jacobians", template), draft=True)
+    return jax.jit(jax.vmap(one, in_axes=(None, 0, 0)), compiler_options=FEW_CALLS)
 
 
 def rates(scene: MechatronicSystem, reference: Reference) -> dict[str, float] | None:

@@ -35,7 +35,6 @@ from bench.running.plan import Cell
 from bench.running.scene_records import drawings, scene_record
 from integrators import answers
 from integrators.contract import PreparedRun, Trajectory
-from problems.exported_programs import use_exports
 from problems.initial_values import InconsistentStart, NoConsistentStart
 from problems.plain_text import said
 from problems.reference import Reference
@@ -303,6 +302,4 @@ def start_worker(notify: Notify, sources: Sources, threads: int = 1, draft: bool
     use_threads(threads)
     if draft:
         compile_sooner()
-    if not sources:
-        use_exports()
     return Worker(load_registry(notify, sources), notify)

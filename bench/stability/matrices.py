@@ -28,7 +28,6 @@ from integrators.contract import Integrator
 from integrators.native.step_method import NativeMethod
 from integrators.native.step_program import StepProgram
 from integrators.resolutions import Steps
-from problems.exported_programs import exported
 from problems.formulations import Start, with_rates
 from problems.layouts import state_layout
 from problems.runtime import Float, jax, jnp
@@ -213,7 +212,7 @@ def _program(method: StepProgram, template: MechatronicSystem) -> Callable:
     ) -> tuple:
         return jax.lax.map(lambda macro: one(p, numbers, deviations, pattern, slots, macro), macros)
 
-    return exported(each, ("matrices", method, template))
+    return jax.jit(each)
 
 
 # ---- all other methods at constant steps -------------------------------------------------

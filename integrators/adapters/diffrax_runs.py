@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from integrators.adapters.counting import EVALUATION, LINEARISATION, Counts, run_counted, watch
+from integrators.adapters.counting import Counts, run_counted, watch
 from integrators.adapters.ode import packed_columns, packed_projection, packed_rate
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
 from integrators.adapters.vector_work import EXPLICIT, IMPLICIT
@@ -18,7 +18,6 @@ from integrators.kept_rows import kept_rows
 from integrators.program_costs import OWN, Cost, bill, dense, of_calls
 from integrators.resolutions import Tolerances
 from problems.compiled import compiled
-from problems.exported_programs import exported
 from problems.formulations import Baumgarte, ode_rate
 from problems.initial_values import consistent_start
 from problems.layouts import state_layout
@@ -221,12 +220,7 @@ def adaptive_programs(
 
         return solve
 
-    about = "adaptive steps of diffrax", scheme, template, max_steps
-    calls = EVALUATION, LINEARISATION
-    return (
-        exported(lambda *at: program(counts=False)(*at), (*about, "timed")),
-        exported(lambda *at: program(counts=True)(*at), (*about, "counted"), calls=calls),
-    )
+    return jax.jit(program(counts=False)), jax.jit(program(counts=True))
 
 
 class DiffraxAdaptiveRun(DiffraxRun):

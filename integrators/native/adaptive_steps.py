@@ -235,4 +235,4 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
 
     if program.patterns:
         return SparseKernel(loop, form, limited, singular)
-    return Kernel(loop, form, ("adaptive steps", program, template))
+    return Kernel(loop, form)

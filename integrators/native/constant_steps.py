@@ -201,4 +201,4 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
 
     if program.patterns:
         return SparseKernel(loop, form, limited, singular)
-    return Kernel(loop, form, ("constant steps", program, template))
+    return Kernel(loop, form)

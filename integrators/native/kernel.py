@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cached_property
 from math import prod
 from typing import Any, NamedTuple, Self
 
@@ -17,7 +17,6 @@ from integrators.native.step_program import Carried, Numbers, StepProgram
 from integrators.native.step_records import PIVOTS, Reading, StepReport, Time, largest
 from integrators.program_costs import Cost, bill, costs_of, sparse
 from integrators.programs import Step
-from problems.exported_programs import exported, found_once
 from problems.formulations import Start
 from problems.initial_values import consistent_start
 from problems.layouts import row_layout
@@ -80,21 +79,17 @@ class Kernel:
         rows to keep.
     form
         Form of the arguments but ``wanted``.
-    about
-        All that decides the loop beside the form, so that its trace can be kept; None if it cannot.
     """
 
-    def __init__(self, loop: Callable, form: Form, about: tuple | None = None) -> None:
+    def __init__(self, loop: Callable, form: Form) -> None:
         @jax.jit  # so that it is traced once
         def run(packed: Array, *wanted: Any) -> Any:
             return loop(*form.unpack(packed), *wanted)
 
-        about = about and (about, str(form[:2]), form.types)
-        self.compiled = exported(run, about) if about else run
         self.form, self.run = form, run
 
     def __call__(self, packed: Float[Array, " n"], *wanted: Any) -> Any:
-        return self.compiled(packed, *wanted)
+        return self.run(packed, *wanted)
 
     @cached_property
     def _many(self) -> Callable:
@@ -205,9 +200,7 @@ class LoopRun(PreparedRun):
         return jax.block_until_ready(self.kernel(self.arguments, *self.end_only))
 
     def bill(self, run: Trajectory) -> dict[str, float]:
-        loop, form = self.kernel.run, self.kernel.form
-        about = type(self), self._scene.template(), str(form[:2]), form.types
-        costs = loop_costs(loop, self._program, about, self.arguments, *self.end_only)
+        costs = loop_costs(self.kernel.run, self._program, self.arguments, *self.end_only)
         known = {STEPS: (run.work.steps or 0) + (run.work.rejected or 0), ROWS: 0, "": 0}
         others = sorted({PIVOTS, *(cost.turns for cost in costs)} - known.keys())
         turns = dict(zip(others, self._turns, strict=True))  # in the order of their names
@@ -226,22 +219,18 @@ class LoopRun(PreparedRun):
 _costs: dict[Callable, list[Cost]] = {}
 
 
-def loop_costs(loop: Callable, program: StepProgram, about: Any, *given: Array) -> list[Cost]:
+def loop_costs(loop: Callable, program: StepProgram, *given: Array) -> list[Cost]:
     """Return the costs of a time loop by part, and by the turns in which they arise.
 
     Parameters
     ----------
     loop, program
         A traceable function, and the method of which it is made.
-    about
-        All that decides it beside the method.
     given
         Its arguments, of which only shapes matter.
     """
     if loop not in _costs:
-        find = partial(costs_of, loop, *given, libraries=_of_klu(program))
-        shapes = [x.shape for x in given]
-        _costs[loop] = found_once(find, (program, about, shapes), list[Cost])
+        _costs[loop] = costs_of(loop, *given, libraries=_of_klu(program))
     return _costs[loop]
 
 
