@@ -7,14 +7,12 @@ with a sentence on what came and what was expected.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from integrators.contract import STATUSES, Integrator, PreparedRun, Trajectory, Work
 from problems.answers import (
-    MOST_NOTES,
     FalseAnswer,
     array,
     asked,
@@ -53,7 +51,7 @@ def facts(integrator: Integrator) -> Facts:
     FalseAnswer
         If one is not of its kind.
     """
-    found = {name: asked(integrator, name, name) for name in Facts._fields}
+    found = {name: asked(integrator, name) for name in Facts._fields}
     one_of(found["controls"], "controls", ("step", "tolerance"))
     claimed = checked_orders(found.pop("orders"))
     words = {name: text(value, name) for name, value in found.items()}
@@ -141,40 +139,40 @@ def checked_trajectory(value: object, sizes: Sizes, t0: float, t_end: float) -> 
     """
     if not isinstance(value, Trajectory):
         raise refused("measure()", value, "a Trajectory")
-    part = {f.name: asked(value, f.name, f.name) for f in fields(Trajectory)}
-    status = one_of(part["status"], "status", STATUSES)
-    t = _times(part["t"], t0, t_end, strictly=status == "ok")
+    status = one_of(value.status, "status", STATUSES)
+    t = _times(value.t, t0, t_end, strictly=status == "ok")
     if not len(t) and status == "ok":
         raise FalseAnswer("t has no times, expected those of all rows of a run that is ok.")
     return Trajectory(
         t,
-        **{group: _rows(part[group], group, len(t), sizes.of(group)) for group in _ROWS},
+        **{group: _rows(getattr(value, group), group, len(t), sizes.of(group)) for group in _ROWS},
         status=status,
-        message=text(part["message"], "message", empty=status == "ok"),
-        work=_work(part["work"]),
-        notes=_notes(part["notes"], len(t)),
-        **_at_jumps(part, len(t), sizes.nd),
+        message=text(value.message, "message", empty=status == "ok"),
+        work=_work(value.work),
+        notes=_notes(value.notes, len(t)),
+        **_at_jumps(value, len(t), sizes.nd),
     )
 
 
-def _at_jumps(part: Mapping[str, Any], count: int, nd: int) -> dict[str, np.ndarray]:
+def _at_jumps(run: Trajectory, count: int, nd: int) -> dict[str, np.ndarray]:
     """Held values and phases of rows, and the events; nothing if none are given.
 
     Phases may be left out: rows then lie in those of their times.
     """
-    if not np.size(part["phase"]) and not np.size(part["xd"]):
+    if not np.size(run.phase) and not np.size(run.xd):
         return {}
-    known = (count,) if np.size(part["phase"]) else (0,)
-    events = part["events"]
+    known = (count,) if np.size(run.phase) else (0,)
     return {
-        "xd": _rows(part["xd"], "xd", count, nd),
-        "phase": array(part["phase"], "phase", known).astype(int),
-        "events": array(events, "events", (*np.shape(events)[:1], 2)),
+        "xd": _rows(run.xd, "xd", count, nd),
+        "phase": array(run.phase, "phase", known).astype(int),
+        "events": array(run.events, "events", (*np.shape(run.events)[:1], 2)),
     }
 
 
 def _times(value: object, t0: float, t_end: float, strictly: bool) -> np.ndarray:
-    t = array(value, "t", (_length(value),))
+    if np.ndim(value) != 1:  # type: ignore[arg-type]
+        raise refused("t", value, "an array of times of shape (k,)")
+    t = array(value, "t", np.shape(value))  # type: ignore[arg-type]
     slack = _ROUNDING * max(1.0, abs(t0), abs(t_end))
     if len(t) and abs(t[0] - t0) > slack:
         raise refused("the first of t", float(t[0]), f"the start of the interval, {t0:.9g} s")
@@ -188,15 +186,6 @@ def _times(value: object, t0: float, t_end: float, strictly: bool) -> np.ndarray
     return t
 
 
-def _length(value: object) -> int:
-    try:
-        return int(np.shape(value)[0])  # type: ignore[arg-type]
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:
-        raise refused("t", value, "an array of times of shape (k,)") from error
-
-
 def _rows(value: object, group: str, count: int, size: int) -> np.ndarray:
     if not count and isinstance(value, np.ndarray) and not value.size:
         return np.zeros((0, size))
@@ -207,16 +196,16 @@ def _work(value: object) -> Work:
     """Return work counts as whole numbers, None where they are not known."""
     if not isinstance(value, Work):
         raise refused("work", value, "a Work")
-    counts = {f.name: asked(value, f.name, f"work.{f.name}") for f in fields(Work)}
-    return Work(**{n: None if c is None else whole(c, f"work.{n}") for n, c in counts.items()})
+    counts = {n: None if c is None else whole(c, f"work.{n}") for n, c in vars(value).items()}
+    return Work(**counts)
 
 
 def _notes(value: object, count: int) -> dict[str, np.ndarray]:
-    if not isinstance(value, Mapping) or len(value) > MOST_NOTES:
-        raise refused("notes", value, f"a dictionary of at most {MOST_NOTES} arrays by name")
+    if not isinstance(value, Mapping):
+        raise refused("notes", value, "a dictionary of arrays by name")
     return {
         text(name, "the name of a note", empty=False): array(
             note, f"notes[{name!r}]", (count,), finite=False
         )
-        for name, note in dict(value).items()
+        for name, note in value.items()
     }

@@ -369,7 +369,7 @@ class MechatronicSystem:
         named = {
             "lam": self.multipliers, "x": self.states, "y": self.outputs, "q": self.coordinates,
         }.get(group, self.velocities if own_velocities else self.coordinates)  # fmt: skip
-        texts = answers.texts(named, f"names of {group}", answers.MOST_COMPONENTS)
+        texts = answers.texts(named, f"names of {group}")
         found = [Component.read(text) for text in texts]
         for _ in range("qva".find(group) - own_velocities):
             found = [component.rate() for component in found]

@@ -88,7 +88,7 @@ def plugin_facts(plugin: Plugin) -> PluginFacts:
 
 def _own_spec(made: Any) -> str:
     """Return the printed name of a scene or an integrator, which has to be its own."""
-    stated = text_of(asked(made, "spec", "spec"), "spec")
+    stated = text_of(asked(made, "spec"), "spec")
     if stated.partition("[")[0] != made.name:
         raise refused("spec", stated, f"{made.name!r}, or {made.name!r} with options")
     return stated
