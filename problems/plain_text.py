@@ -1,4 +1,4 @@
-"""Text of users, plugins and libraries made fit for a message: short and visible."""
+"""Text of users, plugins and libraries made fit for a message: short and clean."""
 
 from __future__ import annotations
 
@@ -21,16 +21,8 @@ _ESCAPE = re.compile(rb"\\(?:[^u]|u([0-9a-fA-F]{4}))")
 _LONG_WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
 
-def visible(text: str) -> str:
-    r"""Write characters that command a terminal as escapes like ``\u001b``; keep lines and tabs.
-
-    The escapes are those of JSON, so that an answer in JSON means the same.
-    """
-    return _HIDDEN.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
-
-
 def clean(text: str) -> str:
-    """Write U+FFFD in the place of each such character, for pages, pictures and files."""
+    """Write U+FFFD in the place of each such character, for messages, pages, pictures and files."""
     return _HIDDEN.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
@@ -55,8 +47,8 @@ def _clean_escape(found: re.Match[bytes]) -> bytes:
 
 
 def shortened(text: str) -> str:
-    """Make a message short and visible: long words, long lines and many lines lose their middle."""
-    lines = visible(text).split("\n")
+    """Make a message short and clean: long words, long lines and many lines lose their middle."""
+    lines = clean(text).split("\n")
     if len(lines) > MOST_LINES:
         lines = [*lines[: MOST_LINES - 2], "…", lines[-1]]
     return "\n".join(
@@ -65,25 +57,14 @@ def shortened(text: str) -> str:
     )
 
 
-def text_of(error: BaseException) -> str:
-    """Return what an exception says. Its class may be a plugin's, and do anything when asked."""
-    try:
-        return str.__str__(str(error))  # the text, too, may be of a class of the plugin's
-    except BaseException as fault:
-        if isinstance(fault, KeyboardInterrupt):
-            raise
-        return "its message cannot be read"
-
-
 def said(error: BaseException) -> str:
     """Return what an exception says, on one short line without a full stop at its end."""
-    return shortened(" ".join(text_of(error).split())).rstrip(".") or "no message"
+    return shortened(" ".join(str(error).split())).rstrip(".") or "no message"
 
 
 def described(error: BaseException) -> str:
     """Return the class of an exception and what it says: "ValueError: not a number"."""
-    name = type.__dict__["__name__"].__get__(type(error))  # a metaclass may hide it
-    return f"{_cut(visible(name), LONGEST_WORD)}: {said(error)}"
+    return f"{type(error).__name__}: {said(error)}"
 
 
 def _cut(text: str, most: int) -> str:

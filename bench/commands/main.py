@@ -23,7 +23,7 @@ from bench.commands import (
 )
 from bench.commands.standard_streams import LostOutput, plain_streams
 from bench.results.store import StoreError
-from problems.plain_text import shortened, text_of
+from problems.plain_text import shortened
 from problems.spec import SpecError, suggest
 
 _MODULES = (
@@ -109,7 +109,7 @@ class ShortErrors(click.Group):
         try:
             return super().invoke(ctx)
         except (SpecError, StoreError) as error:
-            raise click.ClickException(text_of(error)) from error
+            raise click.ClickException(str(error)) from error
 
 
 @click.group(

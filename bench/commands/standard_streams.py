@@ -1,8 +1,4 @@
-"""The standard streams of a command: no text harms a terminal, and none is lost silently.
-
-What a command prints goes through `PlainStream`, also the prints of plugins in its process; tables
-go around it (`bench/commands/terminal.py`), because their colours are control sequences of our own.
-"""
+"""The standard streams of a command: every text can be written, and no answer is lost silently."""
 
 from __future__ import annotations
 
@@ -11,22 +7,26 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, TextIO
-
-from problems.plain_text import visible
+from typing import TextIO
 
 
-class _Through(io.TextIOBase):
-    """A text stream that hands over to another one."""
+class _Lossy(io.TextIOBase):
+    """A text stream for messages: one that cannot be written is no reason to end a run."""
 
     #: Click writes bytes around a stream in ASCII; in this one there is every character.
     encoding = "utf-8"
 
-    def __init__(self, stream: TextIO | _Through) -> None:
+    def __init__(self, stream: TextIO) -> None:
         self.stream = stream
 
+    def write(self, text: str, /) -> int:
+        with suppress(OSError):
+            self.stream.write(text)
+        return len(text)
+
     def flush(self) -> None:
-        self.stream.flush()
+        with suppress(OSError):
+            self.stream.flush()
 
     def isatty(self) -> bool:
         return self.stream.isatty()
@@ -41,40 +41,13 @@ class _Through(io.TextIOBase):
         """Leave the stream behind open, and do not flush it: at the very end it may be gone."""
 
 
-class PlainStream(_Through):
-    """A text stream that writes control characters as escapes."""
-
-    def write(self, text: str | bytes, /) -> int:
-        """Write a text; returns its length. Click writes completions for the shell as bytes."""
-        self.stream.write(visible(text.decode() if isinstance(text, bytes) else text))
-        return len(text)
-
-
-class _Lossy(_Through):
-    """A text stream for messages: one that cannot be written is no reason to end a run."""
-
-    def write(self, text: str, /) -> int:
-        with suppress(OSError):
-            self.stream.write(text)
-        return len(text)
-
-    def flush(self) -> None:
-        with suppress(OSError):
-            self.stream.flush()
-
-
-def behind(stream: Any) -> Any:
-    """Return the stream behind a `PlainStream`, or the stream itself."""
-    return stream.stream if isinstance(stream, PlainStream) else stream
-
-
 class LostOutput(Exception):
     """Standard output is closed or full."""
 
 
 @contextmanager
 def plain_streams() -> Iterator[None]:
-    """Have standard output and standard error write control characters as escapes.
+    """Have standard output and standard error take any text.
 
     Raises
     ------
@@ -85,10 +58,10 @@ def plain_streams() -> Iterator[None]:
     if sys.stdout is None:
         raise LostOutput("The standard output is closed; give it a file, or /dev/null.")
     kept = sys.stdout, sys.stderr
-    for stream in kept:  # characters that the encoding lacks become escapes, too
+    for stream in kept:  # characters that the encoding lacks become escapes
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    sys.stdout, sys.stderr = PlainStream(sys.stdout), PlainStream(_Lossy(sys.stderr))
+    sys.stderr = _Lossy(sys.stderr)
     try:
         yield
     finally:

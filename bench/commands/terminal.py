@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, TextIO
 
 from rich import table as rich_table
-from rich.console import Console, ConsoleOptions, RenderableType
+from rich.console import Console, RenderableType
 from rich.markup import escape
 from rich.progress import (
     BarColumn,
@@ -19,13 +19,10 @@ from rich.progress import (
     TextColumn,
     TimeElapsedColumn,
 )
-from rich.segment import Segment
 from rich.text import Text
 
-from bench.commands.standard_streams import behind
 from bench.results.table import Table
 from bench.running import progress
-from problems.plain_text import visible
 
 #: Tables are never narrower, in characters, however small COLUMNS is.
 _LEAST_WIDTH = 40
@@ -33,24 +30,18 @@ _LEAST_WIDTH = 40
 _LINE_EVERY_SECONDS = 5.0
 
 
-class _PlainConsole(Console):
-    """A console on which a text's control characters are seen, and do nothing."""
+class _WideConsole(Console):
+    """A console that is never too narrow for a table."""
 
     def __init__(self, file: TextIO) -> None:
-        super().__init__(file=behind(file))
+        super().__init__(file=file)
         if self.width < _LEAST_WIDTH:
             self.width = _LEAST_WIDTH
-
-    def render(
-        self, renderable: RenderableType, options: ConsoleOptions | None = None
-    ) -> Iterable[Segment]:
-        for text, style, control in super().render(renderable, options):
-            yield Segment(text if control else visible(text), style, control)
 
 
 def show(*parts: Table | str) -> None:
     """Print tables with their notes and texts on standard output, within its width."""
-    console = _PlainConsole(sys.stdout)
+    console = _WideConsole(sys.stdout)
     for part in parts:
         if isinstance(part, str):
             console.print(Text(part))
@@ -86,7 +77,7 @@ def _drawn(table: Table) -> rich_table.Table:
 def say(line: Text | str, cut: bool = False) -> None:
     """Print a line, however long: the terminal wraps it, unless it is ``cut`` where that ends."""
     how: dict[str, Any] = {"no_wrap": True, "overflow": "ellipsis"} if cut else {"soft_wrap": True}
-    _PlainConsole(sys.stdout).print(line, markup=False, highlight=False, **how)
+    _WideConsole(sys.stdout).print(line, markup=False, highlight=False, **how)
 
 
 class _Bar(Progress):
@@ -119,7 +110,7 @@ class RunProgress(progress.Progress):
         super().__init__()
         self._lines = lines
         self.after_step: Callable[[], None] = lambda: None
-        self._console = _PlainConsole(sys.stderr)
+        self._console = _WideConsole(sys.stderr)
         self._bar = _Bar(
             SpinnerColumn(),
             TextColumn("{task.fields[phase]}"),

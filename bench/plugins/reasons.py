@@ -7,7 +7,7 @@ import sysconfig
 import traceback
 from pathlib import Path
 
-from problems.plain_text import described, said, shortened, text_of
+from problems.plain_text import described, said, shortened
 from problems.spec import SpecError
 
 #: Folders of code that is not to blame for an exception.
@@ -29,7 +29,7 @@ class Unavailable(PluginError):
 
 def explain(error: BaseException) -> str:
     """Return one sentence on an exception, with the innermost line of code that is no library's."""
-    text = text_of(error).strip()
+    text = str(error).strip()
     if "CpuCallback" in text and (told := _FRAME.findall(text)):
         frames = [f for f in told if not f[0].startswith(_LIBRARIES)] or told
         file, line = frames[-1]
@@ -44,7 +44,7 @@ def explain(error: BaseException) -> str:
 
 def _lack_of_memory(error: BaseException) -> str:
     """Return the reason of an error that tells of too little memory; nothing for others."""
-    text = text_of(error)
+    text = str(error)
     if found := re.search(_BYTES, text):
         size = int(found[1]) / 2**30
         amount = f"{size:.3g} GiB" if size < 1000 else f"{size / 1024:.3g} TiB"

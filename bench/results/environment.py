@@ -15,7 +15,7 @@ from pathlib import Path
 import psutil
 
 from bench.results.records import Environment
-from problems.plain_text import visible
+from problems.plain_text import clean
 
 #: Libraries that compute, by the names of their packages; some may be missing.
 LIBRARIES = (
@@ -29,7 +29,7 @@ def environment() -> Environment:
     command = [Path(sys.argv[0]).name, *sys.argv[1:]]
     return Environment(
         date=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        command=visible(shlex.join(command)),
+        command=clean(shlex.join(command)),
         cpu=_cpu_name(),
         cores=psutil.cpu_count(logical=True) or 1,
         memory_gib=round(psutil.virtual_memory().total / 2**30, 1),

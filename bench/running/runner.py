@@ -188,9 +188,8 @@ class Runner:
                     return
                 worker = self._timekeeper(task)
                 answer = worker.ask(task.job, *task.arguments)
-                failed = isinstance(answer, NoAnswer)
-                if failed or not 0.0 < answer < math.inf:  # a plugin may change the clock
-                    if not failed or answer.status != "interrupted":
+                if isinstance(answer, NoAnswer):
+                    if answer.status != "interrupted":
                         spent[key] = math.inf
                     self._replace_dead(worker)
                     continue

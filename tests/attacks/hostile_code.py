@@ -23,17 +23,6 @@ def deaf(action: str) -> str:
 
 
 FD = "for fd in range(3, 256):\n    try: {0}\n    except (OSError, ValueError): pass"
-GARBAGE = "os.write(fd, bytes(range(256)) * 16)"
-#: The socket to the parent of a worker, found as a plugin would find it.
-PIPE = (
-    "import socket, struct, msgspec\n"
-    "def pipe():\n"
-    "    return next(o for o in gc.get_objects() if type(o) is socket.socket)\n"
-    "def forge(kind, content):\n"
-    "    pack = msgspec.msgpack.encode\n"
-    "    body = pack([kind, msgspec.Raw(pack(content))])\n"
-    "    pipe().sendall(struct.pack('<Q', len(body)) + body)\n"
-)
 LATER = (
     "def later():\n    time.sleep({0})\n    {1}\n"
     "threading.Thread(target=later, daemon=True).start()"

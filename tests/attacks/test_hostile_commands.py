@@ -17,16 +17,12 @@ METHODS = (
     "i_sys_exit",
     "i_segv",
     "i_close_all",
-    "i_patch_builtins",
     "f_family_exits",
     "f_spec_exits",
-    "f_getattr_dies",
     "f_supports_exits",
     "r_prepare_exits",
     "r_prepare_none",
     "r_measure_segv",
-    "r_measure_garbage",
-    "r_measure_forged_other",
     "r_measure_forks_and_dies",
 )
 #: Scenes that fail in every command that runs them.

@@ -18,7 +18,7 @@ from planted import everything, plant
 
 from bench.commands.main import main
 from bench.commands.options import ClusterAddress, PathName
-from problems.plain_text import visible
+from problems.plain_text import clean
 
 #: Arguments for which a command would run. {store} is a folder of results, {odd} of odd things.
 RIGHT = {
@@ -186,7 +186,7 @@ def assert_refused(result: Result) -> str:
     assert result.exit_code in (1, 2), result.output
     assert "Traceback" not in result.output
     assert result.stdout == ""
-    assert visible(result.stderr) == result.stderr
+    assert clean(result.stderr) == result.stderr
     usage, *sentences = re.split("^Error: ", result.stderr, flags=re.M)
     assert len(sentences) == 1, result.stderr
     assert re.fullmatch(r"(Usage: .*\nTry '.*' for help.\n\n)?", usage)

@@ -1,23 +1,10 @@
-"""Plugins that write into the pipe of their worker gain no time and reach no cell of others."""
+"""Budgets of jobs: what counts on, what is not charged, and a process that is halted."""
 
 from __future__ import annotations
 
-import math
-
-import pytest
-
 from bench.guard import limits
 from bench.guard.limits import PREPARING, RUNNING, Limits, Meter
-from bench.results.records import Rows
-from bench.running.inventory import Inventory
-from bench.running.plan import Cell
-from bench.running.runner import Runner, time_task
-from bench.running.session import result_of
-from bench.running.worker import CellResult
-from integrators import Steps
 from problems.usage import Usage
-
-CELL = Cell("oscillator", "newmark", 1.0, Steps(0.1))
 
 
 def test_a_phase_that_begins_again_goes_on_counting(monkeypatch):
@@ -70,33 +57,3 @@ def test_a_process_that_halts_itself_is_given_up(monkeypatch):
     assert found[:-1] == [None] * 30
     assert found[-1].status == "interrupted"
     assert "halted it for 30 s" in found[-1].reason
-
-
-def test_an_answer_about_another_cell_is_none():
-    inventory = Inventory()
-    other = Cell("oscillator", "newmark", 2.0, Steps(0.1))
-    record = other.record(*other.facts(inventory), "ok")
-    kept = result_of(other, CellResult(record, Rows(t=[])), inventory)
-    assert kept.record is record
-    refused = result_of(CELL, CellResult(record, Rows(t=[])), inventory).record
-    assert (refused.key, refused.status) == (CELL.key, "crashed")
-    assert "about something else" in refused.message
-
-
-@pytest.mark.parametrize("seconds", [math.nan, math.inf, -1.0, 0.0])
-def test_a_time_that_cannot_be_is_no_sample(monkeypatch, seconds):
-    class Worker:
-        alive, sources = True, time_task(CELL, CELL.sources(Inventory())).sources
-
-        def ask(self, *_):
-            asked.append(1)
-            return seconds
-
-        def end(self):
-            pass
-
-    asked = []
-    runner = Runner(1, Limits())
-    monkeypatch.setattr(runner, "workers", [Worker()])
-    assert list(runner.time([time_task(CELL, Worker.sources)], 3, {})) == []
-    assert len(asked) == 1  # it is not asked again
