@@ -129,7 +129,7 @@ def test_rows_of_large_scenes_are_taken_in_blocks_that_fit(monkeypatch):
         return call
 
     monkeypatch.setattr(compiled.jax, "jit", noted)
-    sums = compiled._over_rows(lambda p, q: q.sum(), ("sums",))
+    sums = compiled._over_rows(lambda p, q: q.sum())
     np.testing.assert_array_equal(sums({}, q), q.sum(axis=1))
     monkeypatch.setattr(compiled, "_MOST_NUMBERS", 30)  # three rows of eight numbers
     np.testing.assert_array_equal(sums({}, q), q.sum(axis=1))
