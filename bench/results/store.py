@@ -318,7 +318,7 @@ class Store:
 
 
 def _instead(value: Any, reason: Unreadable) -> Any:
-    """What is kept in the place of a value that could not be read: whose it is, and the reason."""
+    """The value in the place of one that could not be read: whose it is, and the reason."""
     why = f"cannot be stored: {reason}."
     if isinstance(value, Record):
         names = ("key", "problem", "integrator", "controls", "h", "pattern", "rtol", "atol", "t0")

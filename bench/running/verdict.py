@@ -162,7 +162,7 @@ class Verdict:
         return f"Of {len(every)} methods and forms: {told}; {runs} runs. {self._forms()}"
 
     def _forms(self) -> str:
-        """Which forms were tried, and which were not."""
+        """A sentence on the forms that were tried, and on those that were not."""
         tried = dict.fromkeys(
             c.method.name
             for c in self.race.candidates

@@ -362,7 +362,7 @@ def _blocks(model: _Model, symbols: _Symbols) -> dict[str, tuple[tuple[str, ...]
 
 
 def _independent(cls: type[MechatronicSystem]) -> list[int]:
-    """Which velocity constraints do not follow from Phi = 0 and those before them.
+    """The velocity constraints that do not follow from Phi = 0 and those before them.
 
     Kane's method wants the rates of Phi among them. The rank shows it, at a random position near
     the start, as the start may be a special one.
