@@ -36,7 +36,7 @@ test-long: .venv/tested  ## further scenes, members and sweeps of what `make tes
 survey: .venv/tested  ## every method on every scene: none is wrong without a note; an hour and a half
 	$(BIN)/python -m pytest -q -n 2 tests/test_survey.py -m survey
 
-attack: .venv/tested  ## hostile plugins, signals, inputs, stores and machines: tried and held
+attack: .venv/tested  ## hostile plugins, signals, inputs and machines: tried and held
 	$(TESTS) tests/attacks -m "attack or not attack"
 
 bench: .venv/tested  ## our time loop against C, exudyn and other solvers; microseconds per step; half an hour

@@ -90,11 +90,6 @@ def use_threads(callers: int) -> None:
         os.environ[_THREADS] = "1" if callers == 1 else str(callers + SPARE_THREADS)
 
 
-def one_thread() -> None:
-    """Run all programs of this process on one thread; see `use_threads`."""
-    use_threads(1)
-
-
 def most_callers() -> int:
     """Return how many threads may call programs at a time: at least one, and else no spare one.
 

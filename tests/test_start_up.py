@@ -54,7 +54,7 @@ def test_only_a_process_that_takes_times_has_one_thread(own, after):
     # With one, runs that are called from several threads would wait for each other.
     code = (
         "import os; from problems import runtime; print(os.environ['NPROC']); "
-        "runtime.one_thread(); print(os.environ['NPROC'])"
+        "runtime.use_threads(1); print(os.environ['NPROC'])"
     )
     done = subprocess.run(
         [sys.executable, "-c", code],

@@ -22,7 +22,7 @@ from integrators.adapters import dae, ode
 from integrators.adapters.ida import IDA
 from integrators.adapters.library_runs import CountedEquations
 from integrators.adapters.scipy_ode import Radau
-from problems.runtime import jax, one_thread
+from problems.runtime import jax, use_threads
 from problems.scenes.chain import Chain
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
@@ -241,5 +241,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    one_thread()
+    use_threads(1)
     main()

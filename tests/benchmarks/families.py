@@ -42,7 +42,7 @@ from integrators.adapters.packed_functions import in_c
 from integrators.lowering.native import load_c
 from integrators.native.step_method import NativeMethod
 from problems.reference import Reference
-from problems.runtime import one_thread
+from problems.runtime import use_threads
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.duffing import Duffing
 from problems.scenes.heavy_top_lie import HeavyTopR3SO3
@@ -315,5 +315,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    one_thread()
+    use_threads(1)
     main()

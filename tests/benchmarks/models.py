@@ -17,7 +17,7 @@ from opponents import options, written
 
 from bench.plugins.registry import Registry
 from problems import formulations
-from problems.runtime import jax, jnp, one_thread
+from problems.runtime import jax, jnp, use_threads
 from problems.variables import Variables
 
 SCENES = ("mjcf_four_bar", "mjcf_arm", "mjcf_quadruped")
@@ -81,7 +81,7 @@ def measured(name: str, rounds: int) -> dict[str, Any]:
 
 if __name__ == "__main__":
     arguments = options(__doc__, rounds=9, out="stepbench-models.json")
-    one_thread()
+    use_threads(1)
     rows = [measured(name, arguments.rounds) for name in SCENES]
     table = ["Forces of a model from q, v and a; processor time in us, the least of all samples"]
     for row in rows:

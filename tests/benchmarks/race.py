@@ -37,7 +37,7 @@ from bench.plugins.registry import Registry
 from bench.results.environment import environment
 from integrators import Steps, Tolerances
 from problems.reference import Reference
-from problems.runtime import one_thread
+from problems.runtime import use_threads
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
 
@@ -193,5 +193,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    one_thread()
+    use_threads(1)
     main()

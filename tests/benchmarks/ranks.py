@@ -18,7 +18,7 @@ from opponents import options, timed
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
 from integrators.native.step_method import NativeMethod
-from problems.runtime import one_thread
+from problems.runtime import use_threads
 from problems.spec import SpecError
 
 #: Scenes: free and constrained, smooth and stiff, with and without a controller.
@@ -142,5 +142,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    one_thread()
+    use_threads(1)
     main()

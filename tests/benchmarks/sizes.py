@@ -24,7 +24,7 @@ from integrators import Steps, Tolerances
 from integrators.adapters.ida import IDA
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.formulations import dae_layout
-from problems.runtime import one_thread
+from problems.runtime import use_threads
 from problems.scenes.chain import Chain
 
 #: Links, and steps that a sample takes.
@@ -44,7 +44,7 @@ _LONG, _FEW = 2.0, 2
 
 def measure(links: int, steps: int, rounds: int) -> dict[str, Any]:
     """One size: seconds, memory and answers of everybody."""
-    one_thread()
+    use_threads(1)
     scene = Chain(links=links)
     before, started = _memory(), time.process_time()
     runs = {
@@ -131,7 +131,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 def against_ida(links: int, t_end: float, rtol: float, rounds: int) -> dict[str, Any]:
     """One size: seconds, errors and energy of both."""
-    one_thread()
+    use_threads(1)
     scene = Chain(links=links)
     method = IDA(max_calls=1_000_000)
     at = dae_layout(scene.sizes, method.formulation)

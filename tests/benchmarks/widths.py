@@ -21,7 +21,7 @@ from bench.running.measure import readings
 from bench.running.plan import make_suite
 from bench.running.profiles import read_profile
 from bench.running.worker import Worker
-from problems.runtime import one_thread
+from problems.runtime import use_threads
 from problems.usage import undisturbed
 
 BUSY = (0, 2)
@@ -81,5 +81,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    one_thread()
+    use_threads(1)
     main()
