@@ -25,6 +25,9 @@ settings.load_profile("any speed")
 #: Each compiled program takes some 20 memory mappings, of which Linux grants a process 65 530.
 MOST_MAPPINGS = 30_000
 
+#: Bytes of compiled programs and references that a process of tests keeps.
+MOST_MEMORY = 3 * 2**30
+
 #: Tracing makes many objects and few circles.
 SELDOM = 50_000, 20, 100
 
@@ -100,13 +103,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="module", autouse=True)
 def _forget_programs():
     """Forget the compiled programs in time: a process without mappings ends with a segmentation
-    fault. Until then test modules share them."""
+    fault, and long tests fill the memory. Until then test modules share them."""
     yield
-    mappings = Path("/proc/self/maps")
-    if "jax" in sys.modules and mappings.exists():
-        with mappings.open() as lines:
-            if sum(1 for _ in lines) > MOST_MAPPINGS:
-                sys.modules["jax"].clear_caches()
+    process = Path("/proc/self")
+    if "jax" in sys.modules and process.exists():
+        pages = int((process / "statm").read_text().split()[1])
+        with (process / "maps").open() as lines:
+            mappings = sum(1 for _ in lines)
+        if mappings > MOST_MAPPINGS or pages * os.sysconf("SC_PAGE_SIZE") > MOST_MEMORY:
+            from helpers import forget_programs
+
+            forget_programs()
+            sys.modules["jax"].clear_caches()
+            gc.collect()
 
 
 @pytest.fixture
