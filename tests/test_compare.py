@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from planted import ATTACK, STEPS, Document, edited, everything, plant, planted
+from planted import ATTACK, STEPS, edited, everything, plant, planted
 
 from bench.results.compare import compare_folders, read_limits, regressions
 from bench.results.records import Record, median
@@ -52,7 +52,7 @@ def test_equal_results_differ_in_nothing(old, stepbench):
     assert (found.shared, found.summary(), found.differences) == (len(everything()), [], [])
     result = stepbench("compare", old, copy, "--fail-on", "error:1.001,work:1,time:1.1,vanished")
     assert result.exit_code == 0, result.output
-    assert "Nothing changed." in result.output
+    assert "Nothing changed in the runs that are in both." in result.output
 
 
 def test_a_method_that_takes_twice_the_work_is_named(old, stepbench):
@@ -65,7 +65,7 @@ def test_a_method_that_takes_twice_the_work_is_named(old, stepbench):
         assert change.old == before[change.run.key].work["residuals"]
         assert change.new == after[change.run.key].work["residuals"]
     who = "good[rho_inf=0.8] on pendulum"
-    assert found.summary() == [f"{who}: work (residuals) x2 in 6 of 6 runs"]
+    assert found.summary() == [f"{who}: work (residuals) x2 in 6 runs"]
     result = stepbench("compare", old, new, "--fail-on", "work:1.05")
     assert result.exit_code == 1
     assert "6 beyond the limits" in result.output
@@ -78,15 +78,16 @@ def test_a_method_that_takes_twice_the_work_is_named(old, stepbench):
     assert stepbench("compare", new, old, "--fail-on", "work:1").exit_code == 0
 
 
-@pytest.mark.parametrize(("by", "changed"), [(1.0005, 0), (1.01, 1), (1 / 1.01, 1), (30.0, 1)])
-def test_errors_are_compared_beyond_rounding(tmp_path, by, changed):
+def test_errors_are_compared_beyond_rounding(tmp_path):
     one = planted("pendulum", "m", FREE, h=0.1)
-    two = msgspec.convert(msgspec.to_builtins(one), Record)
-    two.errors["a"]["rms"] *= by
-    found = compare_folders(plant(tmp_path / "1", [one]), plant(tmp_path / "2", [two])).changes
-    assert [(c.name, c.norm) for c in found] == [("a", "rms")] * changed
-    for change in found:
-        assert change.ratio == pytest.approx(by)
+    plant(tmp_path / "1", [one])
+    for by, changed in ((1.0005, 0), (1.01, 1), (1 / 1.01, 1), (30.0, 1)):
+        two = msgspec.convert(msgspec.to_builtins(one), Record)
+        two.errors["a"]["rms"] *= by
+        found = compare_folders(tmp_path / "1", plant(tmp_path / str(by), [two])).changes
+        assert [(c.name, c.norm) for c in found] == [("a", "rms")] * changed
+        for change in found:
+            assert change.ratio == pytest.approx(by)
 
 
 def test_errors_within_the_trust_in_the_reference_are_no_change(tmp_path):
@@ -115,7 +116,7 @@ def test_of_two_references_the_poorer_one_is_trusted_no_further(tmp_path):
     assert compare_folders(*folders[::-1]).same
 
 
-def test_the_worst_is_told_first(old, tmp_path, stepbench):
+def test_the_worst_is_told_first(old):
     order = [2, 5, 3, 7, 1, 4]  # by the refinement, coarse to fine
 
     def edit(record):
@@ -125,41 +126,25 @@ def test_the_worst_is_told_first(old, tmp_path, stepbench):
 
     found = compare_folders(old, edited(old, "new", edit))
     assert found.summary() == [
-        "poor on spring_mass: error (a) x10 to x70 in 6 of 6 runs",
-        "good[rho_inf=0.8] on spring_mass: error (a) x2 to x7 in 5 of 6 runs",
+        "poor on spring_mass: error (a) x10 to x70 in 6 runs",
+        "good[rho_inf=0.8] on spring_mass: error (a) x2 to x7 in 5 runs",
     ]
     worst = [f"x{by}," for by in (70, 50, 40, 30, 20, 10, 7, 5, 4, 3, 2)]
     said = regressions(found, {"error": 1.5})
     assert [line.rpartition(" limit")[0].rpartition("(")[2].replace(")", "") for line in said] == (
         worst
     )
-    stepbench("compare", old, old.parent / "new", "--out", tmp_path / "pages")
-    page = Document((tmp_path / "pages" / "comparison.html").read_text())
-    ratios = [row["ratio"] + "," for row in page.rows("Relative errors that changed")]
-    assert ratios == worst
 
 
-def test_each_group_is_judged_worse_or_better_and_the_worst_is_named(old):
+def test_larger_and_smaller_errors_have_a_line_each(old):
     def edit(record):
         if record.integrator == "poor":
             record.errors["a"]["max"] *= 3 if record.h == STEPS[0] else 0.5
-            record.errors["x"]["max"] /= 10
-            record.errors["v"]["rms"] *= 99  # not the default norm
 
-    found = compare_folders(old, edited(old, "new", edit))
-    count = sum(found.judged.values())
-    assert found.judgement() == [
-        f"Error (largest over time), of {count} runs: a 1 worse, 5 better; x 6 better. "
-        "Worst: poor on spring_mass, h=0.1: error a max 0.3 -> 0.9 (x3)."
+    assert compare_folders(old, edited(old, "new", edit)).summary() == [
+        "poor on spring_mass: error (a) x3 in 1 run",
+        "poor on spring_mass: error (a) x0.5 in 5 runs",
     ]
-    assert "poor on spring_mass: error (a) x3 in 1 of 6 runs" in found.summary()
-    assert "poor on spring_mass: error (a) x0.5 in 5 of 6 runs" in found.summary()
-    back = compare_folders(old.parent / "new", old)
-    assert "a 5 worse, 1 better; x 6 worse. Worst: " in back.judgement()[0]
-    halved = compare_folders(
-        old, edited(old, "halved", lambda r: r.errors.get("a", {}).update(max=0.0))
-    )
-    assert halved.judgement()[0].endswith("a 36 better. Nothing is worse.")
 
 
 def test_an_error_that_is_no_number_any_more_is_beyond_every_limit(tmp_path, stepbench):
@@ -180,7 +165,7 @@ def test_a_count_that_one_of_the_two_lacks_is_said_and_no_regression(tmp_path):
     one, two = (planted("pendulum", "m", FREE, h=0.1) for _ in range(2))
     two.work["residuals"] = None
     found = compare_folders(plant(tmp_path / "1", [one], 0), plant(tmp_path / "2", [two], 0))
-    line = "m on pendulum: work (residuals) counted in one of the two in 1 of 1 runs"
+    line = "m on pendulum: work (residuals) counted in one of the two in 1 run"
     assert found.summary() == [line]
     assert regressions(found, {"work": 1.0}) == []
 
@@ -214,7 +199,7 @@ def test_slower_runs_fail_on_the_same_machine_only(old, stepbench):
     result = stepbench("compare", old, far, "--fail-on", "time:1.5")
     assert result.exit_code == 0, result.output
     assert "(cpu: Model 1 -> Model 2): times are not comparable" in result.output
-    assert "time x3 in 6 of 6 runs, not comparable" in result.output
+    assert "time x3 in 6 runs, not comparable" in result.output
 
 
 def test_other_versions_are_named(old):
@@ -234,16 +219,13 @@ def test_a_run_that_no_longer_reaches_the_end_is_a_regression(old, stepbench):
             record.status, record.message, record.run_s = "newton_failed", ATTACK, []
 
     new = edited(old, "new", fail)
-    (ending,) = compare_folders(old, new).endings
-    assert (ending.run.key, ending.before, ending.run.status) == (key, "ok", "newton_failed")
+    ((run, before),) = compare_folders(old, new).endings
+    assert (run.key, before, run.status) == (key, "ok", "newton_failed")
     assert compare_folders(old, new).changes == []
-    result = stepbench("compare", old, new, "--fail-on", "time:9", "--out", old.parent / "pages")
+    result = stepbench("compare", old, new, "--fail-on", "time:9")
     assert result.exit_code == 1
     assert "h=0.025: ok -> newton_failed: Newton stopped" in result.output
     assert stepbench("compare", new, old, "--fail-on", "time:9").exit_code == 0
-    page = (old.parent / "pages" / "comparison.html").read_text()
-    assert "<script>alert" not in page
-    assert Document(page).rows("Runs that end in another way")[0]["message"] == ATTACK
 
 
 def test_runs_that_come_and_go_are_told(tmp_path, stepbench, refused):
@@ -286,27 +268,19 @@ def test_scenes_over_several_intervals_are_told_apart(tmp_path):
 
     found = compare_folders(plant(tmp_path / "1", run(1)), plant(tmp_path / "2", run(3)))
     names = ["pendulum, t_end=1 s", "pendulum, t_end=5 s"]
-    assert found.summary() == [f"m on {name}: work (steps) x3 in 1 of 1 runs" for name in names]
+    assert found.summary() == [f"m on {name}: work (steps) x3 in 1 run" for name in names]
 
 
 # ---- refusals ---------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("eror:2", "did you mean 'error'"),
-        ("", "known: error, time, vanished, work"),
-        ("error", "not of the form error:ratio"),
-        ("error:much", "not of the form error:ratio"),
-        ("error:1.0001", "a ratio from 1.001 up"),
-        ("time:1.05", "a ratio from 1.1 up"),
-        ("work:nan", "a ratio from 1 up"),
-        ("work:inf", "a ratio from 1 up"),
-        ("work:2,work:3", "given twice"),
-        ("vanished:2", "takes no limit"),
-    ],
-)
-def test_limits_are_refused_in_one_sentence(old, refused, text, words):
-    assert words in refused("compare", old, old, "--fail-on", text)
+def test_limits_are_refused_in_one_sentence(old, refused):
+    for text, words in {
+        "eror:2": "did you mean 'error'", "": "known: error, time, vanished, work",
+        "error": "not of the form error:ratio", "error:much": "not of the form error:ratio",
+        "error:1.0001": "a ratio from 1.001 up", "time:1.05": "a ratio from 1.1 up",
+        "work:nan": "a ratio from 1 up", "work:inf": "a ratio from 1 up",
+        "work:2,work:3": "given twice", "vanished:2": "takes no limit",
+    }.items():  # fmt: skip
+        assert words in refused("compare", old, old, "--fail-on", text), text
 
 
 def test_a_folder_without_results_is_refused(old, stepbench, tmp_path):

@@ -9,10 +9,8 @@ import msgspec
 import pytest
 from planted import STEPS, edited, everything, plant
 
-from bench.results.compare import compare_folders
 from bench.results.store import Store
 from reports.pages.catalogue import write_catalogue
-from reports.pages.comparison import write_comparison
 from reports.pages.markdown_report import _FIGURES as FIGURES
 from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
@@ -97,18 +95,6 @@ def test_a_report_of_studies_without_titles_has_no_faults(folder, tmp_path):
 
 def test_a_report_of_nothing_has_no_faults(tmp_path):
     assert faults(write_markdown_report(plant(tmp_path, [], plan=False))) == []
-
-
-def test_a_comparison_has_no_faults(folder, tmp_path):
-    def edit(record):
-        record.work = {name: 2 * n for name, n in record.work.items() if n}
-        if record.integrator == "poor":
-            record.status, record.message = "newton_failed", "It | stopped *there*."
-
-    changed = compare_folders(folder, edited(folder, tmp_path / "twice", edit))
-    (path,) = [p for p in write_comparison(changed, ["A & B."], tmp_path) if p.suffix == ".md"]
-    assert faults(path) == []
-    assert missing(path) == []
 
 
 def test_the_catalogue_has_no_faults(folder, tmp_path):

@@ -52,8 +52,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.long
 def test_the_tutorial_leaves_what_it_promises(folder):
-    for page in ("first/report.html", "changes/comparison.md"):
-        assert (folder / page).stat().st_size > 0
+    assert (folder / "first" / "report.html").stat().st_size > 0
     assert (folder / "cost.pdf").read_bytes().startswith(b"%PDF")
     assert (folder / "acceleration.png").read_bytes().startswith(b"\x89PNG")
     for name in ("orders.svg", "steps.svg"):

@@ -162,16 +162,8 @@ def _limits(
     "error:1.1,work:1.05,time:1.5, or a run no longer reaches the end; with 'vanished', also if "
     "NEW lacks a run.",
 )
-@click.option(
-    "--out",
-    "-o",
-    type=PathName("folder"),
-    help="Folder for comparison.html and comparison.md; no pages if not given.",
-)
 @options.with_as_json
-def compare(
-    old: Path, new: Path, limits: dict[str, float], out: Path | None, as_json: bool
-) -> None:
+def compare(old: Path, new: Path, limits: dict[str, float], as_json: bool) -> None:
     """Compare the results in OLD and NEW, run by run.
 
     Errors and counts are compared as they are, times where the interval of the quotient of the
@@ -180,7 +172,7 @@ def compare(
 
     \b
     Examples:
-      stepbench compare before after --out comparison
+      stepbench compare before after
       stepbench compare before after --fail-on error:1.1,work:1.05,time:1.5
       stepbench compare before after --json > changes.json
     """
@@ -195,9 +187,6 @@ def compare(
     else:
         for line in [*comparison.state(), *comparison.summary()]:
             say(line)
-    if out:
-        for page in view("comparison")(comparison, worse, out):
-            click.echo(f"Comparison: {page}", err=as_json)
     if worse:
         more = f"\n... and {len(worse) - _NAMED} more" if len(worse) > _NAMED else ""
         named = "\n".join(worse[:_NAMED])
@@ -217,15 +206,12 @@ def merge_(folders: tuple[Path, ...], out: Path) -> None:
     Examples:
       stepbench merge laptop-results cluster-results --out all-results
     """
-    merged = merge(folders, out)
+    records, environments = merge(folders, out)
     options.tell_set_aside(*folders)
     click.echo(
-        f"{merged.records} records of {merged.stores} folders, measured in {merged.environments} "
-        f"environments, are in {out}."
+        f"{records} records of {len(folders)} folders, measured in {environments} environments, "
+        f"are in {out}. For the pages: stepbench report {out}"
     )
-    for folder, count in merged.twice.items():
-        click.echo(f"{count} of them were there several times; kept is what {folder} measured.")
-    click.echo(f"For the pages: stepbench report {out}")
 
 
 @click.command("versus")

@@ -5,17 +5,23 @@ from __future__ import annotations
 import datetime
 import os
 import tempfile
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 
 from bench.results.drift import LongRun
 from bench.results.experiments import ExperimentResult
-from bench.results.records import INTERRUPTED, Damping, Plan, Record, SceneRecord, Study
+from bench.results.records import (
+    INTERRUPTED,
+    Damping,
+    Environment,
+    Plan,
+    Record,
+    SceneRecord,
+    Study,
+)
 from bench.results.store import FILE, Store
 from problems.spec import SpecError
 
@@ -23,43 +29,17 @@ from problems.spec import SpecError
 _LONG_AGO = datetime.datetime.min.replace(tzinfo=datetime.UTC)
 
 
-class _Source:
-    """A store with all that it holds but the sampled values, which are copied one by one."""
-
-    def __init__(self, store: Store) -> None:
-        self.store, self.plan = store, store.plan()
-        self.environments, self.records = store.environments(), store.records()
-        self.measured = max(map(self._date, self.records.values()), default=_LONG_AGO)
-
-    def worth(self, record: Record) -> tuple[bool, datetime.datetime]:
-        """Return whether a record has a verdict, and when it was measured (or long ago)."""
-        return record.status != INTERRUPTED, self._date(record)
-
-    def _date(self, record: Record) -> datetime.datetime:
-        environment = self.environments.get(record.environment)
-        try:
-            date = datetime.datetime.fromisoformat(environment.date if environment else "")
-        except ValueError:
-            return _LONG_AGO
-        return date if date.tzinfo else date.replace(tzinfo=datetime.UTC)
-
-
-@dataclass
-class Merged:
-    """Counts of a union; ``twice`` counts, by folder, the kept records of cells that came twice."""
-
-    records: int
-    stores: int
-    environments: int
-    twice: dict[Path, int]
-
-
-def merge(folders: Sequence[Path], out: Path) -> Merged:
+def merge(folders: Sequence[Path], out: Path) -> tuple[int, int]:
     """Put the stores of the folders into a new one.
 
     Of a cell that several stores hold, the record that was measured last is kept, of those
     measured at one time the one of the folder named last. Scenes follow the same rule, by the
     last measurement of their store.
+
+    Returns
+    -------
+    tuple
+        Numbers of records and of environments.
 
     Raises
     ------
@@ -72,51 +52,45 @@ def merge(folders: Sequence[Path], out: Path) -> Merged:
         raise SpecError("To merge takes two folders or more; name them before --out.")
     if (out / FILE).exists():
         raise SpecError(f"{out} holds results already; name a new folder with --out.")
-    kept: dict[str, _Source] = {}
-    twice: dict[str, None] = {}
     with ExitStack() as opened:
-        sources = [_Source(opened.enter_context(Store(folder))) for folder in folders]
-        for source in sources:
-            for key, record in source.records.items():
-                other = kept.get(key)
-                if other is not None:
-                    twice[key] = None
-                    if source.worth(record) < other.worth(other.records[key]):
-                        continue
-                kept[key] = source
+        stores = [opened.enter_context(Store(folder)) for folder in folders]
+        machines = [store.environments() for store in stores]
+        records = [
+            (_worth(record, own), k, record)
+            for k, (store, own) in enumerate(zip(stores, machines, strict=True))
+            for record in store.records().values()
+        ]
         out.mkdir(parents=True, exist_ok=True)
         # Only a store that is whole takes its place.
         with tempfile.TemporaryDirectory(dir=out, prefix="merging-") as scratch:
-            count = _write(sources, kept, Path(scratch))
-            os.replace(Path(scratch) / FILE, out / FILE)
-    return Merged(
-        records=len(kept),
-        stores=len(sources),
-        environments=count,
-        twice=Counter(kept[key].store.folder for key in twice),
-    )
-
-
-def _write(sources: Sequence[_Source], kept: dict[str, _Source], folder: Path) -> int:
-    """Write the new store; returns the number of its environments."""
-    numbers: dict[bytes, int] = {}
-    with Store(folder, create=True) as store:
-        if plans := [source.plan for source in sources if source.plan]:
-            store.keep(_united(plans))
-        for source in sorted(sources, key=lambda source: source.measured):
-            store.take(source.store, (SceneRecord, LongRun, ExperimentResult, Damping))
-        for source in sources:
-            own = {}
-            for number, environment in source.environments.items():
+            with Store(Path(scratch), create=True) as new:
+                if plans := [plan for store in stores if (plan := store.plan())]:
+                    new.keep(_united(plans))
+                last = [max((w for w, j, _ in records if j == k), default=(False, _LONG_AGO))
+                        for k in range(len(stores))]  # fmt: skip
+                for k in sorted(range(len(stores)), key=lambda k: last[k]):
+                    new.take(stores[k], (SceneRecord, LongRun, ExperimentResult, Damping))
                 # A store may hold what it was merged from, or be a copy: one invocation is one.
-                same = msgspec.json.encode(environment)
-                if same not in numbers:
-                    numbers[same] = store.save_environment(environment)
-                own[number] = numbers[same]
-            for key, record in source.records.items():
-                if kept[key] is source:
-                    _copy(record, own, source.store, store)
-    return len(numbers)
+                known = {msgspec.json.encode(e): e for own in machines for e in own.values()}
+                number = {key: new.save_environment(e) for key, e in known.items()}
+                numbers = [
+                    {n: number[msgspec.json.encode(e)] for n, e in own.items()} for own in machines
+                ]
+                for _, k, record in sorted(records, key=lambda entry: entry[:2]):
+                    _copy(record, numbers[k], stores[k], new)
+                count = len(new.records()), len(number)
+            os.replace(Path(scratch) / FILE, out / FILE)
+    return count
+
+
+def _worth(record: Record, machines: Mapping[int, Environment]) -> tuple[bool, datetime.datetime]:
+    """Whether a record has a verdict, and when it was measured (or long ago)."""
+    machine = machines.get(record.environment)
+    try:
+        date = datetime.datetime.fromisoformat(machine.date if machine else "")
+    except ValueError:
+        date = _LONG_AGO
+    return record.status != INTERRUPTED, date if date.tzinfo else date.replace(tzinfo=datetime.UTC)
 
 
 def _copy(record: Record, numbers: Mapping[int, int], origin: Store, store: Store) -> None:
@@ -135,11 +109,10 @@ def _united(plans: Sequence[Plan]) -> Plan:
         about = msgspec.json.encode(msgspec.structs.replace(study, cells=[]))
         cells = [*(studies[about].cells if about in studies else []), *study.cells]
         studies[about] = msgspec.structs.replace(study, cells=list(dict.fromkeys(cells)))
+    titles = dict.fromkeys(plan.title for plan in plans)
     return Plan(
         name=" + ".join(dict.fromkeys(plan.name for plan in plans)),
-        title=" + ".join(dict.fromkeys(plan.title for plan in plans))
-        if all(plan.title for plan in plans)
-        else "",
+        title=" + ".join(titles) if all(titles) else "",
         samples=max(plan.samples for plan in plans),
         budget_s=max(plan.budget_s for plan in plans),
         studies=list(studies.values()),

@@ -24,7 +24,6 @@ from reports.text.mathml import equations, unknowns
 #: Pages beside a report that commands write into its folder, with their titles in the contents.
 _BESIDE = {
     "catalogue.html": "Catalogue of scenes",
-    "comparison.html": "Comparison",
     "map.html": "Map of outcomes",
     "stability.html": "Stability",
 }
