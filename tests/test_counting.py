@@ -1,20 +1,14 @@
-"""Counting inside compiled code: exact, also in programs out of a cache."""
+"""Counting inside compiled code: exact, whatever a compiler merges or drops."""
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 
-from integrators.adapters import counting
 from integrators.adapters.counting import Counts, run_counted, watch
-from integrators.lowering import native
 from problems import jax, jnp
 
 
@@ -73,67 +67,3 @@ def test_ctrl_c_ends_the_wait_and_leaves_no_count_behind():
     with pytest.raises(KeyboardInterrupt):
         run_counted(interrupt)
     assert run_counted(program)[1] == Counts(1000, 0)
-
-
-# ---- functions that XLA may refuse -----------------------------------------------------
-def refuse(*_: object, **__: object) -> None:
-    raise RuntimeError("too old")
-
-
-@pytest.mark.parametrize(
-    ("of", "name", "other", "reason"),
-    [
-        (counting, "interface_version", lambda: (1, 0), "structures of its interface are new"),
-        (jax.ffi, "register_ffi_target", refuse, "too old"),
-        (counting, "_count", lambda name: None, "evaluations=0"),
-    ],
-)
-def test_where_xla_calls_no_functions_of_ours_there_are_no_counts(
-    monkeypatch, of, name, other, reason
-):
-    monkeypatch.setattr(of, name, other)
-    counting._check_counting.cache_clear()
-    with pytest.raises(RuntimeError, match=f"no way to count .*{reason}"):
-        run_counted(lambda: 1.0)
-
-
-def test_no_compiler_is_needed(monkeypatch):
-    monkeypatch.setattr(native, "_COMPILER", "no-such-compiler")
-    assert run_counted(evaluations(4))[1] == Counts(4, 0)
-
-
-# ---- the cache -------------------------------------------------------------------------
-MEASURE = """
-import json
-from probe import Probe
-from integrators import Tolerances
-from integrators.adapters.diffrax_methods import Kvaerno5
-from problems import jax
-
-missed = []
-jax.monitoring.register_event_listener(lambda event, **_: missed.append(event))
-work = Kvaerno5().prepare(Probe(), 1.0, Tolerances(1e-5)).measure().work
-print(json.dumps([work.jacobians, missed.count("/jax/compilation_cache/cache_misses")]))
-"""
-
-
-@pytest.mark.long
-def test_a_counted_solve_comes_out_of_the_cache_in_the_next_process_and_counts(tmp_path):
-    tests = Path(__file__).parent
-    places = {
-        "JAX_COMPILATION_CACHE_DIR": str(tmp_path),
-        "PYTHONPATH": os.pathsep.join([str(tests), str(tests.parent)]),
-    }
-
-    def measure() -> tuple[int, int, set[str]]:
-        """Linearisations, programs that were not in the cache, and those that now are."""
-        run = subprocess.run(
-            [sys.executable, "-c", MEASURE], env=os.environ | places, capture_output=True, text=True
-        )
-        assert run.returncode == 0, run.stderr
-        return *json.loads(run.stdout), {p.name for p in tmp_path.glob("jit_*-cache")}
-
-    linearisations, missed, programs = measure()
-    assert linearisations > 0
-    assert missed == len(programs) > 2  # the timed solve and the counted one among them
-    assert measure() == (linearisations, 0, programs)

@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.conformance.trials import TRIAL_STEPS
 from bench.conformance.verdicts import Failed
-from integrators.adapters.counting import run_counted, watch_block
+from integrators.adapters.counting import run_counted, watch
 from integrators.contract import Integrator
 from integrators.native.linear_solvers import DenseSolver
 from integrators.native.step_method import NativeMethod
@@ -70,9 +70,8 @@ def audited(method: NativeMethod, scene: MechatronicSystem) -> tuple[int, int]:
         return jax.lax.fori_loop(0, count, step, (state, jnp.asarray(0)))[1]
 
     none, all_steps = jnp.asarray(0), jnp.asarray(TRIAL_STEPS)
-    compiled = run.lower(none).compile()  # not by the thread that counts, which it asks for
-    _, before = run_counted(compiled, none)
-    declared, counts = run_counted(compiled, all_steps)
+    _, before = run_counted(run, none)
+    declared, counts = run_counted(run, all_steps)
     return int(np.asarray(declared)), sum(counts) - sum(before)
 
 
@@ -81,6 +80,6 @@ def _watched(cls: type[MechatronicSystem]) -> type[MechatronicSystem]:
     """The class with a force that is counted; every evaluation of the equations takes it once."""
 
     def force(self: Any, q: Any, v: Any, t: Any) -> Any:
-        return watch_block(lambda q, v, t: cls.force(self, q, v, t))(q, v, jnp.asarray(t))
+        return watch(lambda q, v, t: cls.force(self, q, v, t))(q, v, jnp.asarray(t))
 
     return type(f"Watched{cls.__name__}", (cls,), {"force": force})
