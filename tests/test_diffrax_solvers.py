@@ -11,7 +11,6 @@ from probe import Probe, worst
 
 from integrators import Steps, Tolerances, Trajectory
 from integrators.adapters.counting import run_counted
-from integrators.adapters.diffrax_constant import DiffraxStepMethod
 from integrators.adapters.diffrax_methods import (
     DiffraxSolver,
     Dopri8,
@@ -23,12 +22,11 @@ from integrators.adapters.diffrax_methods import (
     Kvaerno4,
     Kvaerno5,
 )
-from integrators.adapters.diffrax_runs import adaptive_programs
+from integrators.adapters.diffrax_runs import DiffraxStepMethod, adaptive_programs
 from problems import MechatronicSystem, jnp
 from problems.scenes.chaplygin_sleigh import ChaplyginSleigh
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
-from problems.spec import SpecError, build
 
 IMPLICIT = (ImplicitEuler, Kvaerno3, Kvaerno4, Kvaerno5, KenCarp3, KenCarp4, KenCarp5)
 
@@ -151,7 +149,7 @@ def test_other_steps_patterns_and_parameters_compile_nothing_new():
         scene = replace(scene, length=length)
         assert method.prepare(scene, 1.35, resolution).measure().status == "ok"
     for counted in (False, True):
-        stepped = DiffraxStepMethod(method.scheme(scene), scene, counted)
+        stepped = DiffraxStepMethod(method.scheme(scene), scene, counted=counted)
         assert stepped.prepare(scene, 1.35, Steps(0.1)).kernel.run._cache_size() == 1
 
 
@@ -187,7 +185,7 @@ def test_another_end_and_other_parameters_are_taken_without_compiling_again():
     trajectory = run(method, scene, 1e-9, 0.8)
     assert trajectory.t[-1] == 0.8
     assert worst(trajectory, scene, "q") < 1e-7
-    programs = adaptive_programs(method.scheme(scene), scene.template(), method.max_steps)
+    programs = adaptive_programs(method.scheme(scene), method.max_steps)
     assert [program._cache_size() for program in programs] == [1, 1]
 
 
@@ -232,19 +230,6 @@ def test_at_constant_steps_the_stages_are_counted_to_the_last():
     assert explicit.jacobians == explicit.newton == explicit.solves == 0
     # However many passes the rows of a long run take.
     assert at_constant_steps(Dopri8(), Probe(), 2 / 3000).work.residuals == 13 * 3000 + 1
-
-
-@pytest.mark.long
-def test_the_librarys_own_root_finder_linearises_twice_a_step_and_rejects_in_masses():
-    # Once for the explicit stage, whose Jacobian is the identity, once for the others.
-    default, fair = (
-        run(Kvaerno5(root_finder=choice), Probe(c=1.0), 1e-8).work
-        for choice in ("library_default", "fair")
-    )
-    assert default.jacobians == 2 * (default.steps + default.rejected)
-    assert default.residuals > default.jacobians
-    assert default.newton is default.solves is None
-    assert default.rejected > 10 * fair.rejected
 
 
 def test_the_counted_run_is_the_timed_run():
@@ -319,24 +304,10 @@ def test_implicit_euler_ends_where_newton_fails_instead_of_taking_a_smaller_step
 
 
 # ---- options ---------------------------------------------------------------------------
-def test_an_explicit_method_shows_and_takes_no_root_finder():
+def test_printed_names_hold_what_was_changed():
     assert Dopri8(steps="constant").spec == "dopri8[steps=constant]"
-    with pytest.raises(SpecError, match="root_finder"):
-        build(Dopri8, {"root_finder": "fair"}, "dopri8")
-
-
-def test_the_librarys_root_finder_is_refused_at_constant_steps_where_there_is_none():
-    method = build(KenCarp5, {"root_finder": "library_default", "steps": "constant"}, "kencarp5")
-    assert method.spec == "kencarp5[root_finder=library_default,steps=constant]"
-    assert "use root_finder=fair" in method.supports(Pendulum())
-    assert replace(method, steps="adaptive").supports(Pendulum()) is None
-    assert replace(method, steps="adaptive").at_constant_steps() is None
-
-
-def test_the_fair_root_finder_needs_no_mention_and_the_other_does():
-    assert Kvaerno5().spec == "kvaerno5"
     assert KenCarp4(max_steps=9).spec == "kencarp4[max_steps=9]"
-    assert "root_finder=library_default" in KenCarp4(root_finder="library_default").spec
+    assert Kvaerno5().spec == "kvaerno5"
 
 
 def test_constant_steps_take_what_adaptive_ones_take():

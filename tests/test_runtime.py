@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import sys
 
@@ -14,8 +13,7 @@ from helpers import long
 
 from bench.running.progress import Progress
 from integrators import Integrator, Steps, Tolerances
-from integrators.adapters import diffrax_runs, packed_functions
-from integrators.adapters.diffrax_methods import ImplicitEuler
+from integrators.adapters import packed_functions
 from integrators.adapters.packed_functions import PackedFunction
 from integrators.adapters.scipy_ode import BDF
 from integrators.contract import Trajectory
@@ -90,10 +88,7 @@ def solved(method: Integrator, resolution: Steps | Tolerances) -> Trajectory:
 @pytest.fixture
 def _forgotten():
     """Nothing that was tried out is remembered, before and after."""
-    tried = (
-        *(runtime.slower, packed_functions.memory_is_shared, klu.works, sparsity._asdex),
-        *(diffrax_runs._traced_once, diffrax_runs.adaptive_programs),
-    )
+    tried = runtime.slower, packed_functions.memory_is_shared, klu.works, sparsity._asdex
     for remembered in tried:
         remembered.cache_clear()
     yield
@@ -185,17 +180,3 @@ def test_without_what_sparse_tangents_need_large_scenes_are_dense(
     monkeypatch.setattr(sparsity, "DENSE_LIMIT", 0)
     assert solved(GeneralizedAlpha(), Steps(0.05)).status == "ok"
     assert f"Large scenes run slowly: {library}" in caplog.text
-
-
-@pytest.mark.long
-@pytest.mark.usefixtures("_forgotten")
-def test_a_solver_of_diffrax_that_takes_no_step_of_ours_keeps_its_own(monkeypatch, caplog):
-    def sealed(kind, *new):
-        if new:
-            raise TypeError("sealed")
-        return type(kind)
-
-    monkeypatch.setattr(diffrax_runs, "type", sealed, raising=False)
-    assert solved(ImplicitEuler(), Tolerances(1e-2)).status == "ok"
-    assert "they take no step of ours (sealed)" in caplog.text
-    assert logging.getLogger("problems.runtime").isEnabledFor(logging.WARNING)

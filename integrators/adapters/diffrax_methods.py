@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from integrators.adapters.diffrax_constant import DiffraxConstantRun, DiffraxStepMethod
-from integrators.adapters.diffrax_runs import DiffraxAdaptiveRun, DiffraxScheme
+from integrators.adapters.diffrax_runs import (
+    DiffraxAdaptiveRun,
+    DiffraxConstantRun,
+    DiffraxScheme,
+    DiffraxStepMethod,
+)
 from integrators.adapters.ode import ODEMethod
 from integrators.contract import Integrator, PreparedRun, option
 from integrators.native.step_method import NativeMethod
@@ -44,10 +48,9 @@ class DiffraxSolver(ODEMethod):
     calls: ClassVar[str] = "its loop is compiled, and calls a library for every matrix"
     #: Name of the solver's class in diffrax.
     library_class: ClassVar[str]
-    #: Whether the solver takes an explicit and an implicit right-hand side.
+    #: Whether its stages take Newton's method, and whether it splits the right-hand side.
+    implicit: ClassVar[bool] = False
     splits: ClassVar[bool] = False
-    #: An option of implicit methods; annotated here, it is the first option in printed names.
-    root_finder: ClassVar[str] = "none"
 
     steps: str = option(
         "adaptive",
@@ -66,46 +69,40 @@ class DiffraxSolver(ODEMethod):
         return replace(self, steps="constant")
 
     def step_method(self, scene: MechatronicSystem) -> NativeMethod | None:
-        if self.controls != "step":
-            return None
-        return DiffraxStepMethod(self.scheme(scene), scene, baumgarte=self.baumgarte(scene))
+        return self._on(scene) if self.controls == "step" else None
 
     def scheme(self, scene: MechatronicSystem) -> DiffraxScheme:
         """The solver as runs on a scene need it."""
-        projects = self.projects(scene)
-        return DiffraxScheme(self.library_class, self.splits, self.root_finder, projects)
+        return DiffraxScheme(
+            self.library_class,
+            self.implicit,
+            self.splits,
+            scene.template(),
+            self.projects(scene),
+            self.baumgarte(scene) is not None,
+        )
 
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Any) -> PreparedRun:
-        scheme, baumgarte = self.scheme(scene), self.baumgarte(scene)
-        if self.steps == "constant":
-            return DiffraxConstantRun(scheme, scene, t_end, resolution, baumgarte)
-        return DiffraxAdaptiveRun(scheme, self.max_steps, scene, t_end, resolution, baumgarte)
+        method = self._on(scene)
+        if self.controls == "step":
+            return DiffraxConstantRun(method, t_end, resolution)
+        return DiffraxAdaptiveRun(method, t_end, resolution, self.max_steps)
+
+    def _on(self, scene: MechatronicSystem) -> DiffraxStepMethod:
+        return DiffraxStepMethod(self.scheme(scene), scene, self.baumgarte(scene))
 
 
 @dataclass(frozen=True)
 class ImplicitDiffraxSolver(DiffraxSolver):
     """Base of the implicit diffrax methods.
 
-    ``root_finder=fair`` is Newton's method at the tolerances of the step-size control, or at
-    constant steps until the remainder is round-off. diffrax's own default takes "not yet
-    converged" for "diverged" (0.7.2) and can reject steps in masses: on the pendulum at rtol 1e-6
-    KenCarp3 uses up 65,536 steps with it, and 224 with Newton's method. At constant steps diffrax
-    has no default.
+    Their root finder is Newton's method, at the tolerances of the step-size control, or at constant
+    steps until the remainder is round-off. diffrax's own default takes "not yet converged" for
+    "diverged" (0.7.2) and can reject steps in masses: on the pendulum at rtol 1e-6 KenCarp3 uses up
+    65,536 steps with it, and 224 with Newton's method.
     """
 
-    root_finder: str = option(  # pyright: ignore[reportIncompatibleVariableOverride]
-        "fair",
-        "fair: Newton at the step control's tolerances; library_default: what diffrax takes",
-        choices=("fair", "library_default"),
-    )
-
-    def at_constant_steps(self) -> Integrator | None:
-        return super().at_constant_steps() if self.root_finder == "fair" else None
-
-    def supports(self, scene: MechatronicSystem) -> str | None:
-        if self.steps == "constant" and self.root_finder == "library_default":
-            return "diffrax has no default root finder at constant steps; use root_finder=fair."
-        return super().supports(scene)
+    implicit = True
 
 
 @dataclass(frozen=True)
@@ -113,8 +110,7 @@ class ImplicitEuler(ImplicitDiffraxSolver):
     """The implicit Euler method: L-stable, one stage, the floor under all the others.
 
     A step whose Newton iteration fails ends the run: diffrax 0.7.2 does not repeat it with a
-    smaller one as it does for its other implicit methods. Its default root finder is another
-    one, too: a chord method, which waits until it has converged.
+    smaller one as it does for its other implicit methods.
     """
 
     library_class = "ImplicitEuler"

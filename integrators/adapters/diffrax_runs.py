@@ -1,64 +1,72 @@
-"""Runs of diffrax's solvers, at adaptive steps in diffrax's own loop and step-size control."""
+"""Runs of diffrax's solvers: adaptive steps in diffrax's loop, constant ones in our time loop."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from integrators.adapters.counting import Counts, run_counted, watch
-from integrators.adapters.ode import packed_columns, packed_projection, packed_rate
+from integrators.adapters.counting import run_counted, watch
+from integrators.adapters.ode import (
+    packed_columns,
+    packed_parameters,
+    packed_projection,
+    packed_rate,
+)
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
 from integrators.adapters.vector_work import EXPLICIT, IMPLICIT
-from integrators.contract import PreparedRun, Trajectory, Work
+from integrators.contract import WIDER, PreparedRun, Trajectory, Work
 from integrators.kept_rows import kept_rows
+from integrators.native.step_functions import StepFunctions
+from integrators.native.step_method import NativeMethod
+from integrators.native.step_records import Reading
 from integrators.program_costs import OWN, Cost, bill, dense, of_calls
-from integrators.resolutions import Tolerances
+from integrators.resolutions import Steps, Tolerances
 from problems.compiled import compiled
-from problems.formulations import Baumgarte, ode_rate
+from problems.formulations import Baumgarte, Start
 from problems.initial_values import consistent_start
 from problems.layouts import state_layout
-from problems.projections import projected_state
-from problems.runtime import jax, jnp, slower
+from problems.runtime import jax, jnp
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
     import diffrax
 
+    from integrators.native.step_records import Time
+    from integrators.native.step_work import StepWork
 
-class RateNumbers(NamedTuple):
-    """Numbers for a right-hand side: parameters of the scene, and rates of Baumgarte's term."""
-
-    parameters: dict[str, Any]
-    baumgarte: Baumgarte | None
-
-
-def with_parameters(numbers: RateNumbers, parameters: dict[str, Any]) -> RateNumbers:
-    """The same numbers with other parameters of the scene."""
-    return numbers._replace(parameters=parameters)
+#: Newton's tolerance at constant steps, relative to the size of states and rates. Every iteration
+#: linearises again, so that the remaining error is of the size of the last update's square.
+_NEWTON_TOLERANCE = 1e-9
 
 
-def right_hand_side(template: MechatronicSystem) -> Callable:
-    """The ODE form of a scene as a compiled function of (t, s, numbers)."""
-    return jax.jit(
-        lambda t, s, p: ode_rate(template.with_parameters(p.parameters), t, s, p.baumgarte)
-    )
+@dataclass(frozen=True)
+class DiffraxScheme:
+    """A solver of diffrax on scenes of one kind: the key under which compiled programs are kept.
 
+    Attributes
+    ----------
+    library_class
+        Name of the solver's class in diffrax.
+    implicit
+        Whether its stages take Newton's method.
+    splits
+        Whether it takes an explicit and an implicit right-hand side.
+    projects, baumgarte
+        Whether each step ends by a projection onto the constraints, and whether Baumgarte's term
+        is in the equations.
+    """
 
-class DiffraxScheme(NamedTuple):
-    """A diffrax solver with its options: the key under which compiled programs are kept."""
-
-    #: Name of the solver's class in diffrax.
     library_class: str
-    #: Whether the solver takes an explicit and an implicit right-hand side.
+    implicit: bool
     splits: bool
-    #: "none" (an explicit method), "fair" or "library_default".
-    root_finder: str
-    #: Whether each step ends by a projection onto the constraints.
-    projects: bool = False
+    template: MechatronicSystem
+    projects: bool
+    baumgarte: bool
 
     @property
     def stages(self) -> int:
@@ -68,77 +76,77 @@ class DiffraxScheme(NamedTuple):
         found = getattr(getattr(diffrax, self.library_class), "tableau", None)
         return getattr(found, "tableaus", (found,))[0].num_stages if found else 1
 
-    def solver(self, template: MechatronicSystem, **options: Any) -> diffrax.AbstractSolver:
-        """Make the solver; ``options`` holds a root finder, or nothing for diffrax's default."""
+    def rate(self, t: Any, s: Any, p: Any) -> Any:
+        """The right-hand side; p as `packed_parameters` gives it."""
+        return packed_rate(self.template, self.baumgarte).function(p, t, s)
+
+    def solver(self, root_finder: Any) -> diffrax.AbstractSolver:
+        """Make the solver; explicit ones take no root finder."""
         import diffrax
 
         kind = getattr(diffrax, self.library_class)
-        return (projecting(kind, template) if self.projects else kind)(**options)
-
-    def terms(self, rate: Callable) -> diffrax.AbstractTerm:
-        """Make the right-hand side as the solver takes it from a function of (t, s, p)."""
-        import diffrax
-
-        if not self.splits:
-            return diffrax.ODETerm(rate)
-        nothing = diffrax.ODETerm(lambda t, s, p: jnp.zeros_like(s))
-        return diffrax.MultiTerm(nothing, diffrax.ODETerm(rate))
-
-
-def _with_step(kind: type, step: Callable) -> type:
-    """The same kind of solver with another step."""
-    return type(kind.__name__, (kind,), {"step": step, "__module__": kind.__module__})
+        kind = _projecting(kind, self.template) if self.projects else kind
+        return kind(root_finder=root_finder) if self.implicit else kind()
 
 
 @cache
-def projecting(kind: type, template: MechatronicSystem) -> type:
+def _terms(scheme: DiffraxScheme, counted: bool) -> diffrax.AbstractTerm:
+    """The right-hand side as a solver takes it; a counted one is for `run_counted`."""
+    import diffrax
+
+    rate = jax.jit(scheme.rate)
+    term = diffrax.ODETerm(watch(rate) if counted else rate)
+    if not scheme.splits:
+        return term
+    return diffrax.MultiTerm(diffrax.ODETerm(lambda t, s, p: jnp.zeros_like(s)), term)
+
+
+@cache
+def _projecting(kind: type, template: MechatronicSystem) -> type:
     """The same kind of solver, each step of which ends by a projection."""
+    project = packed_projection(template).function
 
     def step(self: Any, terms: Any, t0: Any, t1: Any, s: Any, p: Any, *more: Any, **named: Any):
         s, *others = kind.step(self, terms, t0, t1, s, p, *more, **named)  # type: ignore[attr-defined]
-        return projected_state(template.with_parameters(p.parameters), t1, s), *others
+        return project(p, t1, s), *others
 
-    return _with_step(kind, step)
+    return type(kind.__name__, (kind,), {"step": step, "__module__": kind.__module__})
 
 
 class DiffraxRun(PreparedRun):
     """A run of a diffrax solver on the explicit ODE."""
 
-    def __init__(
-        self,
-        scheme: DiffraxScheme,
-        scene: MechatronicSystem,
-        t_end: float,
-        baumgarte: Baumgarte | None,
-    ) -> None:
-        self._scheme, self._scene = scheme, scene
-        self._t_end, self._baumgarte = float(t_end), baumgarte
+    def __init__(self, scheme: DiffraxScheme, scene: MechatronicSystem, t_end: float) -> None:
+        self._scheme, self._scene, self._t_end = scheme, scene, float(t_end)
 
-    def work(self, counts: Counts, steps: int, rejected: int) -> Work:
-        """Return the work of a run from the counts of its right-hand side."""
-        evaluations, linearisations = counts
-        work = Work(steps, rejected, None, evaluations, linearisations, linearisations)
-        if self._scheme.root_finder != "library_default":
-            # Each iteration of Newton's method linearises once and gets the value on the way.
-            # diffrax's own root finder discards the value; its iterations cannot be told apart
-            # from explicit evaluations.
-            work.residuals = evaluations + linearisations
-            work.newton = work.solves = linearisations
-        return work
+    @abstractmethod
+    def _measured(self) -> tuple[Trajectory, tuple[int, int]]:
+        """Rows, status, and steps of a run, and evaluations and linearisations."""
+
+    def measure(self) -> Trajectory:
+        run, (evaluations, linearisations) = self._measured()
+        # Each iteration of Newton's method linearises once and gets the value on the way.
+        iterations = linearisations
+        work = replace(
+            run.work,
+            newton=iterations,
+            residuals=evaluations + linearisations,
+            jacobians=linearisations,
+            factorisations=iterations,
+            solves=iterations,
+        )
+        return replace(run, work=work)
 
     def bill(self, run: Trajectory) -> dict[str, float]:
-        if self._scheme.root_finder == "library_default":
-            return {}  # its solves are not counted
-        template, size = self._scene.template(), state_layout(self._scene.sizes).size
-        key, algebra = (template, self._baumgarte is not None), dense(size)
-        attempts = (run.work.steps or 0) + (run.work.rejected or 0)
-        iterations = run.work.newton or 0  # each with a Jacobian, which gives the value on the way
-        solver = EXPLICIT if self._scheme.root_finder == "none" else IMPLICIT
-        own = solver.operations(size, self._scheme.stages, attempts, iterations, iterations)
-        projections = attempts * self._scheme.projects
+        scheme, work, size = self._scheme, run.work, state_layout(self._scene.sizes).size
+        key, algebra = (scheme.template, scheme.baumgarte), dense(size)
+        attempts, iterations = (work.steps or 0) + (work.rejected or 0), work.newton or 0
+        solver = IMPLICIT if scheme.implicit else EXPLICIT
+        own = solver.operations(size, scheme.stages, attempts, iterations, iterations)
+        projections = packed_projection(scheme.template).costs if scheme.projects else []
         costs = [
-            *of_calls(packed_rate(*key).costs, (run.work.residuals or 0) - iterations),
-            *of_calls(packed_projection(template).costs if projections else [], projections),
+            *of_calls(packed_rate(*key).costs, (work.residuals or 0) - iterations),
+            *of_calls(projections, attempts),
             *of_calls(packed_columns(*key).costs, iterations, "Jacobians"),
             Cost("factorisations", operations=iterations * algebra.factorisation),
             Cost("solves", operations=iterations * algebra.solve),
@@ -149,78 +157,38 @@ class DiffraxRun(PreparedRun):
 
 # ---- adaptive steps --------------------------------------------------------------------
 @cache
-def _traced_once(kind: type) -> type:
-    """The same solver with a compiled step, so that JAX keeps its trace.
-
-    diffrax traces a step three times to find its constant results. The program stays the same.
-    """
-    import equinox
-
-    @equinox.filter_jit
-    def compiled_step(solver: Any, *arguments: Any) -> Any:
-        return kind.step(solver, *arguments)
-
-    def step(self: Any, *arguments: Any) -> Any:
-        return compiled_step(self, *arguments)
-
-    try:
-        return _with_step(kind, step)
-    except TypeError as error:
-        slower(f"diffrax's solvers take longer to compile: they take no step of ours ({error}).")
-        return kind
-
-
-@cache
-def adaptive_programs(
-    scheme: DiffraxScheme, template: MechatronicSystem, max_steps: int
-) -> tuple[Callable, Callable]:
+def adaptive_programs(scheme: DiffraxScheme, max_steps: int) -> tuple[Callable, Callable]:
     """Programs of (p, s0, t0, t_end, rtol, atol) that return t, s, step counts and the ending: one
     to be timed, and one that keeps all steps, for `run_counted`.
 
     The ending is whether the solve succeeded, and the number of diffrax's ``RESULTS``.
     """
+    import diffrax
+    import optimistix
 
-    def program(counts: bool) -> Callable:
-        import diffrax
-        import optimistix
+    solver = scheme.solver(diffrax.with_stepsize_controller_tols(optimistix.Newton)())
 
-        options = {}
-        if scheme.root_finder == "fair":
-            options["root_finder"] = diffrax.with_stepsize_controller_tols(optimistix.Newton)()
-        rate, solver = right_hand_side(template), scheme.solver(template, **options)
-        if scheme.root_finder != "none":  # results of an explicit step are constants, and stay so
-            solver = _traced_once(type(solver))(**options)
-        rate = watch(rate) if counts else rate
-        save = diffrax.SaveAt(steps=True) if counts else diffrax.SaveAt(t1=True)
+    def program(counted: bool) -> Callable:
+        save = diffrax.SaveAt(steps=True) if counted else diffrax.SaveAt(t1=True)
 
         def solve(p: Any, s0: Any, t0: Any, t_end: Any, rtol: Any, atol: Any) -> tuple:
             # A step near the rounding of time cannot help. Without this limit diffrax would
             # go on trying ever smaller ones until max_steps.
             smallest = 16 * np.finfo(float).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t_end))
+            control = diffrax.PIDController(rtol, atol, dtmin=smallest, force_dtmin=False)
             solution = diffrax.diffeqsolve(
-                scheme.terms(rate),
-                solver,
-                t0,
-                t_end,
-                None,
-                s0,
-                args=p,
-                stepsize_controller=diffrax.PIDController(
-                    rtol=rtol, atol=atol, dtmin=smallest, force_dtmin=False
-                ),
-                saveat=save,
-                max_steps=max_steps,
-                adjoint=diffrax.ForwardMode(),
-                throw=False,
-            )
+                _terms(scheme, counted), solver, t0, t_end, None, s0, p,
+                stepsize_controller=control, saveat=save, max_steps=max_steps,
+                adjoint=diffrax.ForwardMode(), throw=False,
+            )  # fmt: skip
             steps = tuple(solution.stats[f"num_{k}_steps"] for k in ("accepted", "rejected"))
             good = solution.result == diffrax.RESULTS.successful
             (number,) = jax.tree.leaves(solution.result)
             return solution.ts, solution.ys, steps, (good, number)
 
-        return solve
+        return jax.jit(solve)
 
-    return jax.jit(program(counts=False)), jax.jit(program(counts=True))
+    return program(counted=False), program(counted=True)
 
 
 class DiffraxAdaptiveRun(DiffraxRun):
@@ -228,21 +196,20 @@ class DiffraxAdaptiveRun(DiffraxRun):
 
     def __init__(
         self,
-        scheme: DiffraxScheme,
-        max_steps: int,
-        scene: MechatronicSystem,
+        method: DiffraxStepMethod,
         t_end: float,
         resolution: Tolerances,
-        baumgarte: Baumgarte | None = None,
+        max_steps: int,
     ) -> None:
-        super().__init__(scheme, scene, t_end, baumgarte)
+        scene = method.scene
+        super().__init__(method.scheme, scene, t_end)
         self._max_steps, self._t0 = max_steps, scene.interval[0]
-        self._timed, self._counted = adaptive_programs(scheme, scene.template(), max_steps)
+        self._timed, self._counted = adaptive_programs(method.scheme, max_steps)
         z = consistent_start(scene).z
         self._s0 = np.concatenate([z.q, z.v, z.x])
-        numbers = RateNumbers(scene.parameters(), baumgarte)
-        arguments = (numbers, self._s0, self._t0, self._t_end, resolution.rtol, resolution.atol)
-        self._arguments = jax.tree.map(jnp.asarray, arguments)
+        rtol, atol = resolution.rtol, resolution.atol
+        arguments = method.numbers(), self._s0, self._t0, self._t_end, rtol, atol
+        self._arguments = tuple(map(jnp.asarray, arguments))
         # A solve over no time compiles the program and costs nothing else.
         p, s0, t0, _, *tolerances = self._arguments
         jax.block_until_ready(self._timed(p, s0, t0, t0, *tolerances))
@@ -250,24 +217,22 @@ class DiffraxAdaptiveRun(DiffraxRun):
     def execute(self) -> Any:
         return jax.block_until_ready(self._timed(*self._arguments))
 
-    def measure(self) -> Trajectory:
+    def _measured(self) -> tuple[Trajectory, tuple[int, int]]:
         try:
             self.execute()  # the warm-up
             solution, counts = run_counted(self._counted, *self._arguments)
         except jax.errors.JaxRuntimeError as error:
             reason = str(error).splitlines()[0]
-            return Trajectory.failed("crashed", f"diffrax raised an error: {reason}")
+            return Trajectory.failed("crashed", f"diffrax raised an error: {reason}"), (0, 0)
         t, s, steps, (good, number) = solution
         accepted, rejected = map(int, steps)
         t = np.concatenate([[self._t0], np.asarray(t)[:accepted]])
         s = np.concatenate([self._s0[None], np.asarray(s)[:accepted]])
         status, message = self._outcome(good, number, t[-1], s[-1])
-        parts = (t - self._t0) / (self._t_end - self._t0)
-        keep = kept_rows(parts)
+        keep = kept_rows((t - self._t0) / (self._t_end - self._t0))
         q, v, x = state_layout(self._scene.sizes).split(s[keep])
-        trajectory = trajectory_from_states(self._scene, t[keep], q, v, x)
-        work = self.work(counts, accepted, rejected)
-        return replace(trajectory, status=status, message=message, work=work)
+        run = trajectory_from_states(self._scene, t[keep], q, v, x)
+        return replace(run, status=status, message=message, work=Work(accepted, rejected)), counts
 
     def _outcome(self, good: Any, number: Any, t: float, s: np.ndarray) -> tuple[str, str]:
         """Status and message; t and s are the last accepted time and state."""
@@ -288,10 +253,8 @@ class DiffraxAdaptiveRun(DiffraxRun):
             status, reason = "step_too_small", "the step size fell to the rounding of time"
             remedy = "use a larger rtol, or a smaller one if the solution changes abruptly here"
         else:
-            status = "newton_failed"
+            status, remedy = "newton_failed", "use another rtol"
             reason = " ".join(str(RESULTS[result]).split()) or "the root finder failed"
-            other = self._scheme.root_finder == "library_default"
-            remedy = f"use {'root_finder=fair or ' if other else ''}another rtol"
         return status, early_end_message(t, self._t_end, reason, remedy)
 
     def _defined_after(self, t: float, s: np.ndarray) -> bool:
@@ -301,3 +264,105 @@ class DiffraxAdaptiveRun(DiffraxRun):
         ahead = 1e-13 * max(abs(self._t0), abs(self._t_end))
         later = np.asarray(rate(p, t + ahead, s + ahead * here))
         return bool(np.isfinite([s, here, later]).all())
+
+
+# ---- constant steps --------------------------------------------------------------------
+class DiffraxState(NamedTuple):
+    """A state s = [q, v, x], the solver's own state, and Newton's absolute tolerance."""
+
+    s: Any
+    solver_state: Any
+    atol: Any
+
+
+@dataclass(frozen=True)
+class DiffraxStep(StepFunctions):
+    """The step of a diffrax solver on scenes of one kind; counted steps are for `run_counted`."""
+
+    scheme: DiffraxScheme
+    counted: bool
+    numbers: Any = None
+
+    def with_numbers(self, numbers: Any) -> DiffraxStep:
+        return replace(self, numbers=numbers)
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> DiffraxState:
+        z, p = start.z, self.numbers
+        s = jnp.concatenate([z.q, z.v, z.x])
+        size = jnp.max(jnp.abs(jnp.concatenate([s, z.a, start.xdot])))
+        # No iteration can get below the rounding of the rates, which in stiff scenes is large.
+        slopes = jnp.abs(jax.jacfwd(self.scheme.rate, argnums=1)(z.t, s, p))
+        rounding = np.finfo(float).eps * jnp.max(slopes @ (1 + jnp.abs(s)))
+        atol = _NEWTON_TOLERANCE * (1 + size) + 100 * rounding
+        terms = _terms(self.scheme, self.counted)
+        return DiffraxState(s, self._solver(atol).init(terms, z.t, z.t + h, s, p), atol)
+
+    def step(
+        self, scene: MechatronicSystem, state: DiffraxState, t: Time, h: Time, work: StepWork
+    ) -> DiffraxState:
+        from diffrax import RESULTS
+
+        s, _, _, solver_state, result = self._solver(state.atol).step(
+            _terms(self.scheme, self.counted), t - h, t, state.s, self.numbers,
+            state.solver_state, made_jump=False,
+        )  # fmt: skip
+        work.count(converged=result == RESULTS.successful)
+        return DiffraxState(s, solver_state, state.atol)
+
+    def read(self, scene: MechatronicSystem, state: DiffraxState) -> Reading:
+        # The equations give a, lam, y and xdot at the kept rows, outside of the timed part. Until
+        # then zeros stand for them, or NaN where the time loop has to see that a state is not
+        # finite.
+        q, v, x = state_layout(scene.sizes).split(state.s)
+        nothing = 0 * jnp.sum(state.s)
+        lam, y = (jnp.full(n, nothing) for n in (scene.sizes.nl, scene.sizes.ny))
+        return Reading(q, v, nothing + 0 * v, lam, x, 0 * x, y)
+
+    def _solver(self, atol: Any) -> Any:
+        from optimistix import Newton, max_norm
+
+        return self.scheme.solver(Newton(rtol=_NEWTON_TOLERANCE, atol=atol, norm=max_norm))
+
+
+@dataclass(frozen=True)
+class DiffraxStepMethod(NativeMethod):
+    """A diffrax method on one scene as our time loop takes it."""
+
+    formulation: ClassVar[str] = "ode"
+    states_only: ClassVar[bool] = True
+    takes: ClassVar[tuple[str, ...]] = tuple(WIDER)  # `DiffraxSolver` has refused others
+
+    scheme: DiffraxScheme
+    scene: MechatronicSystem
+    baumgarte: Baumgarte | None = None
+    counted: bool = False
+
+    def functions(self) -> StepFunctions:
+        return DiffraxStep(self.scheme, self.counted)
+
+    def numbers(self) -> np.ndarray:
+        return packed_parameters(self.scene, self.baumgarte)
+
+
+class DiffraxConstantRun(DiffraxRun):
+    """The solver's steps on the grid of our time loop: exact times, and any pattern.
+
+    Neither another number of steps nor another pattern compiles anything.
+    """
+
+    def __init__(self, method: DiffraxStepMethod, t_end: float, resolution: Steps) -> None:
+        super().__init__(method.scheme, method.scene, t_end)
+        self._method, self._resolution = method, resolution
+        self._timed = method.prepare(method.scene, t_end, resolution)
+
+    def execute(self) -> Any:
+        return self._timed.execute()
+
+    def _measured(self) -> tuple[Trajectory, tuple[int, int]]:
+        run = self._timed.measure()  # the warm-up, too
+        counted = replace(self._method, counted=True)
+        counted = counted.prepare(self._scene, self._t_end, self._resolution)
+        _, counts = run_counted(counted.execute)  # once: rows take more passes
+        completed = trajectory_from_states(self._scene, run.t, run.q, run.v, run.x)
+        work = Work(run.work.steps or 0, 0)
+        return replace(completed, status=run.status, message=run.message, work=work), counts

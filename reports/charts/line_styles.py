@@ -42,7 +42,6 @@ _STEPS = {
     ("multipliers_in_error_test", "True"): (5, 7),
     ("newton", "modified"): (0, 14),
     ("pattern", "0.3/0.7"): (7, 5),
-    ("root_finder", "library_default"): (7, 5),
     ("stages", "2"): (6, 0),
     ("start", "corrected"): (3, 15),
 }

@@ -82,7 +82,7 @@ def test_large_rates_of_baumgarte_are_stiff_to_an_explicit_method_and_small_ones
 @pytest.mark.long
 def test_other_rates_compile_nothing_new():
     method = Dopri8(constraints="baumgarte")
-    timed: Any = adaptive_programs(method.scheme(SCENE), SCENE.template(), method.max_steps)[0]
+    timed: Any = adaptive_programs(method.scheme(SCENE), method.max_steps)[0]
     compiled = set()
     for rate in (1.0, 2.0, 3.0):
         run(replace(method, alpha=rate), t_end=1.35)
