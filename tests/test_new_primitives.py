@@ -8,7 +8,6 @@ from hand_counts import operations
 
 from integrators.adapters.packed_functions import PackedFunction
 from integrators.lowering.operators import ELEMENTARY
-from integrators.native.discrete_gradients import discrete_gradient
 from integrators.native.equations import tangent_pattern
 from integrators.native.small_matrices import without_products
 from problems import jax, jnp
@@ -50,13 +49,6 @@ def test_it_is_counted():
 def test_its_dependence_is_found():
     entries = tangent_pattern(jax.make_jaxpr(function)(jnp.ones(3)), 3)
     assert entries.tolist() == [[True, True, False], [True, True, False], [False, False, True]]
-
-
-def test_it_has_a_discrete_gradient():
-    q0, q1 = jnp.array([0.3, -0.7]), jnp.array([0.5, 0.2])
-    gradient = discrete_gradient(lambda q: bell(q).sum(), q0, q1, jnp.ones(()))
-    change = float(bell(q1).sum() - bell(q0).sum())
-    assert float(gradient @ (q1 - q0)) == pytest.approx(change, rel=1e-14)
 
 
 def test_a_program_that_has_it_is_rewritten():

@@ -25,9 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from integrators.lowering.graph import NotLowered
-from integrators.lowering.programs import lowered
-from integrators.native.equations import bound, evaluated, split_arrays
+from integrators.native.equations import bound, evaluated
 from problems.runtime import Array, Float, jax, jnp
 
 Function = Callable[[Float[Array, " n"]], Float[Array, " m"]]
@@ -57,14 +55,14 @@ _LINEAR = (
     *("copy", "convert_element_type", "select_n"),
 )
 _BILINEAR = ("mul", "dot_general")
-#: Elementary functions whose derivatives grow somewhere, and the distance of x from there.
-_ELEMENTARY: dict[str, Callable[[Any], Any]] = {
-    **dict.fromkeys(("log", "pow"), lambda x: jnp.abs(x)),
-    **dict.fromkeys(("asin", "acos"), lambda x: 1 - jnp.abs(x)),
+#: Functions of each entry without a jump or a kink, and the distance of x from where their
+#: derivatives grow.
+_SMOOTH: dict[str, Callable[[Any], Any]] = {
+    **dict.fromkeys(("exp", "exp2", "expm1", "logistic", "erf"), lambda x: 1.0),
+    **dict.fromkeys(("sinh", "cosh", "tanh", "asinh", "atan"), lambda x: 1.0),
+    **dict.fromkeys(("log", "pow", "integer_pow", "rsqrt", "cbrt"), abs),
+    **dict.fromkeys(("asin", "acos", "atanh"), lambda x: 1 - abs(x)),
 }
-#: Operators without a jump, a kink or a pole near the real axis.
-_SMOOTH = {"add", "subtract", "multiply", "divide", "negate", "exponential", "sine", "cosine"}
-_SMOOTH |= {"exponential_minus_one", "sinh", "cosh", "tanh", "atan", "asinh"}
 #: Changes below this part of the distance are integrated: a secant would cancel digits.
 _CLOSE = 0.02
 
@@ -113,79 +111,41 @@ def _result(equation: Any, given: list) -> list:
 
 def _changes(equation: Any, given: list, start: list, end: list) -> list:
     """Changes of the results of an operation by those of its operands."""
-    name, params = equation.primitive.name, equation.params
-    x, others = given[0], given[1:]
-
-    def bind(*operands: Any) -> list:
-        return bound(equation, operands)
-
+    name, x, others = equation.primitive.name, given[0], given[1:]
     pairs = [isinstance(g, _Pair) for g in given]
-    if name in _LINEAR and all(_is_real(g) for g, pair in zip(given, pairs, strict=True) if pair):
-        return bind(*map(_change_of, given))
+    if name in _LINEAR and all(_is_real(g) for g in given if isinstance(g, _Pair)):
+        return bound(equation, [*map(_change_of, given)])
     if name in _BILINEAR:
         both = [(_change_of(x), _mean_of(others[0])), (_mean_of(x), _change_of(others[0]))]
-        return [sum(bind(*both[k])[0] for k in (0, 1) if pairs[k])]
+        return [sum(bound(equation, both[k])[0] for k in (0, 1) if pairs[k])]
     if name == "div" and not pairs[1]:
-        return bind(x.change, others[0])
+        return [x.change / others[0]]
     if name == "div":
         by = others[0]
         inverse = 1 / by.start, 1 / by.end
         of_inverse = -by.change * inverse[0] * inverse[1]
-        of_x = x.change * (inverse[0] + inverse[1]) / 2 if pairs[0] else 0.0
-        return [_mean_of(x) * of_inverse + of_x]
-    if name == "square":
+        return [_mean_of(x) * of_inverse + _change_of(x) * (inverse[0] + inverse[1]) / 2]
+    if name == "square" or (name == "integer_pow" and equation.params["y"] == 2):
         return [2 * x.mean * x.change]
-    if name == "integer_pow":
-        n = params["y"]
-        terms = (x.start**k * x.end ** (abs(n) - 1 - k) for k in range(abs(n)))
-        by = 1.0 if n > 0 else -((x.start * x.end) ** n)
-        return [by * sum(terms) * x.change]
     if name == "sqrt":
         return [x.change / (start[0] + end[0])]
-    if name == "rsqrt":
-        return [-x.change * (start[0] * end[0]) ** 2 / (start[0] + end[0])]
-    if name == "sin":
-        return [x.change * jnp.cos(x.mean) * _sinc((x.end - x.start) / 2, jnp.sin)]
-    if name == "cos":
-        return [-x.change * jnp.sin(x.mean) * _sinc((x.end - x.start) / 2, jnp.sin)]
-    if name == "exp":
-        return [x.change * jnp.exp(x.mean) * _sinc((x.end - x.start) / 2, jnp.sinh, -1.0)]
-    if sum(pairs) == 1 and len(end) == 1:
-        place = pairs.index(True)
-        if (name in _ELEMENTARY and place == 0) or _is_smooth(equation, given, place):
+    if name in ("sin", "cos"):
+        slope = jnp.cos(x.mean) if name == "sin" else -jnp.sin(x.mean)
+        return [x.change * slope * jnp.sinc((x.end - x.start) / (2 * jnp.pi))]
+    if name in _SMOOTH and pairs[0] and sum(pairs) == 1:
 
-            def function(x: Any) -> Any:
-                return bind(*given[:place], x, *given[place + 1 :])[0]
+        def function(at: Any) -> Any:
+            return bound(equation, [at, *others])[0]
 
-            pair = given[place]
-            return [pair.change * _secant(function, pair, _ELEMENTARY.get(name, jnp.ones_like))]
+        slope = (end[0] - start[0], x.end - x.start)
+        return [x.change * _secant(function, x, slope, _SMOOTH[name](x.mean))]
     raise NoDiscreteGradient(f"the operation {name!r}")
 
 
-def _is_smooth(equation: Any, given: list, place: int) -> bool:
-    """Whether an operation without a rule is a smooth function of each entry of an operand."""
-    avals = [atom.aval for atom in equation.invars]
-    shapes = [(aval.shape, aval.dtype) for aval in avals]
-    if equation.outvars[0].aval.shape != avals[place].shape or not _is_real(given[place]):
-        return False
-
-    def function(numbers: Array) -> Array:
-        return bound(equation, split_arrays(numbers, shapes))[0]
-
-    try:
-        graph, nodes = lowered(function, tuple(aval.size for aval in avals))
-        operators = {graph.nodes[node][0] for node in graph.needed(nodes.ravel().tolist())}
-    except NotLowered:
-        return False
-    entries = [graph.input(place, k) for k in range(avals[place].size)]
-    on = graph.origins(nodes.ravel().tolist(), entries)
-    return operators <= _SMOOTH and all(found <= {k} for k, found in enumerate(on))
-
-
-def _secant(function: Callable[[Any], Any], x: _Pair, distance: Callable[[Any], Any]) -> Any:
+def _secant(function: Callable[[Any], Any], x: _Pair, over: tuple, distance: Any) -> Any:
     """Slope between both points: of small changes the mean of the derivative, by Gauss's rule."""
-    change = x.end - x.start
-    close = jnp.abs(change) <= _CLOSE * distance(x.mean)
+    rise, change = over
+    close = jnp.abs(change) <= _CLOSE * distance
 
     def derivative(place: float) -> Any:
         at = x.mean + place * change
@@ -193,19 +153,7 @@ def _secant(function: Callable[[Any], Any], x: _Pair, distance: Callable[[Any], 
 
     node = 0.5 * np.sqrt(0.6)
     mean = (5 * derivative(-node) + 8 * derivative(0.0) + 5 * derivative(node)) / 18
-    secant = (function(x.end) - function(x.start)) / jnp.where(close, 1.0, change)
-    return jnp.where(close, mean, secant)
-
-
-def _sinc(x: Any, sine: Callable[[Any], Any], sign: float = 1.0) -> Any:
-    """sin(x)/x, or sinh(x)/x with the sign -1; a series near zero."""
-    close = jnp.abs(x) < _CLOSE
-    square = -sign * x**2
-    return jnp.where(
-        close,
-        1 + square / 6 * (1 + square / 20 * (1 + square / 42)),
-        sine(x) / jnp.where(close, 1.0, x),
-    )
+    return jnp.where(close, mean, rise / jnp.where(close, 1.0, change))
 
 
 def _is_real(g: _Pair) -> bool:

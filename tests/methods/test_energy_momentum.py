@@ -149,27 +149,12 @@ def test_what_it_cannot_take_is_said():
 
 @dataclass(frozen=True)
 class Looped(Damped):
-    """Its potential, 6 q^4/4, is a sum in a loop, or a polynomial by `jnp.polyval`, a loop too."""
-
-    polynomial: bool = False
-
-    def _potential(self, q: jax.Array) -> jax.Array:
-        if self.polynomial:
-            return jnp.polyval(jnp.array([1.5, 0.0, 0.0, 0.0, 0.0]), q[0])
-        return jax.lax.fori_loop(0, 3, lambda k, v: v + (k + 1) * q[0] ** 4 / 4, jnp.zeros(()))
-
-    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        return -jax.grad(self._potential)(q)
+    """Its potential, 6 q^4/4, is a sum in a loop."""
 
     def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return 0.5 * (v @ v) + self._potential(q)
+        loop = jax.lax.fori_loop(0, 3, lambda k, s: s + (k + 1) * q[0] ** 4 / 4, jnp.zeros(()))
+        return 0.5 * (v @ v) + loop
 
 
-def test_a_loop_in_an_energy_is_refused_by_name_unless_it_is_a_smooth_function():
+def test_a_loop_in_an_energy_is_refused_by_name():
     assert "'scan'" in str(EnergyMomentum().supports(Looped()))
-    scene = Looped(polynomial=True)
-    assert EnergyMomentum().supports(scene) is None
-    q0, q1, one = jnp.array([0.7]), jnp.array([-0.4]), jnp.ones(())
-    gradient = discrete_gradient(scene._potential, q0, q1, one)
-    actual = float(scene._potential(q1) - scene._potential(q0))
-    assert float(gradient[0] * (q1 - q0)[0]) == pytest.approx(actual, rel=1e-14)
