@@ -215,9 +215,8 @@ def form_name(runs: Iterable[Record | None]) -> str:
 
 
 def form_behind(name: str, form: str) -> str:
-    """A form in brackets behind a short name, without what the name says already."""
-    new = [part for part in form.split(", ") if part and part not in name.split(" · ")]
-    return f" ({', '.join(new)})" if new else ""
+    """A form behind a short name, without what the name says already."""
+    return ", ".join(part for part in form.split(", ") if part and part not in name.split(" · "))
 
 
 def scene_name(scene: str) -> str:

@@ -21,12 +21,13 @@ from problems.scenes.oscillator import Oscillator
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven
 from reports.pages.html_report import write_html_report
-from reports.questions.answers import answer, answers
-from reports.questions.method_card import card_sentences
+from reports.questions.method_card import stored_card
 from reports.questions.phrases import plain
 from reports.questions.question import FIRST, Question
-from reports.questions.sentences import scene_sentence, sentences
-from reports.questions.words import words_of
+from reports.questions.verdict import headline, scene_sentence
+from reports.questions.words import Words, words_of
+from reports.ranking import answer, answers
+from reports.scenes import StoredRuns
 from reports.series import series_of
 from reports.text.ranking_tables import targets_table, winners_table
 from reports.violations import violation_text
@@ -162,9 +163,8 @@ def test_questions_ask_for_the_constraints():
     entries = found.scenes["held"].entries
     assert [entry.value for entry in entries.values()] == [3000.0, 1000.0, 1000.0]
     assert found.scenes["held"].winners == ["exact", "projects"]
-    told = [plain(sentence) for sentence in sentences(found, words)]
-    assert told[0].startswith(
-        "To 1e-4 in constraints (largest over time), exact and projects tie for the fewest"
+    assert plain(headline(found, words)) == (
+        "exact and projects are each cheapest on the scene, always tied."
     )
     assert scene_sentence(found, "free", words) == []
 
@@ -186,15 +186,6 @@ def won(scene, name="one", cost=100, size=2.2e-3, error=7.3e-3, **changes):
     known |= {"reference_error": {}, "work": {"residuals": cost}, "key": f"{scene} {name}"}
     known["run_s"] = [1e-6 * cost] * 7
     return planted(scene, name, {"a": (1, 2)}, h=0.01, **(known | changes))
-
-
-def said(*records, question=FIRST):
-    scenes = {r.problem: [] for r in records}
-    for r in records:
-        scenes[r.problem].append(r)
-    series = {name: series_of(own) for name, own in scenes.items()}
-    words = words_of(series, {})
-    return [plain(s) for s in sentences(answer(series, question), words)]
 
 
 FREE = {"constraint": {}, "error": None}
@@ -222,42 +213,14 @@ def test_the_unit_of_constraints_follows_from_their_multipliers(scene, unit):
 
 
 def test_sentences_tell_the_violation_of_a_winner():
-    (text, *_) = said(won("s"), won("s", "two", cost=300))
-    assert text == (
-        "To 1e-4 in acceleration (largest over time), one (index 2) takes the fewest operations on "
-        f"s (1000 at h=0.01 s; |Φ| up to {OFF}; next: two (index 2), 3 times)."
-    )
-    assert "|Φ|" not in said(won("s", **FREE), won("s", "two", cost=300))[0].partition("; next")[0]
-
-
-def test_of_many_scenes_those_are_named_on_which_a_winner_violates_constraints():
-    rivals = [won(f"s{k}", "two", cost=300) for k in range(4)]
-    held = [won(f"s{k}", size=1e-12, error=1e-12) for k in range(3)]
-    off, free = won("s3"), won("s3", **FREE)
-    assert said(*held, off, *rivals)[2] == (
-        f"Constraints are violated by more than 1e-4: one on s3 (|Φ| up to {OFF})."
-    )
-    assert said(*held, free, *rivals)[2] == "The winners hold the constraints to 1e-4."
-    # Of the constraints themselves that is the question.
-    exact = [won(f"s{k}", size=1e-12, error=1e-12) for k in range(4)]
-    found = said(*exact, *rivals, question=HELD)
-    assert found[0].startswith(
-        "To 1e-4 in constraints (largest over time), one (index 2) takes the"
-    )
-    assert not any("winners hold" in text for text in found)
-    worse = won("s2", size=0.1, error=1.0)
-    assert said(*held[:2], worse, off, *rivals)[2].startswith(
-        "Constraints are violated by more than 1e-4: one on s2 (|Φ| up to 0.1 m, relative 1: 1e+04 "
-        "times the accuracy) and one on s3"
-    )
-    # Whoever wins by the cost beside is looked at, too.
-    quick = won("s0", "three", cost=200, run_s=[1e-5] * 7, size=0.5, error=3.0)
-    assert said(*held, free, *rivals, quick)[2].startswith(
-        "Constraints are violated by more than 1e-4: three on s0 (|Φ| up to 0.5 m"
-    )
-    unconstrained = [won(f"s{k}", **FREE) for k in range(4)]
-    others = [won(f"s{k}", "two", cost=300, **FREE) for k in range(4)]
-    assert not any("onstraints" in text for text in said(*unconstrained, *others))
+    for free, end in (({}, f"; |Φ| up to {OFF}."), (FREE, ".")):
+        series = {"s": series_of([won("s", **free), won("s", "two", cost=300)])}
+        text = plain(scene_sentence(answer(series, FIRST), "s", words_of(series, {})))
+        form = "" if free else "; index 2"
+        assert text == (
+            "For 1e-4 in acceleration (largest over time), fewest operations: "
+            f"one (1000 at h=0.01{form}); next: two, 3 times{end}"
+        )
 
 
 def test_tables_of_winners_have_a_column_of_violations():
@@ -265,7 +228,7 @@ def test_tables_of_winners_have_a_column_of_violations():
     free = series_of([won("f", **FREE), won("f", "two", cost=300, **FREE)])
     asked = [replace(FIRST, cost=cost) for cost in RANKED_COSTS]
     found = answers({"s": series, "f": free}, [FIRST.group], [FIRST.target])
-    names = words_of({"s": series, "f": free}, {}).names
+    names = words_of({"s": series, "f": free}, {})
     table = winners_table({q: found[q] for q in asked}, {}, names)
     assert table.head[-1] == "|Φ| of the winners, largest over time"
     column = {row[0]: row[-1] for row in table.rows}
@@ -280,7 +243,7 @@ def test_tables_of_winners_have_a_column_of_violations():
 def test_winners_by_several_costs_have_a_violation_each():
     quick = won("s", cost=300, size=1e-9, error=1e-9, run_s=[1e-4] * 7)
     series = series_of([won("s", "two", run_s=[1e-2] * 7), quick])
-    row = targets_table(series).rows[[r[0] for r in targets_table(series).rows].index("a to 1e-4")]
+    (row,) = [r for r in targets_table(series, Words({}, {})).rows if r[0] == "a to 1e-4"]
     assert row[-1].split(" · ") == [
         OFF, "1e-9 m", OFF
     ]  # fmt: skip
@@ -288,11 +251,9 @@ def test_winners_by_several_costs_have_a_violation_each():
 
 def test_the_card_of_a_method_tells_its_own_violation():
     scenes = {"s": series_of([won("s"), won("s", "two", cost=300, size=1e-9, error=1e-9)])}
-    words = words_of(scenes, {})
-    card = [plain(s) for s in card_sentences("one", answer(scenes, FIRST), scenes, words)]
-    assert (
-        f"Cheapest alone by operations: s (|Φ| up to {OFF}; next: two (index 2), 3 times)."
-    ) in card
+    stored = StoredRuns("", scenes, {}, {})
+    card = [plain(s) for s in stored_card("one", answer(scenes, FIRST), stored)]
+    assert f"Cheapest alone by operations: s (|Φ| up to {OFF})." in card
 
 
 @in_chromium
@@ -309,7 +270,9 @@ def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_viol
 
     with chromium() as page:
         (verdict,), rows = asked(page, "pendulum", "#group=constraint&target=1e-3&cost=operations")
-        assert verdict.startswith("To 1e-3 in constraints (largest over time), two (index 2) takes")
+        assert verdict.startswith(
+            "To 1e-3 in constraints Φ: two (3000 operations at h=0.01; index 2;"
+        )
         assert "one index 2 not reached" in rows[-1].replace("\t", " ")
         _, (head, one, two) = asked(page, "pendulum", "#group=a&target=1e-4&cost=operations")
         assert "form" in head

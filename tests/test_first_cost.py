@@ -18,13 +18,11 @@ from bench.results.timings import REPEATABLE, Repeatability, interval_width, rep
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
-from reports.questions.answers import answer
 from reports.questions.method_card import method_card
 from reports.questions.phrases import plain
-from reports.questions.question import FIRST, Question
-from reports.questions.sentences import sentences
+from reports.questions.question import Question
+from reports.questions.verdict import headlines
 from reports.scenes import stored_runs
-from reports.series import series_of
 from reports.text.measurement import times_sentence
 
 #: The samples of a run, relative to the first.
@@ -120,22 +118,21 @@ def first_of(folder: Path) -> dict:
 def test_page_markdown_and_terminal_take_the_same_cost_first(folders, name):
     folder, cost = folders[name], COSTS[name]
     winner, other = ("swift", "lean") if cost == "seconds" else ("lean", "swift")
-    least = {"seconds": "takes the least time", "operations": "takes the fewest operations"}
+    least = {"seconds": "Least time", "operations": "Fewest operations"}
     report = read_report(folder, interactive=False)
     found = report.answer
-    assert found.question == stored_runs(folder).first
-    assert found.question.key == f"a|1e-4|{cost}"
-    data = first_of(folder)
-    assert (data["first"]["cost"], list(data["answers"])) == (cost, [found.question.key])
-    one, two, *_ = (plain(s) for s in sentences(found, report.words))
-    assert one.startswith(f"To 1e-4 in acceleration (largest over time), {winner} {least[cost]}")
+    assert found.question == stored_runs(folder).first == Question("a", 1e-4, cost)
     beside = "operations" if cost == "seconds" else "seconds"
-    assert two.startswith(f"To the same accuracy, {other} {least[beside]}")
-    assert report.winners.head[1] == least[cost].removeprefix("takes the ")
+    data = first_of(folder)
+    assert data["first"]["cost"] == cost
+    assert list(data["answers"]) == [f"a|max|{cost}", f"a|max|{beside}"]
+    one, two = (plain(s) for s in headlines(report.answered, report.words))
+    assert one == f"{least[cost]}: {winner} is cheapest on the scene."
+    assert two == f"{least[beside]}: {other} is cheapest on the scene."
+    assert report.winners.head[1] == least[cost].lower()
     markdown = (folder / "report.md").read_text(encoding="utf-8")
     bullets = markdown.partition("## Answer")[2].strip().splitlines()
-    assert f"{winner} {least[cost]}" in bullets[0]
-    assert f"{other} {least[beside]}" in bullets[1]
+    assert bullets[:2] == [f"- {one}", f"- {two}"]
     # The integrator's own sentences: alone on the one scene by this cost.
     words = "time" if cost == "seconds" else cost
     mine = method_card(folder, winner)
@@ -166,15 +163,6 @@ def test_the_front_page_says_how_well_times_repeat(folders, name, sentence):
         assert f"Repeated times scatter by {sentence}" in text.partition(place)[0]
 
 
-def test_the_sentence_beside_is_about_the_same_scenes():
-    runs = [planted(scene, "m", {"a": (1.0, 2)}, h=1e-3) for scene in ("pendulum", "spring_mass")]
-    series = {r.problem: series_of([r]) for r in runs}
-    found = answer(series, FIRST).on(["pendulum"])
-    assert found.beside.question == Question("a", 1e-4, "seconds")
-    assert [*found.beside.scenes] == [*found.scenes] == ["pendulum"]
-    assert Question("a", 1e-4, "residuals").beside is None
-
-
 def test_times_of_two_machines_are_said_not_to_compare():
     said = times_sentence(Repeatability(0.05, 3, 2))
     assert said.endswith("cannot be compared, so this report ranks by operations first.")
@@ -192,7 +180,8 @@ def test_an_address_that_names_a_cost_wins_over_the_first_question(folders):
             waited(lambda: page.execute_script("return stepbench.data.complete"))
             assert page.execute_script("return document.forms.question.cost.value") == cost
             said = page.execute_script("return document.getElementById('answer').textContent")
-            assert said.index("least time") < said.index("fewest operations") or cost != "seconds"
+            beside = {"seconds": "Fewest operations: lean", "operations": "Least time: swift"}
+            assert f"{beside[cost]} is cheapest on the scene." in said
         # The same page, by a link in it.
         page.execute_script("location.hash = '#cost=seconds'")
         waited(

@@ -15,8 +15,8 @@ from problems.scenes.pendulum import Pendulum
 from problems.scenes.soft_impact import SoftImpact
 from problems.variables import State
 from reports.charts.error_panels import run_rows
-from reports.questions.answers import answers
 from reports.questions.question import FIRST
+from reports.ranking import answers
 from reports.series import series_of
 
 
@@ -89,7 +89,7 @@ def one(name, error, operations, later):
 def firsts(*records):
     found = answers({"one": series_of(records)}, [FIRST.group], [1e-4])
     (answer,) = (own for question, own in found.items() if question.cost == "operations")
-    return [entry.label for entry in answer.scenes["one"].first]
+    return list(answer.scenes["one"].tied)
 
 
 def test_a_winner_that_changes_with_the_start_is_a_tie():

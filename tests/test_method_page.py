@@ -18,8 +18,8 @@ from bench.results.store import Store
 from problems.spec import SpecError
 from reports.charts.all_scenes import method_strip
 from reports.pages.html_report import write_html_report
-from reports.questions.answers import answers
 from reports.questions.method_card import method_card
+from reports.ranking import answers
 
 
 def strip(label, records):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
 from hypothesis import assume, given
@@ -14,12 +13,11 @@ from bench.results.records import IntegratorFacts
 from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.line_styles import line_styles
 from reports.formatting import NO_VALUE
-from reports.questions.answers import Answer, SceneAnswer, answers
-from reports.questions.cheapest import on_each
 from reports.questions.phrases import plain
 from reports.questions.question import FIRST, TABLE_TARGETS
-from reports.questions.words import words_of
-from reports.ranking import RankEntry, contestants, rank, told_apart
+from reports.questions.verdict import verdict
+from reports.questions.words import Words
+from reports.ranking import Answer, SceneAnswer, answers, contestants, told_apart
 from reports.series import series_of
 from reports.text.ranking_tables import integrators_table, targets_table, winners_table
 
@@ -75,8 +73,12 @@ def judged(*records):
     return {question.cost: own.scenes["one"] for question, own in found.items()}
 
 
-def first(verdict):
-    return [s.label for s in verdict.first]
+def first(answer):
+    return list(answer.tied)
+
+
+def worded(answer):
+    return plain(verdict(answer, Words({}, {})))
 
 
 @pytest.mark.parametrize(
@@ -155,7 +157,7 @@ def test_integrators_that_do_the_same_are_one_contestant():
     assert not any(own.several for own in judged(*same).values())
     rival = [run("one", "rival", h, 9e-3, 9 * round(1 / h)) for h in steps]
     by = judged(*same, *rival)
-    assert by["residuals"].worded() == "a = b (100 at h=0.01; next: rival, 9 times)"
+    assert worded(by["residuals"]) == "a = b (100 at h=0.01); next: rival, 9 times"
     assert by["residuals"].votes
     for change in (
         lambda r: r.work.update(residuals=r.work["residuals"] + 1),
@@ -175,27 +177,28 @@ def test_the_verdict_names_winner_tie_failure_and_what_is_missing(found):
     texts: dict[str, dict[str, str]] = {}
     for question, own in found.items():
         for scene, said in own.scenes.items():
-            texts.setdefault(scene, {})[question.cost] = said.worded()
+            texts.setdefault(scene, {})[question.cost] = worded(said)
     assert texts["won"] == {
-        "operations": "lean (3000 at h=0.01; next: quick, 3 times)",
-        "seconds": "quick (1 ms at h=0.01; next: lean, 3 times)",
-        "residuals": "lean (300 at h=0.01; next: quick, 3 times)",
+        "operations": "lean (3000 at h=0.01); next: quick, 3 times",
+        "seconds": "quick (1 ms at h=0.01); next: lean, 3 times",
+        "residuals": "lean (300 at h=0.01); next: quick, 3 times",
     }
     records = {r.key for r in scenes()["won"]}
     runs = {q.cost: [r.key for r in own.scenes["won"].runs] for q, own in found.items()}
     assert all(len(keys) == 2 and set(keys) <= records for keys in runs.values())
     assert texts["tied"] == {
-        "operations": "quick and lean tie (5000)",
-        "seconds": "quick and lean tie (1 ms)",
-        "residuals": "quick and lean tie (500)",
+        "operations": "quick (5000 at h=0.01) and lean (5000 at h=0.01) tie",
+        "seconds": "quick (1 ms at h=0.01) and lean (1.02 ms at h=0.01) tie",
+        "residuals": "quick (500 at h=0.01) and lean (500 at h=0.01) tie",
     }
-    assert set(texts["failed"].values()) == {"nobody reaches it"}
-    assert texts["untimed"]["seconds"] == "not measured"
-    assert texts["untimed"]["residuals"] == "lean (90 at h=0.01; next: quick, 10 times)"
+    assert all(s.startswith("nobody reaches it (nearest: lean, ") for s in texts["failed"].values())
+    assert texts["untimed"]["seconds"] == "not measured: quick and lean"
+    assert texts["untimed"]["residuals"] == "lean (90 at h=0.01); next: quick, 10 times"
     assert "vague" not in texts  # the reference is no better than the target
     ids = {key: f"at {key}" for key in records}
-    table = winners_table(found, ids, {})
-    assert [row[0] for row in table.rows] == ["won", "tied", "failed", "untimed"]  # not "alone"
+    table = winners_table(found, ids, Words({}, {}))
+    assert [row[0] for row in table.rows] == ["won", "tied", "failed", "untimed", "vague"]
+    assert table.rows[-1][1].startswith("cannot be judged: ")
     assert table.links[0, 1] == [ids[key] for key in runs["operations"]]
     assert table.links[1, 1] == []
 
@@ -203,48 +206,46 @@ def test_the_verdict_names_winner_tie_failure_and_what_is_missing(found):
 def test_a_winner_says_who_was_not_measured_and_who_is_alone_in_reaching():
     records = [run("one", n, 0.01, None, k) for n, k in (("quick", 9), ("lean", 3), ("dark", None))]
     by = judged(*records)
-    assert (
-        by["residuals"].worded() == "lean (3 at h=0.01; next: quick, 3 times); not measured: dark"
-    )
-    assert by["seconds"].worded() == "not measured"
+    assert worded(by["residuals"]) == "lean (3 at h=0.01); next: quick, 3 times; not measured: dark"
+    assert worded(by["seconds"]) == "not measured: quick, lean and dark"
     assert not by["seconds"].votes
     by = judged(records[0], run("one", "lean", 0.04, None, 1))
-    assert by["residuals"].worded() == "quick alone reaches it (9 at h=0.01)"
+    assert worded(by["residuals"]) == "quick (9 at h=0.01) alone reaches it"
     by = judged(run("one", "quick", 0.01, None, 206), run("one", "lean", 0.01, None, 205))
-    assert by["residuals"].worded() == "lean (205 at h=0.01; next: quick, 1.00488 times)"
+    assert worded(by["residuals"]) == "lean (205 at h=0.01); next: quick, 1.00488 times"
     many = [run("one", f"m{k}", 0.01, None, 5, {"a": (1 - k / 100, 2)}) for k in range(6)]
-    assert judged(*many)["residuals"].worded() == "m0, m1, m2 and 3 more tie (5)"
+    assert worded(judged(*many)["residuals"]) == (
+        "m0 (5 at h=0.01), m1 (5 at h=0.01), m2 (5 at h=0.01) and 3 more tie"
+    )
 
 
 def test_a_count_of_zero_is_the_least_and_has_no_multiples():
     """An explicit method needs no Jacobian at all."""
     none, some, many = (run("one", n, 0.01, None, k) for n, k in (("a", 0), ("b", 1), ("c", 40)))
-    by, series = judged(none, some, many), series_of([none, some, many])
-    assert by["residuals"].worded() == "a (0 at h=0.01; next: b, 1)"
+    by = judged(none, some, many)
+    assert worded(by["residuals"]) == "a (0 at h=0.01); next: b, 1"
     assert [s.state for s in by["residuals"].entries.values()] == [1, math.inf, math.inf]
-    said = on_each(
-        replace(FIRST, cost="residuals"), {"one": by["residuals"]}, words_of({"one": series}, {})
-    )
-    assert "0 at h=0.01 s; next: b, 1)." in plain(said)
 
 
 def test_two_counts_of_zero_tie():
     none, other = (run("one", n, 0.01, None, 0, {"a": (k, 2)}) for n, k in (("a", 1), ("b", 0.9)))
-    assert judged(none, other)["residuals"].worded() == "a and b tie (0)"
+    assert worded(judged(none, other)["residuals"]) == "a (0 at h=0.01) and b (0 at h=0.01) tie"
 
 
 def test_of_runs_at_the_same_cost_the_coarser_one_is_named():
     fine, coarse = run("one", "quick", 0.005, None, 90), run("one", "quick", 0.01, None, 90)
     for records in ((fine, coarse), (coarse, fine)):
-        found = rank(series_of(records), ["a"], [1e-4])
-        assert {s.run.h for own in found.values() for s in own.values() if s.run} == {0.01}
+        runs = [run for own in judged(*records).values() for _, run in own.cheapest.values()]
+        assert {run.h for run in runs} == {0.01}
 
 
 def test_those_who_tie_stand_in_the_order_of_the_plan():
     plan = ("quick", 105), ("lean", 100), ("other", 103)
     by = judged(*(run("one", n, 0.01, None, k, {"a": (k / 200, 2)}) for n, k in plan))
     assert first(by["operations"]) == ["quick", "lean", "other"]
-    assert by["operations"].worded() == "quick, lean and other tie (1000)"
+    assert worded(by["operations"]) == (
+        "quick (1050 at h=0.01), lean (1000 at h=0.01) and other (1030 at h=0.01) tie"
+    )
 
 
 def test_an_accuracy_is_reached_in_the_norm_that_the_headline_names():
@@ -257,9 +258,10 @@ def test_an_accuracy_is_reached_in_the_norm_that_the_headline_names():
 @pytest.mark.parametrize("scene", scenes())
 def test_the_ranking_equals_a_direct_query(scene):
     records = scenes()[scene]
-    found = rank(series_of(records), ["q", "a"], TABLE_TARGETS)
-    assert bool(found) == (scene != "vague") or {q.target for q in found} == {1e-2}
-    for question, entries in found.items():
+    found = answers({"": series_of(records)}, ["q", "a"], TABLE_TARGETS)
+    judged = {q: own.scenes[""].entries for q, own in found.items() if own.scenes}
+    assert ({q.target for q in judged} == {1e-2}) == (scene == "vague")
+    for question, entries in judged.items():
         for label, s in entries.items():
             runs = [
                 r
@@ -307,13 +309,12 @@ def test_the_profile_is_the_part_of_scenes_within_a_factor(found):
 def test_the_profile_counts_not_tried_apart_from_not_reached():
     def scene(**values):
         """The answer on a scene from costs by label; None of a cost that is not known."""
-        entries = {
-            label: RankEntry(label, label, label, True, None, value, value / 100)
-            if isinstance(value, float)
-            else RankEntry(label, label, label, value != "far")
-            for label, value in values.items()
-        }
-        return SceneAnswer("operations", entries)
+        names = dict.fromkeys(values)
+        some = run("s", "any", 0.01, None, 1)
+        costs = {k: (v, some) for k, v in values.items() if isinstance(v, float)}
+        able = frozenset(k for k, v in values.items() if v != "far")
+        series = {k: series_of([some])[0] for k in names}
+        return SceneAnswer(FIRST, series, {k: k for k in names}, able, costs, [])
 
     own = {
         "s0": scene(all=100.0, once=100.0, poor=100.0),
@@ -358,7 +359,7 @@ def test_an_integrator_ties_by_its_own_cheapest_run_alone():
     wild = run("one", "noisy", 0.005, 3.0, 10, run_s=[0.5, 9.0] * 4 + [3.0])
     assert told_apart(best, near, "seconds")
     assert not told_apart(best, wild, "seconds")
-    table = targets_table(series_of([best, near, wild]))
+    table = targets_table(series_of([best, near, wild]), Words({}, {}))
     assert table
     seconds = table.rows[0][table.head.index("least time")]
-    assert seconds == "best (1 s at h=0.01; next: noisy, 2 times)"
+    assert seconds == "best (1 s at h=0.01); next: noisy, 2 times"

@@ -35,6 +35,7 @@ from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import _FIGURES as FIGURES
 from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
+from reports.questions.words import Words
 from reports.series import series_of
 from reports.text.ranking_tables import targets_table
 from reports.text.run_tables import summary_table
@@ -113,9 +114,8 @@ def test_the_cheapest_of_those_that_reached_a_target_wins(folder: Path, page: Do
         cell = row["fewest residual evaluations"]
         assert cell.startswith(names[fewest.integrator])
         ties = sum(r.work["residuals"] == fewest.work["residuals"] for r in reached)
-        where = " tie (" if ties > 1 else f" at {fewest.resolution}"
-        assert str(fewest.work["residuals"]) in cell
-        assert where in cell
+        assert f"{fewest.work['residuals']} at {fewest.resolution.partition(',')[0]}" in cell
+        assert (" tie; next" in cell) == (ties > 1)
         assert names[fastest.integrator] in row["least time"]
         assert f"({milliseconds(median(fastest.run_s))} ms" in row["least time"]
         assert row["reached by"] == f"{len({r.integrator for r in reached})} of 5"
@@ -125,9 +125,9 @@ def test_a_target_below_the_trust_in_the_reference_is_not_judged() -> None:
     records = [planted("pendulum", n, {"q": (1.0, 2)}, h=1e-4) for n in ("one", "two")]
     for record in records:
         record.reference_error = {"q": dict.fromkeys(NORMS, 1e-7)}
-    rows = targets_table(series_of(records)).rows
+    rows = targets_table(series_of(records), Words({}, {})).rows
     assert "1 of" not in rows[2][1]
-    assert rows[2][1] == "cannot be judged: the reference's own error is 1e-7"
+    assert rows[2][2].startswith("cannot be judged: the reference's own error there is 1e-7, ")
     assert rows[1][1] == "2 of 2"
 
 
@@ -139,11 +139,12 @@ def test_rivals_that_tie_are_named_or_counted() -> None:
     ]
     records[3].operations = {}
     records[4].errors["q"]["max"] = 0.1
-    assert targets_table(series_of(records)).rows[0][1:] == [
+    at = "at h=0.01)"
+    assert targets_table(series_of(records), Words({}, {})).rows[0][1:] == [
         "4 of 5",
-        "one, two and three tie (3000); not measured: four",
-        "one, two and four tie (1 s)",
-        "one, two, three and 1 more tie (300)",
+        f"one (3000 {at}, two (3000 {at} and three (3000 {at} tie; not measured: four",
+        f"one (1 s {at}, two (1.05 s {at} and four (1 s {at} tie; next: three, 1.2 times",
+        f"one (300 {at}, two (300 {at}, three (300 {at} and 1 more tie",
     ]
 
 

@@ -30,8 +30,8 @@ from bench.running.runner import Runner, time_task
 from bench.running.session import time_suite
 from bench.running.worker import Worker
 from integrators.resolutions import Steps
-from reports.questions.answers import answers
 from reports.questions.question import TABLE_GROUPS, TABLE_TARGETS
+from reports.ranking import answers
 from reports.series import series_of
 
 

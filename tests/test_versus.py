@@ -11,10 +11,9 @@ from planted import STEPS, everything, plant, planted
 
 from bench.commands.main import main
 from bench.results.records import UNSUPPORTED
-from reports.questions.answers import answer
 from reports.questions.question import Question
 from reports.questions.versus import versus
-from reports.ranking import rank
+from reports.ranking import answer, answers
 from reports.series import series_of
 
 EXACT = pytest.approx
@@ -166,7 +165,7 @@ def test_both_groups_at_once_are_judged_by_the_larger_error():
     assert one(a, b, group="a,lam").ratio == EXACT(2.0)
     free = line("A", 3.0, scene="t"), line("B", 3.0, scene="t")
     assert list(duels(a, b, *free, group="a,lam").duels) == ["s"]
-    assert rank(series_of([*free[0], *free[1]]), ["a,lam"], [1e-3]) == {}
+    assert answers({"t": series_of([*free[0], *free[1]])}, ["a,lam"], [1e-3]) == {}
     question = Question("a,lam", 1e-3, "operations")
     found = answer({"s": series_of([*a, *b]), "t": series_of([*free[0], *free[1]])}, question)
     assert (list(found.scenes), found.unjudged) == (["s"], {})

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
 from reports.formatting import NO_VALUE, number
 from reports.names import scene_name
-from reports.questions.answers import Answer
 from reports.questions.method_card import state_on
-from reports.questions.profile import profiles
+from reports.ranking import Answer
 from reports.series import Series
 
 #: Costs beyond this many times the cheapest are drawn alike.
@@ -76,13 +76,17 @@ def performance_profile(found: Answer, styles: Mapping[str, LineStyle]) -> vl.Sp
     tried and its cost is known if it reached the target. None for fewer than two scenes.
     Source: Dolan & More (2002), doi:10.1007/s101070100263.
     """
-    own = profiles([found])
-    drawn = {k: p for k, p in own.methods.items() if p.pairs} if own.pairs > 1 else {}
-    rows = [
-        {"series": label, "tau": vl.short(tau), "part": vl.short(profile.part(tau))}
-        for label, profile in drawn.items()
-        for tau in (1.0, *(r for r in profile.ratios if r <= _FAR), _FAR)
-    ]
+    states: dict[str, list[float | str]] = {}
+    scenes = [own for own in found.scenes.values() if own.several]
+    for label, entry in (pair for own in scenes for pair in own.entries.items()):
+        states.setdefault(label, []).extend([] if entry.state == "unknown" else [entry.state])
+    rows = []
+    drawn = {k: own for k, own in states.items() if own} if len(scenes) > 1 else {}
+    for label, own in drawn.items():
+        ratios = sorted(state for state in own if isinstance(state, float))
+        for tau in (1.0, *(r for r in ratios if r <= _FAR), _FAR):
+            part = bisect_right(ratios, tau) / len(own)
+            rows.append({"series": label, "tau": vl.short(tau), "part": vl.short(part)})
     if not rows:
         return None
     options = vl.ChartOptions({label: styles[label] for label in drawn})

@@ -25,7 +25,7 @@ from reports.pages.templating import html
 FILE = FRONT
 LIBRARY = "vega.js"
 #: Scripts of a page with a question, in the order in which they are needed.
-_QUESTION_SCRIPTS = ("question.js", "answers.js", "marks.js", "plots.js", "words.js", "verdict.js")
+_QUESTION_SCRIPTS = ("question.js", "answers.js", "marks.js", "plots.js", "verdict.js", "words.js")
 _FRONT_SCRIPTS = (*_QUESTION_SCRIPTS, "panels.js", "heat.js", "profile.js")
 #: Scripts of all pages but the front page.
 _DRAWING_SCRIPTS = (LIBRARY, "tabs.js", "charts.js", "motion.js")

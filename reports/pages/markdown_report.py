@@ -15,7 +15,7 @@ from reports.pages.page import FOLDER
 from reports.pages.report import Report, read_report
 from reports.pages.templating import escape_markdown, markdown
 from reports.questions.phrases import Ref, plain, rendered
-from reports.questions.sentences import scene_sentence, sentences
+from reports.questions.verdict import headlines, scene_sentence
 from reports.text.ranking_tables import standings_table
 
 FILE = "report.md"
@@ -70,7 +70,7 @@ def write_markdown_report(folder: Path) -> Path:
         report=report,
         answer=[
             rendered(s, _escaped, links)
-            for s in (*sentences(report.answer, report.words), *report.wrong)
+            for s in (*headlines(report.answered, report.words), *report.wrong)
         ],
         standings=standings_table(report.answer),
         scenes=[

@@ -18,9 +18,9 @@ from reports.charts.pareto_front import pareto_chart
 from reports.formatting import file_name, milliseconds, number
 from reports.names import BUILT_IN, form_name
 from reports.pages.captioned_charts import captioned
-from reports.questions.answers import Answer
 from reports.questions.method_card import stored_card
 from reports.questions.words import Words
+from reports.ranking import Answer
 from reports.scenes import StoredRuns
 from reports.series import Series, groups_of
 from reports.text.damping_table import damping_table

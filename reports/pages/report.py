@@ -22,8 +22,8 @@ from reports.pages.jumps import jumps_chapter
 from reports.pages.method_chapter import MethodChapter
 from reports.pages.scene_chapter import SceneChapter
 from reports.pages.study_section import StudySections
-from reports.questions.answers import Answer, answers
 from reports.questions.wrong import wrong_sentences
+from reports.ranking import Answer, answers
 from reports.scenes import StoredRuns
 from reports.series import label_of, series_of
 from reports.text.damping_table import damping_table
@@ -72,11 +72,11 @@ class Report:
         first = stored.first
         asked = answers(series, [first.group])
         answered = {q: own for q, own in asked.items() if q.target == first.target}
-        answered = dict(sorted(answered.items(), key=lambda pair: pair[0] != first))
+        self.answered = dict(sorted(answered.items(), key=lambda pair: pair[0] != first))
         over = [own for question, own in asked.items() if question.cost == first.cost]
-        self.answer = answered.get(first, Answer(first, {}, {}))
+        self.answer = self.answered.get(first, Answer(first, {}, {}))
         self.wrong = wrong_sentences(first.group, stored.wrong(first.group), self.words)
-        self.winners = winners_table(answered, self.run_ids, self.names)
+        self.winners = winners_table(self.answered, self.run_ids, self.words)
         self.overview = [*self._overview(interactive), *self._cost_by_size()]
         self.scenes = list(self._scenes(store, interactive))
         self.integrators = integrators_table(series, facts)

@@ -8,14 +8,13 @@ from pathlib import Path
 from bench.results.quantities import COSTS
 from bench.results.records import NOT_TRIED
 from reports.formatting import cost_text, number, times
-from reports.names import named_labels
-from reports.questions.answers import Answer, SceneAnswer, answer
-from reports.questions.cheapest import headline
-from reports.questions.phrases import Piece, Sentence, listed, plain
+from reports.names import form_name, named_labels
+from reports.questions.phrases import Sentence, listed, plain
 from reports.questions.question import Question
+from reports.questions.verdict import headline
 from reports.questions.words import Words, scene_ref
 from reports.questions.wrong import wrong_sentences
-from reports.ranking import RankEntry
+from reports.ranking import Answer, RankEntry, SceneAnswer, answer
 from reports.scenes import StoredRuns, stored_runs
 from reports.series import Series
 from reports.violations import violation_text
@@ -32,22 +31,22 @@ _STATES = {
 }
 
 
-def card_sentences(
-    label: str, found: Answer, scenes: Mapping[str, Sequence[Series]], words: Words
-) -> list[Sentence]:
+def stored_card(label: str, found: Answer, stored: StoredRuns) -> list[Sentence]:
     """The sentences about one integrator; those of which there is nothing to say are left out."""
-    me, question = words.method(label), found.question
-    by = COSTS[question.cost].words
+    words, question = stored.words, found.question
+    by, me = COSTS[question.cost].words, words.method(label)
     own = {name: s for name, s in found.scenes.items() if label in s.entries}
+    wrong = wrong_sentences(question.group, stored.wrong(question.group, label), words)
     if not own:
-        return [[me, " was tried on no scene on which this can be judged."]]
-    series = {name: s for name in scenes for s in scenes[name] if s.label == label}
+        return [[me, " was tried on no scene on which this can be judged."], *wrong]
+    series = {name: s for name, own in stored.series.items() for s in own if s.label == label}
     states = {name: state_on(label, answer) for name, answer in own.items()}
     entries = [s.entries[label] for s in own.values()]
     reached = [e for e in entries if e.reached]
     count = f" on {len(reached)} of {len(own)} scene{'s' * (len(own) > 1)} tried."
-    who, goal = words.solvers(entries), words.accuracy(question)
-    said: list[Sentence] = [[*who, " reaches ", *goal, count]]
+    form = form_name(e.run for e in entries)
+    goal = words.accuracy(question)
+    said: list[Sentence] = [[me, f" ({form})" * bool(form), " reaches ", *goal, count]]
     if any(s.votes for s in own.values()) and not {"alone", "tied"} & {*states.values()}:
         said.append([f"Cheapest by {by} on no scene."])
     for state, head in _STATES.items():
@@ -55,11 +54,10 @@ def card_sentences(
         if state == "dearer":  # the dearest first
             names.sort(key=lambda name: own[name].entries[label].ratio or 0.0, reverse=True)
         where = [
-            [scene_ref(k), *_detail(state, label, own[k], series[k], question, words)]
-            for k in names
+            [scene_ref(k), *_detail(state, own[k].entries[label], own[k], words)] for k in names
         ]
         said += [[head.format(by), *listed(where), "."]] if where else []
-    return [*said, *_endings(series), *_costs(reached, question)]
+    return [*said, *_endings(series), *_costs(reached, question), *wrong]
 
 
 def state_on(label: str, answer: SceneAnswer) -> str:
@@ -71,34 +69,21 @@ def state_on(label: str, answer: SceneAnswer) -> str:
         return "single"
     if label not in answer.winners:
         return "dearer"
-    return "alone" if len(answer.first) == 1 else "tied"
+    return "alone" if len(answer.tied) == 1 else "tied"
 
 
-def _detail(
-    state: str, label: str, answer: SceneAnswer, own: Series, question: Question, words: Words
-) -> Sentence:
+def _detail(state: str, entry: RankEntry, answer: SceneAnswer, words: Words) -> Sentence:
     """The words in brackets behind a scene."""
     if state in ("alone", "tied", "single"):
-        said = violation_text([answer.entries[label].run], question.target)
-        parts: list[Piece] = [f"|Φ| up to {said}"] if said else []
-        if state == "alone" and (second := answer.second):
-            next_one = [*words.solvers([second]), f", {times(second.ratio)}"]
-            parts += ["; next: " if said else "next: ", *next_one]
-        return [" (", *parts, ")"] if parts else []
+        said = violation_text([entry.run], answer.question.target)
+        return [f" (|Φ| up to {said})"] if said else []
     if state == "dearer":
-        first = words.solvers(answer.first, most=1)
-        return [f" ({times(answer.entries[label].ratio)} the cost of ", *first, ")"]
+        best = min(answer.first, key=lambda s: s.value or 0.0)
+        return [f" ({times(entry.ratio)} the cost of ", words.method(best.label), ")"]
     if state == "far":
-        near = own.nearest(question.group)
+        near = entry.series.nearest(answer.question.group)
         return [f" (smallest error: {number(near[0])})"] if near else []
-    return [f" ({own.statuses.replace('_', ' ')})"] if state == "failed" else []
-
-
-def stored_card(label: str, found: Answer, stored: StoredRuns) -> list[Sentence]:
-    """The sentences about one integrator, and how many of its runs are wrong without warning."""
-    group, words = found.question.group, stored.words
-    said = card_sentences(label, found, stored.series, words)
-    return [*said, *wrong_sentences(group, stored.wrong(group, label), words)]
+    return [f" ({entry.series.statuses.replace('_', ' ')})"] if state == "failed" else []
 
 
 def method_card(folder: Path, integrator: str) -> list[str]:
@@ -113,8 +98,8 @@ def method_card(folder: Path, integrator: str) -> list[str]:
         If the store has no such integrator.
     """
     stored = stored_runs(folder)
-    scenes, words, first = stored.series, stored.words, stored.first
-    found = answer(scenes, first)
+    words, first = stored.words, stored.first
+    found = answer(stored.series, first)
     if not integrator:
         said = [f"{first.accuracy} in {first.quantity}, {COSTS[first.cost].least}: "]
         wrong = wrong_sentences(first.group, stored.wrong(first.group), words)

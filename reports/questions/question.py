@@ -1,9 +1,10 @@
-"""The questions that a report answers: a group, an accuracy and a cost; and sets of scenes."""
+"""The questions that a report answers: a group, an accuracy, a cost and a norm; sets of scenes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
 
 from bench.results.quantities import (
     ASKED,
@@ -17,18 +18,19 @@ from bench.results.quantities import (
 )
 from bench.results.table import short_exponent
 
-#: Accuracies that can be asked for: relative errors in the norm `NORM`.
+#: Accuracies that can be asked for: relative errors, a decade apart, and three to a decade.
 TARGETS = tuple(float(f"1e-{k}") for k in range(1, 10))
+GRID = (0.1, *(float(f"{digit}e-{k}") for k in range(2, 10) for digit in (5, 2, 1)))
 #: Groups and accuracies of tables, which have no room for all.
 TABLE_GROUPS, TABLE_TARGETS = ("q", "a", "lam"), (1e-2, 1e-4, 1e-6)
+#: Costs that are told together: one is of a model, one of a machine.
+BOTH = ("operations", "seconds")
 #: Name of the filter that takes all scenes.
 ALL = "all"
 #: Tags by which nobody chooses a mechanism: they tell how a scene serves the bench.
 OF_THE_BENCH = {"conformance", "orders", "benchmark", "closed form", "scalable"}
 #: Tags that read better by another word.
 _TAG_NAMES = {"mechatronic": "controlled", "rheonomic": "driven constraint"}
-#: The cost whose answer stands beside that for another: one is of a machine, one of a model.
-_BESIDE = {"seconds": "operations", "operations": "seconds"}
 
 
 @dataclass(frozen=True)
@@ -38,16 +40,7 @@ class Question:
     group: str
     target: float
     cost: str
-
-    @property
-    def key(self) -> str:
-        """The question in a line, such as "a|1e-4|operations"."""
-        return f"{self.group}|{self.accuracy}|{self.cost}"
-
-    @property
-    def beside(self) -> Question | None:
-        """The question by the cost whose answer is told, too; None for other costs."""
-        return replace(self, cost=_BESIDE[self.cost]) if self.cost in _BESIDE else None
+    norm: str = NORM
 
     @property
     def accuracy(self) -> str:
@@ -63,16 +56,20 @@ class Question:
     def text(self) -> str:
         """The accuracy in words, with quantity and norm."""
         group = " and the ".join(ERROR_NAMES[part] for part in parts(self.group))
-        return f"a relative error in the {group} of at most {self.accuracy} ({NORMS[NORM]})"
+        return f"a relative error in the {group} of at most {self.accuracy} ({NORMS[self.norm]})"
 
 
 #: The first question, where times cannot be trusted (see `reports.scenes.StoredRuns.first`).
 FIRST = Question("a", 1e-4, COST)
 
 
-def questions(groups: Iterable[str] = ASKED, targets: Sequence[float] = TARGETS) -> list[Question]:
-    """All questions about these groups and accuracies."""
-    return [Question(g, t, c) for g in groups for t in targets for c in RANKED_COSTS]
+def questions(
+    groups: Sequence[str] = ASKED,
+    targets: Sequence[float] = TARGETS,
+    norms: Sequence[str] = (NORM,),
+) -> list[Question]:
+    """All questions about these groups, accuracies and norms."""
+    return [Question(*own) for own in product(groups, targets, RANKED_COSTS, norms)]
 
 
 @dataclass(frozen=True)

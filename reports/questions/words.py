@@ -5,31 +5,25 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from bench.results.quantities import NORM, NORMS
+from bench.results.quantities import NORMS
 from bench.results.records import Record
-from reports.names import form_behind, form_name, scene_name, short_names
+from reports.names import scene_name, short_names
 from reports.questions.phrases import Piece, Ref, Sentence, listed
 from reports.questions.question import Question
-from reports.ranking import RankEntry
 from reports.series import Series
 
 
 @dataclass(frozen=True)
 class Words:
-    """Names of the report's integrators, tags of its scenes, and its experiments of the atlas.
-
-    ``brief`` is for a page that says the norm of its errors once, and has costs and integrators in
-    a table beside the sentences.
-    """
+    """Names of the report's integrators, tags of its scenes, and its experiments of the atlas."""
 
     names: Mapping[str, str]
     tags: Mapping[str, Sequence[str]]
-    brief: bool = False
     experiments: Collection[str] = ()
 
     def method(self, label: str) -> Ref:
         """A reference to an integrator."""
-        return Ref("method", label, self.names[label])
+        return Ref("method", label, self.names.get(label, label))
 
     def run(self, record: Record, text: str) -> Ref:
         """A reference to a run."""
@@ -44,27 +38,14 @@ class Words:
         """References to integrators as a list."""
         return listed(([self.method(label)] for label in labels), most)
 
-    def solvers(self, entries: Iterable[RankEntry], most: int = 3) -> Sentence:
-        """References to integrators as a list, each with the form in which it solves constraints.
-
-        One that stands there for several scenes stands once.
-        """
-        runs: dict[str, list[Record | None]] = {}
-        for entry in entries:
-            runs.setdefault(entry.label, []).append(entry.run)
-        behind = {k: form_behind(self.names[k], form_name(own)) for k, own in runs.items()}
-        return listed(([self.method(k), *filter(None, [said])] for k, said in behind.items()), most)
+    def alike(self, labels: Sequence[str]) -> Ref:
+        """A reference to an integrator and those that do the same."""
+        return Ref("method", labels[0], " = ".join(self.names.get(k, k) for k in labels))
 
     def accuracy(self, question: Question) -> Sentence:
-        """'1e-4 in acceleration (largest over time)', unless the page says the norm elsewhere."""
-        said = f"{question.accuracy} in {question.quantity}"
-        return (
-            [said] if self.brief else [f"{said} (", Ref("term", "relative-error", NORMS[NORM]), ")"]
-        )
-
-    def aim(self, question: Question) -> Sentence:
-        """The accuracy as the aim of a sentence."""
-        return ["To ", *self.accuracy(question)]
+        """'1e-4 in acceleration (largest over time)'."""
+        norm = Ref("term", "relative-error", NORMS[question.norm])
+        return [f"{question.accuracy} in {question.quantity} (", norm, ")"]
 
 
 def words_of(

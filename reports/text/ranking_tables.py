@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any
 
 from bench.results.quantities import COST, COSTS, NORM, NORMS, RANKED_COSTS
 from bench.results.records import IntegratorFacts
 from bench.results.table import Table
-from reports.formatting import NO_VALUE, number, tie_text
-from reports.questions.answers import Answer, SceneAnswer, answers
+from reports.formatting import NO_VALUE, tie_text
+from reports.questions.phrases import plain
 from reports.questions.question import TABLE_GROUPS, TABLE_TARGETS, Question
+from reports.questions.verdict import unjudged, verdict
+from reports.questions.words import Words
+from reports.ranking import Answer, answers
 from reports.series import Series
 from reports.text.measured_orders import claims_text, orders_measured
+from reports.violations import violation_text
 
 #: Columns of the ranked costs.
 _LEAST = [COSTS[cost].least for cost in RANKED_COSTS]
@@ -28,10 +31,17 @@ _TIES = (
 )
 
 
-def _violations(by_cost: Sequence[SceneAnswer], target: float) -> str:
-    """The violations of the constraints by the winners of each cost, once if they are alike."""
-    said = [answer.violation(target) or NO_VALUE for answer in by_cost]
-    return " · ".join(said if len({*said}) > 1 else said[:1]) if {*said} - {NO_VALUE} else ""
+def _row(by_cost: Sequence[Answer], scene: str, words: Words) -> list[str]:
+    """The verdicts by cost on a scene, and the |Φ| of their winners, once if they are alike."""
+    judged = [found.scenes[scene] for found in by_cost if scene in found.scenes]
+    if not judged:
+        reason = f"cannot be judged: {unjudged(by_cost[0], scene)}"
+        return [reason, *[""] * len(by_cost)]
+    target = by_cost[0].question.target
+    held = [violation_text((s.run for s in own.first), target) or NO_VALUE for own in judged]
+    shown = held if len({*held}) > 1 else held[:1]
+    said = "" if {*held} == {NO_VALUE} else " · ".join(shown)
+    return [*(plain(verdict(own, words)) for own in judged), said]
 
 
 def _with_violations(caption: str, head: list[str], rows: list[list[str]], **more: Any) -> Table:
@@ -41,12 +51,10 @@ def _with_violations(caption: str, head: list[str], rows: list[list[str]], **mor
     return Table(caption, head[:count], [row[:count] for row in rows], **more)
 
 
-def targets_table(
-    series: Sequence[Series], names: Mapping[str, str] = MappingProxyType({})
-) -> Table | None:
+def targets_table(series: Sequence[Series], words: Words) -> Table | None:
     """The cheapest integrators of a scene for each accuracy, by each cost.
 
-    ``names`` are short names by label. None for fewer than two integrators.
+    None for fewer than two integrators.
     """
     if len(series) < 2:
         return None
@@ -54,17 +62,9 @@ def targets_table(
     found = answers({"": series}, TABLE_GROUPS, TABLE_TARGETS)
     for question in [q for q in found if q.cost == COST]:
         by_cost = [found[replace(question, cost=cost)] for cost in RANKED_COSTS]
-        if by_cost[0].unjudged:
-            own = number(by_cost[0].unjudged[""])
-            cells = [f"cannot be judged: the reference's own error is {own}"]
-            cells += [""] * (len(RANKED_COSTS) + 1)
-        else:
-            entries = by_cost[0].scenes[""].entries.values()
-            reached = sum(entry.reached for entry in entries)
-            cells = [f"{reached} of {len(entries)}"]
-            own = [answer.scenes[""] for answer in by_cost]
-            cells += [answer.worded(names) for answer in own]
-            cells.append(_violations(own, question.target))
+        entries = [e for own in by_cost[0].scenes.values() for e in own.entries.values()]
+        reached = f"{sum(e.reached for e in entries)} of {len(entries)}" if entries else NO_VALUE
+        cells = [reached, *_row(by_cost, "", words)]
         rows.append([f"{question.group} to {question.accuracy}", *cells])
     if not rows:
         return None
@@ -79,35 +79,29 @@ def targets_table(
 
 
 def winners_table(
-    found: Mapping[Question, Answer], ids: Mapping[str, str], names: Mapping[str, str]
+    found: Mapping[Question, Answer], ids: Mapping[str, str], words: Words
 ) -> Table | None:
     """The answers on each scene with several contestants, by cost; they ask one accuracy.
 
-    ``ids`` are the anchors of records by key, ``names`` those of integrators by label.
+    ``ids`` are the anchors of records by key.
     """
-    rows: dict[str, list[SceneAnswer]] = {}
-    for answer in found.values():
-        for scene, own in answer.scenes.items():
-            if own.several:
-                rows.setdefault(scene, []).append(own)
-    if not rows:
+    by_cost = [*found.values()]
+    both = [(k, s) for answer in by_cost for k, s in answer.scenes.items() if s.several]
+    names = dict.fromkeys([*(k for k, _ in both), *(k for own in by_cost for k in own.unjudged)])
+    if not both:
         return None
-    asked = next(iter(found))
-    cells = [
-        [scene, *(own.worded(names) for own in by_cost), _violations(by_cost, asked.target)]
-        for scene, by_cost in rows.items()
-    ]
     return _with_violations(
-        f"Cheapest way to {asked.text}",
+        f"Cheapest way to {by_cost[0].question.text}",
         ["scene", *(COSTS[question.cost].least for question in found)],
-        cells,
+        [[scene, *_row(by_cost, scene, words)] for scene in names],
         note=f"{_TIES}. Integrators joined by = do the same on the scene (equal errors and equal "
         "work at every resolution) and are one contestant. Other accuracies and "
         "costs: on the scenes' pages. The numbers in brackets lead to the runs.",
         links={
-            (i, j): [ids[run.key] for run in own.runs if run.key in ids]
-            for i, by_cost in enumerate(rows.values())
+            (i, j): [ids[run.key] for run in own.scenes[scene].runs if run.key in ids]
+            for i, scene in enumerate(names)
             for j, own in enumerate(by_cost, 1)
+            if scene in own.scenes
         },
     )
 

@@ -32,16 +32,15 @@
   };
 
   const cell = (method, index, answer) => {
-    const scene = data.scenes[index], own = answer?.scenes[index];
+    const scene = data.scenes[index], own = answer?.[index];
     const tried = data.runs_of[index].some((runs) => data.methods[runs.method] === method);
     const known = own?.states[data.methods.indexOf(method)] ?? (tried && !own ? "unjudged" : "untried");
-    const reached = Array.isArray(known), state = reached ? "reached" : known, [ratio, k] = reached ? known : [];
+    const reached = Array.isArray(known), state = reached ? "reached" : known, [ratio, k, cost] = reached ? known : [];
     const sign = STATES[state][0], meaning = state === "unjudged" ? stepbench.unjudged(index, stepbench.question) : STATES[state][1];
     const text = reached ? stepbench.times(ratio) : sign;
     const lines = [`${method.short} on ${scene.name}`, reached ? `${stepbench.multiple(ratio)} times the cheapest` : meaning];
     if (reached) {
       const runs = data.runs_of[index].find((of) => data.methods[of.method] === method);
-      const cost = stepbench.columnOf(runs, stepbench.question.cost)?.[k];
       if (cost > 0) lines.push(`${stepbench.costWithUnit(cost, stepbench.question.cost)} at ${stepbench.resolutionOf(runs, k)}`);
     }
     const link = html("a", { "aria-label": lines.join(": ") }, text);
@@ -63,8 +62,7 @@
 
   stepbench.onChange((question) => {
     const answer = stepbench.answer(), groups = grouped(stepbench.chosen());
-    const standings = answer?.filters[question.scenes]?.standings || [];
-    const ranked = standings.map(([m]) => data.methods[m]);
+    const ranked = stepbench.standings(question).map(([m]) => data.methods[m]);
     const rows = ranked.length ? ranked : data.methods;
     const tags = html("tr", {}, html("td"), ...groups.map(([name, own]) => html("th", { colspan: own.length, scope: "colgroup" }, name)));
     const names = html("tr", {}, html("th", { scope: "col" }, "method"), ...groups.flatMap(([, own]) => own.map((k, n) => {

@@ -271,7 +271,7 @@
     const curves = pointsOf(index, question), narrow = large && wide < 560, names = large && !narrow;
     const fits = narrow ? { ...size, right: 14, left: 50, high: 380 }
       : names ? { ...size, right: 26 + stepbench.room(curves.filter((c) => c.points.some((o) => o.error > 0 && o.cost > 0)).map((c) => c.method.short)) } : size;
-    const answer = stepbench.answer()?.scenes[index], floor = stepbench.floor(index);
+    const answer = stepbench.answer()?.[index], floor = stepbench.floor(index);
     const at = layoutOf(curves, fits, wide, question, floor);
     const chart = svg("svg", {
       class: `plot${large ? " large" : ""}${question.highlight ? " field" : ""}${curves.length > 16 ? " many" : ""}`,

@@ -6,28 +6,45 @@
   if (!place) return;
   const LEFT = 52, TOP = 12, BOTTOM = 44, HIGH = 400;
 
-  // Lines by name: those of the methods, or the best of each family; in brackets the pairs of
-  // those that were tried on clearly fewer than all.
-  const linesOf = (profile) => {
-    const named = (name, key) => profile.tried[key] < .9 * profile.pairs ? `${name} (of ${profile.tried[key]})` : name;
-    if (menu.value === "families" && profile.families) {
-      return Object.entries(profile.families).map(([family, parts]) =>
-        ({ name: named(family, family), method: data.methods.find((m) => m.family === family), parts: parts.map((n) => n / 1000) }));
+  const multiples = Array.from({ length: 31 }, (_, k) => 10 ** (k / 10));
+
+  // How many pairs of a chosen scene and an accuracy there are, and lines: the part of its pairs that
+  // a method, or the best of a family, solves within each multiple. One whose cost is not known
+  // has no such pair. In brackets stand the pairs of those that were tried on clearly fewer than all.
+  const profile = (question) => {
+    const families = menu.value === "families", own = new Map();
+    let pairs = 0;
+    for (const target of data.targets.filter((text) => text.startsWith("1e"))) for (const k of stepbench.chosen()) {
+      const scene = stepbench.answer({ ...question, target })?.[k], best = new Map();
+      if (!scene?.several) continue;
+      pairs += 1;
+      for (const m of scene.order) {
+        const state = scene.states[m], key = families ? data.methods[m].family : m;
+        best.set(key, [...best.get(key) || [], Array.isArray(state) ? state[0] : state === "unknown" ? NaN : Infinity]);
+      }
+      for (const [key, ratios] of best) {
+        const least = Math.min(...ratios.filter((ratio) => ratio < Infinity), Infinity);
+        own.set(key, [...own.get(key) || [], ...(least < Infinity || !ratios.some(Number.isNaN) ? [least] : [])]);
+      }
     }
-    return Object.entries(profile.methods).map(([m, parts]) => ({ name: named(data.methods[m].short, m), method: data.methods[m], parts: parts.map((n) => n / 1000) }));
+    const lines = [...own].filter(([, ratios]) => ratios.length).map(([key, ratios]) => {
+      const method = families ? data.methods.find((one) => one.family === key) : data.methods[key], name = families ? key : method.short;
+      return { name: ratios.length < .9 * pairs ? `${name} (of ${ratios.length})` : name, method,
+        parts: multiples.map((most) => ratios.filter((ratio) => ratio <= most * 1.00005).length / ratios.length) };
+    });
+    return { pairs, lines };
   };
+  stepbench.profile = profile;
 
   const draw = (question) => {
-    const profile = data.profiles[`${question.group}|${question.cost}`]?.[question.scenes];
-    menu.parentNode.hidden = !profile?.families;
+    const { pairs, lines } = profile(question);
     const wide = Math.max(320, place.clientWidth), narrow = wide < 520;
-    const usual = question.norm === data.first.norm;
-    if (!usual || !profile || !profile.pairs) {
-      place.replaceChildren(html("p", {}, usual ? "No pair of scene and target can be judged." : `Profiles are made of errors ${stepbench.norm(data.first)}.`));
+    if (!pairs) {
+      place.replaceChildren(html("p", {}, "No pair of scene and target can be judged."));
       return;
     }
-    const { multiples } = profile, top = Math.log(multiples.at(-1));
-    const lines = linesOf(profile).sort((a, b) => b.parts.at(-1) - a.parts.at(-1) || b.parts[0] - a.parts[0]);
+    const top = Math.log(multiples.at(-1));
+    lines.sort((a, b) => b.parts.at(-1) - a.parts.at(-1) || b.parts[0] - a.parts[0]);
     const right = narrow ? 12 : 26 + stepbench.room(lines.map((line) => line.name));
     const onX = (m) => LEFT + Math.log(m) / top * (wide - LEFT - right);
     const onY = (part) => HIGH - BOTTOM - part * (HIGH - BOTTOM - TOP);
@@ -36,7 +53,7 @@
     const said = `Cheapest most often: ${say(first, first.parts[0])}; reaches most within ${multiples.at(-1)} times the least cost: ${say(best, best.parts.at(-1))}.`;
     const chart = svg("svg", {
       class: `plot profile${question.highlight ? " field" : ""}${lines.length > 16 ? " many" : ""}`, viewBox: `0 0 ${wide} ${HIGH}`, width: wide, height: HIGH, role: "img",
-      "aria-label": `Performance profile over ${profile.pairs} pairs of scene and target. ${said}`,
+      "aria-label": `Performance profile over ${pairs} pairs of scene and target. ${said}`,
     });
     const grid = svg("g", { class: "grid" }), axis = svg("g", { class: "axis" });
     for (const part of [0, .25, .5, .75, 1]) {
@@ -48,8 +65,8 @@
       axis.append(svg("text", { x: onX(m), y: onY(0) + 16, "text-anchor": "middle" }, `${m}×`));
     }
     axis.append(svg("text", { class: "title", x: (LEFT + wide - right) / 2, y: HIGH - 6, "text-anchor": "middle" },
-      narrow ? `multiple of the least ${data.cost_words[question.cost]} (${profile.pairs} pairs)`
-        : `at most so many times the least ${stepbench.costName(question)} (${profile.pairs} pairs of scene and accuracy)`));
+      narrow ? `multiple of the least ${data.cost_words[question.cost]} (${pairs} pairs)`
+        : `at most so many times the least ${stepbench.costName(question)} (${pairs} pairs of scene and accuracy)`));
     chart.append(grid, axis);
     const names = svg("g", { class: "legend" });
     let next = TOP;

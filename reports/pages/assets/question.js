@@ -6,7 +6,7 @@
   const NAMES = ["group", "target", "norm", "cost", "scenes", "highlight"];
   const bar = document.getElementById("question");
   const followers = [];
-  const decoded = new Map(), found = new Map();
+  const decoded = new Map();
   const source = document.getElementById("stepbench-data");
   const data = JSON.parse(source.textContent);
   data.root = source.dataset.root || "";
@@ -48,11 +48,6 @@
   // or errors in the norm that is asked for.
   const columnOf = (runs, name) =>
     stored(runs, name in data.cost_names || stepbench.question.norm === data.first.norm ? name : `${name}|${stepbench.question.norm}`);
-  // Errors from a later start of the motion; the errors themselves where no start changes them.
-  const later = (runs, group, start) => {
-    const k = data.columns.indexOf(`${group}@${start}`);
-    return stored(runs, runs.columns[k] ? `${group}@${start}` : group);
-  };
   const endingOf = (runs, k) => runs.endings ? runs.endings[runs.status[k]] : "ok";
   // The step or tolerance of a run in words.
   const resolutionOf = (runs, k, digits = 4) => {
@@ -61,11 +56,8 @@
     return `${control}=${value < 1e-3 ? value.toExponential() : value}`;
   };
 
-  // An accuracy as addresses write it, such as "3e-4"; nothing if it is none.
-  const accuracy = (text) => {
-    const value = Number(text);
-    return value >= 1e-12 && value < 1 ? value.toExponential().replace("e+", "e") : "";
-  };
+  // The next accuracy that is no larger, of those that can be asked for; nothing if there is none.
+  const accuracy = (text) => Number(text) < 1 ? data.targets.find((target) => Number(text) >= Number(target)) ?? "" : "";
 
   const choices = () => ({
     group: Object.keys(data.group_names),
@@ -98,7 +90,7 @@
     "#" + new URLSearchParams(told(question).map((name) => [name, question[name]]));
 
   const stepbench = {
-    data, columnOf, countOf, later, endingOf, resolutionOf, address,
+    data, columnOf, countOf, endingOf, resolutionOf, address,
     question: asked(),
     // Call a function with the question, now and whenever it or the data change: soon if it
     // draws in a place that is out of sight.
@@ -108,34 +100,20 @@
     },
     // Take in the data of all other questions.
     more(rest) {
-      for (const name of ["letters", "columns", "resolutions", "rules", "answers", "wrong", "refs", "profiles"]) data[name] = rest[name];
-      data.runs_of = named(rest.runs_of);
-      data.complete = true;
-      found.clear();
+      Object.assign(data, rest, { runs_of: named(rest.runs_of), complete: true });
       follow();
     },
     ask(change) {
       history.replaceState(null, "", address({ ...stepbench.question, ...change }));
       follow();
     },
-    // The answer to the question: written until all runs are here, found from them from then on.
-    answer() {
-      const { question } = stepbench;
-      if (!data.rules) return stepbench.said(question);
-      const key = ["group", "target", "norm", "cost"].map((name) => question[name]).join("|");
-      if (!found.has(key)) found.set(key, stepbench.computed(question));
-      return found.get(key);
-    },
-    // The sentences on a question, written for some accuracies in one norm.
-    said: (question = stepbench.question) => question.norm === data.first.norm
-      ? data.answers[["group", "target", "cost"].map((name) => question[name]).join("|")] : undefined,
     methodRef(index) {
       const { label, short, page } = data.methods[index];
       return { kind: "method", key: label, text: short, page };
     },
     norm: ({ norm } = stepbench.question) => data.norms[norm],
     // The error up to which the reference cannot judge.
-    floor: (scene, { group, norm } = stepbench.question) => norm === data.first.norm || !data.rules ? data.scenes[scene].floor[group] : data.rules[scene]?.trusted[norm][group],
+    floor: (scene, { group, norm } = stepbench.question) => data.scenes[scene].floor[norm === data.first.norm ? group : `${group}|${norm}`],
     // Sentences on runs that reach the end and are wrong, as paragraphs.
     wrong: (of, which) => (stepbench.data.wrong[stepbench.question.group]?.[of][which] || []).map(
       (parts) => stepbench.html("p", { class: "wrong" }, ...parts.map(stepbench.part))),
@@ -187,7 +165,8 @@
     bar.addEventListener("change", ({ target: place }) => {
       const typed = place.name === "target", value = typed ? accuracy(place.value) : place.value;
       const refused = typed && !value;
-      if (typed) bar.querySelector("output").textContent = refused ? `“${place.value}” is no accuracy: type a number from 1e-12 to 1, such as 3e-4.` : "";
+      if (typed) bar.querySelector("output").textContent = refused ? `“${place.value}” is no accuracy: type a number from ${data.targets.at(-1)} to 1, such as 2e-4.`
+        : Number(value) < Number(place.value) * (1 - 1e-9) ? `The next accuracy of the table: ${value}.` : "";
       if (!refused) stepbench.ask({ [place.name]: value });
     });
     bar.addEventListener("submit", (event) => event.preventDefault());

@@ -2,41 +2,65 @@
 "use strict";
 (() => {
   const { html, data } = stepbench;
+  // A part of a sentence is text, or the place of a reference to something in the report.
+  const part = (item) => {
+    if (typeof item === "string") return item;
+    const method = item.kind === "method" && data.methods.find((m) => m.label === item.key);
+    const text = item.text || item.key;
+    const node = item.page ? html("a", { class: item.kind, title: item.title || item.key }, text)
+      : html("span", { class: item.kind, title: item.title || item.key }, text);
+    if (item.page) node.href = stepbench.page(item.page);
+    if (method) node.style.color = `color-mix(in oklab, ${stepbench.colour(method)} 70%, var(--ink))`;
+    return node;
+  };
+  stepbench.part = part;
+
   const STATES = {
     far: "not reached", failed: "no run reached the end", unknown: "reached, cost not measured",
   };
+  // So many winners are named.
+  const MOST = 3;
 
   const runsOf = (scene, index) => data.runs_of[scene].find((own) => own.method === index);
-  // The run of the least error of all on a scene: its method, place and error.
-  const nearest = (scene, question) => {
+  // The run of the least error of all on a scene, or of one method: its method, place and error.
+  const nearest = (scene, question, only) => {
     let best = null;
-    for (const runs of data.runs_of[scene]) stepbench.columnOf(runs, question.group).forEach((error, k) => {
+    for (const runs of only === undefined ? data.runs_of[scene] : [runsOf(scene, only)]) stepbench.columnOf(runs, question.group)?.forEach((error, k) => {
       if (error > 0 && !(best?.error <= error)) best = { index: runs.method, k, error };
     });
     return best;
   };
   // The run of the verdict: the cheapest, or none.
-  const winner = (scene, own) => {
-    const index = own?.first[0], state = own?.states[index];
+  const winner = (own) => {
+    const index = own?.first.find((m) => own.states[m][0] === 1) ?? own?.first[0], state = own?.states[index];
     return Array.isArray(state) ? { index, k: state[1] } : null;
   };
-  // The verdict on a question for which no sentence was written.
-  const found = (scene, own, question) => {
-    if (!own) return null;
-    const goal = `${question.target} in ${data.group_names[question.group]} (${stepbench.norm()})`;
-    const best = winner(scene, own), near = nearest(scene, question);
-    if (!best) return own.reached ? [`To ${goal}, no costs can be compared.`] : [`No integrator reaches ${goal}`, ...(near ? ["; nearest: ", stepbench.methodRef(near.index), ` with ${stepbench.number(near.error)}`] : []), "."];
-    const runs = runsOf(scene, best.index), cost = stepbench.columnOf(runs, question.cost)[best.k];
-    const does = own.first.length > 1 ? ` and ${own.first.length - 1} more tie` : " is cheapest";
-    const next = own.second ? [`; next: `, stepbench.methodRef(own.second[0]), `, ${stepbench.times(own.second[1])} times`] : [];
-    return [`To ${goal}, `, stepbench.methodRef(best.index), `${does} (${stepbench.costWithUnit(cost, question.cost)} at ${stepbench.resolutionOf(runs, best.k)}`, ...next, ")."];
+  const joined = (items, by = " and ") => items.flatMap((item, k) => [...(k ? [k < items.length - 1 ? ", " : by] : []), ...item]);
+  // 'A (100 at h=0.1) and B (105 at h=0.2) tie; next: C, 2 times', as reports/questions/verdict.py says it.
+  stepbench.verdict = (scene, question = stepbench.question) => {
+    const own = stepbench.answer(question)?.[scene];
+    if (!own) return [stepbench.unjudged(scene, question)];
+    if (!own.first.length) {
+      const near = nearest(scene, question), at = near && ` (${stepbench.number(near.error)} at ${stepbench.resolutionOf(runsOf(scene, near.index), near.k)}).`;
+      return own.reached ? ["It is reached, at costs that are not measured."] : [`No integrator reaches ${question.target}`, ...(near ? ["; nearest: ", stepbench.methodRef(near.index), at] : ["."])];
+    }
+    const run = (m) => {
+      const [, k, cost] = own.states[m], runs = runsOf(scene, m), off = stepbench.columnOf(runs, "constraint")?.[k], { form, short } = data.methods[m];
+      const held = off > 0 ? `; ${form && !short.endsWith(form) ? `${form}; ` : ""}violates Φ by ${stepbench.number(off)}${off > Number(question.target) ? ` > ${question.target}` : ""}` : "";
+      return [stepbench.methodRef(m), ` (${stepbench.costWithUnit(cost, question.cost)} at ${stepbench.resolutionOf(runs, k)}${held})`];
+    };
+    const shown = own.first.slice(0, MOST).map(run), more = own.first.length - shown.length;
+    const who = joined([...shown, ...(more ? [[`${more} more`]] : [])], own.alone ? " = " : " and ");
+    const next = own.second === null ? own.votes ? "" : "; none to compare" : "; next: ";
+    return [...who, own.first.length === 1 ? own.votes && own.second === null ? " alone reaches it" : " is cheapest" : own.alone ? " do the same and are cheapest" : " tie", next,
+      ...(own.second === null ? [] : [stepbench.methodRef(own.second), `, ${stepbench.multiple(own.states[own.second][0])} times`]), "."];
   };
 
   // A command that repeats the run of the verdict, or else the one that came nearest.
   const quoted = (word) => /[^\w@%+=:,./-]/.test(word) ? `'${word}'` : word;
   for (const place of document.querySelectorAll("[data-try]")) stepbench.onChange((question) => {
-    const scene = Number(place.dataset.try), own = stepbench.answer()?.scenes[scene];
-    const best = winner(scene, own), chosen = best || nearest(scene, question);
+    const scene = Number(place.dataset.try), own = stepbench.answer()?.[scene];
+    const best = winner(own), chosen = best || nearest(scene, question);
     const note = place.closest("section").querySelector(".note"), even = chosen && !/ x [\d./]+$/.test(data.methods[chosen.index].label);
     note.textContent = "";
     if (!even) return;
@@ -45,14 +69,13 @@
     // Steps of even size are a whole number to the end.
     const even_step = end / Math.round(end / value), size = Math.abs(even_step / value - 1) < 2e-5 ? Number(even_step.toPrecision(6)) : value;
     place.textContent = `stepbench solve ${quoted(data.scenes[scene].id)} ${quoted(label)} ${control === "h" ? `--step ${size}` : `--rtol ${Number(Number(value).toPrecision(4))}`} --t-end ${place.dataset.end}${JSON.parse(place.dataset.plugins)[label] || ""}`;
-    note.textContent = best ? "It repeats the run of the verdict."
+    note.textContent = best ? `It repeats the run of ${data.methods[best.index].short} in the verdict.`
       : `${own ? own.reached === false || !own.states.some((state) => state === "unknown") ? "No integrator reaches" : "No cost is known at" : "The reference cannot judge"} ${question.target} in ${data.group_names[question.group]}; this run came nearest, with ${stepbench.number(chosen.error)}.`;
   });
 
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
-    const scene = Number(place.dataset.verdict), answer = stepbench.answer();
-    const said = stepbench.said()?.verdicts?.[scene] || found(scene, answer?.scenes[scene], question);
-    const verdict = (said || [stepbench.unjudged(scene, question)]).map(stepbench.part);
+    const scene = Number(place.dataset.verdict), aim = stepbench.answer()?.[scene] ? [`To ${question.target} in ${data.group_names[question.group]}: `] : [];
+    const verdict = [...aim, ...stepbench.verdict(scene, question)].map(stepbench.part);
     place.replaceChildren(html("p", {}, ...verdict), ...stepbench.wrong("scenes", place.dataset.verdict));
   });
 
@@ -62,10 +85,12 @@
     const head = html("th", { scope: "row" }, stepbench.badge(method), link);
     const held = data.scenes[scene].groups.includes("constraint");
     const form = held ? [html("td", {}, method.form)] : [];
-    if (!Array.isArray(state))
-      return html("tr", { class: "out" }, head, ...form, html("td", { colspan: 3 + held }, STATES[state]));
-    const [multiple, k] = state, runs = data.runs_of[scene].find((own) => own.method === index);
-    const [cost, error] = [question.cost, question.group].map((name) => stepbench.columnOf(runs, name)[k]);
+    if (!Array.isArray(state)) {
+      const runs = runsOf(scene, index), near = state === "far" && nearest(scene, question, index);
+      const tried = near ? ` down to ${stepbench.resolutionOf(runs, stepbench.countOf(runs) - 1)}; least error: ${stepbench.number(near.error)}` : "";
+      return html("tr", { class: "out" }, head, ...form, html("td", { colspan: 3 + held }, STATES[state] + tried));
+    }
+    const [multiple, k, cost] = state, runs = runsOf(scene, index), error = stepbench.columnOf(runs, question.group)[k];
     // A violation that is larger than the accuracy is told to be.
     const off = held ? stepbench.columnOf(runs, "constraint")[k] : NaN;
     const violation = held ? [html("td", {}, stepbench.number(off), off > Number(question.target) ? ` > ${question.target}` : "")] : [];
@@ -74,7 +99,7 @@
       html("td", {}, stepbench.number(error)), ...violation);
   };
   for (const table of document.querySelectorAll("[data-methods]")) stepbench.onChange((question) => {
-    const scene = Number(table.dataset.methods), states = stepbench.answer()?.scenes[scene]?.states || [];
+    const scene = Number(table.dataset.methods), states = stepbench.answer()?.[scene]?.states || [];
     const multiple = ([, state]) => Array.isArray(state) ? state[0] : Infinity;
     const found = Object.entries(states).filter(([, state]) => state !== null).sort((one, two) => multiple(one) - multiple(two) || 0);
     table.closest("section").hidden = !found.length;

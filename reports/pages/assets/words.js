@@ -1,21 +1,7 @@
 // The answer in sentences, and the standings of all methods.
 "use strict";
 (() => {
-  const { html, data } = stepbench;
-  // A part of a sentence is text, or the place of a reference to something in the report.
-  const part = (place) => {
-    if (typeof place === "string") return place;
-    const item = typeof place === "object" ? place : data.refs[place];
-    const method = item.kind === "method" && data.methods.find((m) => m.label === item.key);
-    const text = item.text || item.key;
-    const node = item.page ? html("a", { class: item.kind, title: item.title || item.key }, text)
-      : html("span", { class: item.kind, title: item.title || item.key }, text);
-    if (item.page) node.href = stepbench.page(item.page);
-    if (method) node.style.color = `color-mix(in oklab, ${stepbench.colour(method)} 70%, var(--ink))`;
-    return node;
-  };
-  stepbench.part = part;
-
+  const { html, data, part } = stepbench;
   const card = document.getElementById("answer"), table = document.getElementById("standings");
   if (!card) return;
 
@@ -59,21 +45,19 @@
   };
 
   stepbench.onChange((question) => {
-    const own = stepbench.answer()?.filters[question.scenes];
     const title = `Which integrator, for an error in ${data.group_names[question.group].replace(/ \S+$/, "")} of at most ${question.target}?`;
     document.querySelector("main h1").textContent = title;
     const unfolded = card.querySelector("details")?.open;
-    card.replaceChildren(html("p", { class: "headline" }, ...(own ? own.headline.map(part) : [data.complete
-      ? "No run here can be judged by this question." : "The other answers are being read."])));
+    const here = stepbench.answer(), line = (name, ...parts) => html("p", name ? { class: name } : {}, ...parts.map(part));
+    const [none, beside] = [data.complete ? "No run here can be judged by this question." : "The other answers are being read.", data.both.filter((cost) => data.both.includes(question.cost) && cost !== question.cost)];
+    card.replaceChildren(line("headline", ...(here ? stepbench.headline(question) : [none])),
+      ...(here ? beside : []).map((cost) => line("also", `${data.least[cost]}: `, ...stepbench.headline({ ...question, cost }))));
     const [wrong, ...which] = stepbench.wrong("filters", question.scenes);
     if (wrong) card.append(wrong);
     const more = html("details", unfolded ? { open: "" } : {}, html("summary", {}, "costs, rivals, constraints, and where it fails"));
     card.append(more);
-    const said = stepbench.said()?.filters[question.scenes];
-    if (!said && data.complete) more.append(html("p", {}, `Sentences are written for accuracies from ${data.targets[0]} to ${data.targets.at(-1)}, ${stepbench.norm(data.first)}; the tables and charts below answer this question.`));
-    more.append(...which, ...(said?.sentences || []).map((parts) => html("p", {}, ...parts.map(part))));
-    more.append(html("p", { class: "note" }, `Error: ${stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make" : "of the worst component, relative to its largest value in the reference"}, ${stepbench.norm()}. Tied: ${data.ties[question.cost]}.`));
-    const judged = stepbench.chosen().filter((k) => stepbench.answer()?.scenes[k]).length;
-    standings(own ? own.standings : [], judged);
+    more.append(...which, line("", `To ${question.target} in ${data.group_names[question.group]} (${stepbench.norm()}), scene by scene:`), ...(here ? stepbench.chosen() : []).map((k) => line("", { kind: "scene", key: data.scenes[k].id, text: data.scenes[k].name, page: data.scenes[k].page }, ": ", ...stepbench.verdict(k, question))));
+    more.append(html("p", { class: "note" }, `Error: ${stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make" : "of the worst component, relative to its largest value in the reference"}, ${stepbench.norm()}. Tied: ${data.ties[question.cost]}, or the cheapest from a later start of the motion. Time is of this machine and of a method's language; operations are a model, of library codes an estimate.`));
+    standings(stepbench.standings(question), stepbench.chosen().filter((k) => here?.[k]).length);
   });
 })();
