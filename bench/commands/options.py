@@ -14,7 +14,6 @@ import click
 
 from bench.commands import completion
 from bench.plugins.facts import MethodFacts, SceneFacts, Sources
-from bench.results.store import Store, set_aside_text
 from bench.running.inventory import Inventory
 from bench.running.plan import LARGEST_BUDGET
 from bench.running.progress import OnStandardError
@@ -300,13 +299,3 @@ with_budget = with_given_budget(
 with_as_json = click.option(
     "--json", "as_json", is_flag=True, help="Print JSON instead of a table."
 )
-
-
-def tell_set_aside(*stores: Store | Path, more: str = "") -> None:
-    """Say on standard error which rows of stores cannot be read, if any; ``more`` follows."""
-    for store in stores:
-        if isinstance(store, Path):
-            with Store(store) as opened:
-                tell_set_aside(opened, more=more)
-        elif text := set_aside_text(store.set_aside()):
-            click.echo(" ".join(filter(None, (f"{store.folder}: {text}", more))), err=True)

@@ -11,7 +11,6 @@ from typing import Any
 import click
 import msgspec
 
-from bench.commands import options
 from bench.commands.pages import view, write_reports
 from bench.guard.interrupts import remark
 from bench.plugins.facts import SceneFacts
@@ -80,7 +79,6 @@ def rate(
         Store(out, create=True, fresh=fresh) as store,
     ):
         remark("Finished runs are stored; the same command goes on.")
-        options.tell_set_aside(store)
         search = Search(candidates, suite, store, registry, runner)
         search.run()
         search.take_times(r for c in candidates for asked in c.demands if (r := c.best(asked)))

@@ -203,7 +203,6 @@ def _race(
             ) as runner,
             Store(out, create=True, fresh=fresh) as store,
         ):  # fmt: skip
-            options.tell_set_aside(store)
             search = Search(candidates, suite, store, registry, runner)
             stored = "Finished runs are stored; the same command goes on."
             remark(stored)

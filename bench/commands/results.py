@@ -103,14 +103,13 @@ def report(
         form = _ending(out)
     if kind is not None:
         written = view("figure")(kind, folder, out or Path(f"{kind}.svg"), **asked)
-        options.tell_set_aside(folder)
         click.echo(f"Figure: {written}")
     elif form:
         _write_rows(folder, form, out)
     elif out:
         raise SpecError(f"{out} is a file of rows or of a figure; say --csv, --json or --figure.")
     else:
-        options.tell_set_aside(folder)  # says clearly if there is none
+        Store(folder).close()  # says clearly if there is none
         write_reports(folder, single_file)
         if opened:
             _open(folder / _PAGE)
@@ -125,7 +124,6 @@ def _write_rows(folder: Path, form: str, out: Path | None) -> None:
     with Store(folder) as store:
         machines = store.environments()
         rows = [flatten(record, machines) for record in store.records().values()]
-        options.tell_set_aside(store)
     text = json.dumps(rows, indent=1) if form == "json" else csv_export(rows)
     if out:
         out.write_text(text, encoding="utf-8")
@@ -180,7 +178,6 @@ def compare(old: Path, new: Path, limits: dict[str, float], as_json: bool) -> No
 
     comparison = compare_folders(old, new)
     worse = regressions(comparison, limits)
-    options.tell_set_aside(old, new)
     if as_json:
         answer = msgspec.structs.asdict(comparison) | {"regressions": worse}
         click.echo(msgspec.json.format(msgspec.json.encode(answer).decode(), indent=2))
@@ -207,7 +204,6 @@ def merge_(folders: tuple[Path, ...], out: Path) -> None:
       stepbench merge laptop-results cluster-results --out all-results
     """
     records, environments = merge(folders, out)
-    options.tell_set_aside(*folders)
     click.echo(
         f"{records} records of {len(folders)} folders, measured in {environments} environments, "
         f"are in {out}. For the pages: stepbench report {out}"
@@ -255,7 +251,6 @@ def versus_(
 
     asked = {name: value for name, value in question.items() if value is not None}
     found = view("versus")(first, second, folder, **asked)
-    options.tell_set_aside(folder)
     if as_json:
         click.echo(msgspec.json.format(msgspec.json.encode(found.plain).decode(), indent=2))
     else:

@@ -95,7 +95,6 @@ def run_suite(
         if drawn:
             progress.after_step = page.look
         remark("Finished runs are stored; the same command goes on.")
-        options.tell_set_aside(store, more="What the suite needs of them is measured anew.")
         for sentence in suite.lost:
             progress.note(sentence)
         measured = measure_suite(suite, store, registry, runner)

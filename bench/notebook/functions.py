@@ -227,7 +227,6 @@ def load(folder: str | Path = options.RESULTS) -> Results:
     with Store(Path(folder)) as store:
         records, machines = list(store.records().values()), store.environments()
         scenes = store.scenes()
-        options.tell_set_aside(store)
     return Results(
         folder=Path(folder),
         runs=frame([flatten(record, machines) for record in records]),

@@ -1,41 +1,37 @@
 """The store: one SQLite file (write-ahead log) per run folder.
 
-All results are rows of one table: kind (the name of a record's class), key, and the value as JSON.
-A new study needs no other table. Timing samples, which come one by one, have one of their own. Only
-the process that plans writes. Each finished cell is one transaction, so that a run killed at any
-moment has lost nothing but the cell in work.
+All results are rows of one table: kind (the name of a record's class), key, and the value as
+compressed JSON. A new study needs no other table. Timing samples, which come one by one, have one
+of their own. Only the process that plans writes. Each finished cell is one transaction, so that a
+run killed at any moment has lost nothing but the cell in work.
 """
 
 from __future__ import annotations
 
+import errno
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
 from bench.results.drift import LongRun
 from bench.results.experiments import ExperimentResult
 from bench.results.records import SCHEMA, Damping, Environment, Plan, Record, Rows, SceneRecord
-from bench.results.store_file import (
-    FILE,
-    WAY_OUT,
-    StoreError,
-    Unreadable,
-    decoded,
-    encoded,
-    locked,
-    opened_to_read,
-)
-from problems.plain_text import clean
 
 if TYPE_CHECKING:
     from filelock import FileLock
 
 T = TypeVar("T")
 
+FILE = "stepbench.sqlite"
+#: Locked by whoever writes; the system takes the lock away from a process that ends in any way.
+#: Not the database itself, whose own locks SQLite would lose when another file object is closed.
+_LOCK = ".stepbench.lock"
+_WAY_OUT = "start again with --fresh or another --out"
 _TABLES = f"""
 BEGIN IMMEDIATE;
 CREATE TABLE results (kind TEXT, key TEXT, value BLOB NOT NULL, PRIMARY KEY (kind, key));
@@ -47,21 +43,17 @@ COMMIT;
 #: Keys of values that hold their own.
 _KEYS = {
     Plan: lambda plan: "plan",
-    Record: lambda record: record.key,
     SceneRecord: lambda scene: f"{scene.problem} | {scene.t_end!r}",
     ExperimentResult: lambda found: found.name,
     LongRun: lambda run: run.key,
 }
-#: Most rows that are named in the sentence on those left out.
-_NAMED = 3
+#: Significant digits of sampled values, which charts show with fewer. Sampled values are most of a
+#: store, and their last digits are noise, which no compression makes smaller.
+_DIGITS = 8
 
 
-class SetAside(NamedTuple):
-    """A row that cannot be read: its kind, its key, and the reason."""
-
-    kind: str
-    key: str
-    reason: str
+class StoreError(RuntimeError):
+    """The folder has no readable store, or the store cannot be written."""
 
 
 class Store:
@@ -89,12 +81,11 @@ class Store:
         self.folder = Path(folder)
         self._path = self.folder / FILE
         self._lock: FileLock | None = None
-        self._spoilt: dict[tuple[str, str], str] = {}
         opened: sqlite3.Connection | None = None
         try:
             if create:
                 self.folder.mkdir(parents=True, exist_ok=True)
-                self._lock = locked(self.folder)
+                self._lock = _locked(self.folder)
                 if fresh:
                     # The file goes last: a log left without its file would meet the new one.
                     for suffix in ("-wal", "-shm", ""):
@@ -105,7 +96,7 @@ class Store:
                 if not opened.execute("SELECT 1 FROM sqlite_master").fetchone():
                     opened.executescript(_TABLES)
             elif self._path.is_file():
-                opened = opened_to_read(self._path)
+                opened = _opened_to_read(self._path)
             else:
                 raise StoreError(
                     f"{self.folder} holds no stepbench results; run 'stepbench run' first."
@@ -114,7 +105,7 @@ class Store:
             if version != SCHEMA:
                 raise StoreError(
                     f"{self._path} is no stepbench store of this version (its schema is {version}, "
-                    f"not {SCHEMA}); {WAY_OUT}."
+                    f"not {SCHEMA}); {_WAY_OUT}."
                 )
         except (OSError, sqlite3.Error, StoreError) as error:
             if opened is not None:
@@ -124,7 +115,7 @@ class Store:
             if isinstance(error, StoreError):
                 raise
             raise StoreError(
-                f"The store {self._path} cannot be opened ({error}); {WAY_OUT}."
+                f"The store {self._path} cannot be opened ({error}); {_WAY_OUT}."
             ) from error
         self._db = opened
 
@@ -150,9 +141,13 @@ class Store:
             A plan, the description of a scene, a result of a study.
         key
             Its key, if it does not hold one.
+
+        Raises
+        ------
+        StoreError
+            If it could not be read again.
         """
-        with self._transaction():
-            self._put(value, _KEYS[type(value)](value) if key is None else key)
+        self._put([(_KEYS[type(value)](value) if key is None else key, value)])
 
     def forget(self, kind: type, key: str) -> None:
         """Forget the value of a kind and a key, if there is one."""
@@ -161,13 +156,8 @@ class Store:
 
     def take(self, other: Store, kinds: Iterable[type]) -> None:
         """Keep all that another store has of some kinds."""
-        names = [kind.__name__ for kind in kinds]
-        marks = ", ".join("?" * len(names))
-        rows = other._read(
-            f"SELECT kind, key, value FROM results WHERE kind IN ({marks}) ORDER BY rowid", *names
-        )
-        with self._transaction() as db:
-            db.executemany("INSERT OR REPLACE INTO results VALUES (?, ?, ?)", rows)
+        for kind in kinds:
+            self._put(other.values(kind).items())
 
     def save_environment(self, environment: Environment) -> int:
         """Keep the environment of an invocation; returns its number."""
@@ -176,34 +166,49 @@ class Store:
         return number
 
     def save(self, record: Record, rows: Rows) -> None:
-        """Keep a finished cell with its rows, in one transaction; forgets older samples."""
-        with self._transaction() as db:
-            db.execute("DELETE FROM samples WHERE key = ?", (clean(record.key),))
-            if self._put(rows, record.key) is not rows:
-                said = f"{record.message} Its sampled values cannot be stored."
-                record = msgspec.structs.replace(record, message=said.strip())
-            self._put(record, record.key)
+        """Keep a finished cell with its rows, in one transaction; forgets older samples.
+
+        A record that could not be read again has its place taken by one with the reason.
+        """
+        rows = Rows(t=_short(rows.t), values=_short(rows.values), notes=_short(rows.notes))
+        try:
+            _encoded(record)
+        except ValueError as error:
+            names = (
+                "key problem integrator controls h pattern rtol atol t0 t_end environment family"
+            )
+            names = [*names.split(), "budget_s", "formulation", "fingerprint"]
+            whose = {name: getattr(record, name) for name in names}
+            reason = f"The result cannot be stored: {error}."
+            record, rows = Record(**whose, status="crashed", message=reason), Rows(t=[])
+        self._put([(record.key, rows), (record.key, record)], forget_samples=record.key)
 
     def add_sample(
         self, key: str, number: int, seconds: float, invocation: int | None = None
     ) -> None:
         """Keep one timing sample of a cell: its round, in an invocation (None: the cell's own)."""
         with self._transaction() as db:
-            row = clean(key), number, seconds, invocation
+            row = key, number, seconds, invocation
             db.execute("INSERT OR REPLACE INTO samples VALUES (?, ?, ?, ?)", row)
 
     # ---- reading -----------------------------------------------------------------------
-    def values(self, kind: type[T]) -> dict[str, T]:
-        """The values of a kind by key, in the order in which they were kept.
+    def values(self, kind: type[T], key: str | None = None) -> dict[str, T]:
+        """Return the values of a kind by key, in the order in which they were kept.
 
-        Those that cannot be read are left out, and noted for `set_aside`.
+        Parameters
+        ----------
+        kind
+            Their class.
+        key
+            The key of the only one that is asked for.
         """
-        read = "SELECT key, value FROM results WHERE kind = ? ORDER BY rowid"
-        found = {}
-        for key, raw in self._read(read, kind.__name__):
-            with suppress(Unreadable):
-                found[key] = self._decoded(key, raw, kind)
-        return found
+        read = f"SELECT key, value FROM results WHERE kind = ?{' AND key = ?' if key else ''}"
+        rows = self._read(f"{read} ORDER BY rowid", kind.__name__, *([key] if key else []))
+        try:
+            return {key: _decoded(raw, kind) for key, raw in rows}
+        except ValueError as error:
+            text = f"A {kind.__name__} in the store {self._path} cannot be read ({error})"
+            raise StoreError(f"{text}; {_WAY_OUT}.") from error
 
     def plan(self) -> Plan | None:
         """The plan of the latest run, or None."""
@@ -252,55 +257,31 @@ class Store:
         return records
 
     def rows(self, key: str) -> Rows:
-        """The sampled values of a cell; none if they cannot be read.
+        """The sampled values of a cell.
 
         Raises
         ------
         KeyError
             If the cell is not there.
         """
-        read = "SELECT value FROM results WHERE kind = 'Rows' AND key = ?"
-        for (raw,) in self._read(read, key):
-            with suppress(Unreadable):
-                return self._decoded(key, raw, Rows)
-            return Rows(t=[])
-        raise KeyError(key)
-
-    def set_aside(self) -> list[SetAside]:
-        """All rows that cannot be read; the other methods pass over them."""
-        self._spoilt.clear()
-        for kind in (*_KEYS, Environment, Damping, Rows):
-            self.values(kind)
-        return [SetAside(*place, reason) for place, reason in self._spoilt.items()]
+        return self.values(Rows, key)[key]
 
     # ---- parts -------------------------------------------------------------------------
-    def _put(self, value: Any, key: str) -> Any:
-        """Write a value, or that in its place if it could not be read again; returns which."""
+    def _put(self, values: Iterable[tuple[str, Any]], forget_samples: str | None = None) -> None:
         try:
-            raw = encoded(value)
-        except Unreadable as error:
-            if (value := _instead(value, error)) is None:
-                text = f"The result {key!r} cannot be stored in {self.folder}: {error}."
-                raise StoreError(text) from None
-            raw = encoded(value)
-        row = type(value).__name__, clean(key), raw
-        self._db.execute("INSERT OR REPLACE INTO results VALUES (?, ?, ?)", row)
-        return value
-
-    def _decoded(self, key: str, raw: Any, kind: type[T]) -> T:
-        """A value; one that cannot be read is noted."""
-        try:
-            return decoded(raw, kind)
-        except Unreadable as error:
-            self._spoilt[kind.__name__, key] = str(error)
-            raise
+            rows = [(type(value).__name__, key, _encoded(value)) for key, value in values]
+        except ValueError as error:
+            raise StoreError(f"A result cannot be stored in {self.folder}: {error}.") from error
+        with self._transaction() as db:
+            db.execute("DELETE FROM samples WHERE key = ?", (forget_samples,))
+            db.executemany("INSERT OR REPLACE INTO results VALUES (?, ?, ?)", rows)
 
     def _read(self, sql: str, *parameters: object) -> list[tuple]:
         """All rows of a query."""
         try:
             return self._db.execute(sql, parameters).fetchall()
         except sqlite3.Error as error:
-            text = f"The store {self._path} cannot be read ({error}); {WAY_OUT}."
+            text = f"The store {self._path} cannot be read ({error}); {_WAY_OUT}."
             raise StoreError(text) from error
 
     @contextmanager
@@ -317,27 +298,67 @@ class Store:
             ) from error
 
 
-def _instead(value: Any, reason: Unreadable) -> Any:
-    """The value in the place of one that could not be read: whose it is, and the reason."""
-    why = f"cannot be stored: {reason}."
-    if isinstance(value, Record):
-        names = ("key", "problem", "integrator", "controls", "h", "pattern", "rtol", "atol", "t0")
-        names += ("t_end", "environment", "budget_s", "family", "formulation", "fingerprint")
-        kept = {name: getattr(value, name) for name in names}
-        return Record(**kept, status="crashed", message=f"The result {why}")
-    if isinstance(value, SceneRecord):
-        about = {name: getattr(value, name) for name in ("problem", "t_end", "t0", "fingerprint")}
-        return SceneRecord(**about, description=f"The description of this scene {why}")
-    if isinstance(value, Damping):
-        return Damping(omega_h=[], message=f"It {why}")
-    return Rows(t=[]) if isinstance(value, Rows) else None
+def _encoded(value: Any) -> bytes:
+    """Write a value; ValueError if it could not be read again."""
+    try:
+        raw = zlib.compress(msgspec.json.encode(value), 9)
+    except (TypeError, OverflowError) as error:
+        raise ValueError(str(error)) from error
+    _decoded(raw, type(value))
+    return raw
 
 
-def set_aside_text(found: Sequence[SetAside]) -> str:
-    """Say how many rows cannot be read, and name a few; empty if all can be."""
-    if not found:
-        return ""
-    named = [f"{row.kind} {clean(row.key)[:80]!r} ({row.reason})" for row in found[:_NAMED]]
-    more = [f"{len(found) - _NAMED} more"] if len(found) > _NAMED else []
-    rows = "1 row" if len(found) == 1 else f"{len(found)} rows"
-    return f"{rows} of the store cannot be read and left out: {'; '.join([*named, *more])}."
+def _decoded(raw: bytes, kind: type[T]) -> T:
+    """Read a value, also one that was not compressed; ValueError if it is not of this kind."""
+    try:
+        return msgspec.json.decode(raw if raw[:1] == b"{" else zlib.decompress(raw), type=kind)
+    except (zlib.error, msgspec.DecodeError, TypeError) as error:
+        raise ValueError(str(error)) from error
+
+
+def _short(values: Any) -> Any:
+    """Sampled values with `_DIGITS` significant digits."""
+    if isinstance(values, dict):
+        return {name: _short(own) for name, own in values.items()}
+    if isinstance(values, list):
+        return [_short(own) for own in values]
+    return float(f"{values:.{_DIGITS}g}") if isinstance(values, float) else values
+
+
+def _locked(folder: Path) -> FileLock | None:
+    """The lock of a folder, taken; None where the file system has no locks."""
+    from filelock import FileLock, Timeout  # not needed to read, and slow to import
+
+    lock = FileLock(folder / _LOCK)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise StoreError(
+            f"Another run is writing into {folder}; wait for its end, or give another --out."
+        ) from None
+    except OSError as error:
+        if error.errno in (errno.ENOLCK, errno.EOPNOTSUPP):
+            return None
+        raise
+    return lock
+
+
+def _opened_to_read(path: Path) -> sqlite3.Connection:
+    """Open a file that must not change, also in a folder that cannot be written."""
+    uri = f"{path.absolute().as_uri()}?mode=ro"
+    db = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=30.0)
+    try:
+        db.execute("SELECT 1 FROM sqlite_master")  # the file is opened by the first query
+        return db
+    except sqlite3.Error as error:
+        db.close()
+        log = path.with_name(path.name + "-wal")
+        # In a folder that cannot be written there is no place for the log's index. Nobody
+        # writes there either, so the file stands still, but rows still in a log would be lost.
+        refused = error.sqlite_errorcode & 0xFF in (
+            sqlite3.SQLITE_CANTOPEN,
+            sqlite3.SQLITE_READONLY,
+        )
+        if not refused or (log.exists() and log.stat().st_size):
+            raise
+    return sqlite3.connect(f"{uri}&immutable=1", uri=True, isolation_level=None)

@@ -9,7 +9,7 @@ from typing import Any
 from bench.results.demands import overviews
 from bench.results.quantities import COSTS, GROUP_NAMES, NORM, NORMS, TRUST
 from bench.results.records import NOT_TRIED
-from bench.results.store import Store, set_aside_text
+from bench.results.store import Store
 from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.cost_by_size import size_charts
 from reports.charts.line_styles import line_styles
@@ -65,10 +65,7 @@ class Report:
         self.words = stored.words
         self.names = self.words.names
         self.failed = sum(r.status not in {"ok", *NOT_TRIED} for r in runs)
-        self.missing = [
-            *filter(None, [set_aside_text(store.set_aside())]),
-            *missing_data(plan, stored.scenes_by_key, stored.records, [*stored.titles]),
-        ]
+        self.missing = missing_data(plan, stored.scenes_by_key, stored.records, [*stored.titles])
         first = stored.first
         asked = answers(series, [first.group])
         answered = {q: own for q, own in asked.items() if q.target == first.target}
