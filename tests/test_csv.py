@@ -16,12 +16,13 @@ from bench.results.published import Digits
 from reports.charts.errors import (
     acceleration_accuracy,
     convergence_chart,
+    error_against_cost,
     work_precision_chart,
     work_precision_with_menus,
 )
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import histories, trajectory_chart
-from reports.charts.pareto_front import pareto_chart
+from reports.questions.question import FIRST
 from reports.series import series_of
 
 
@@ -103,7 +104,7 @@ def test_no_chart_has_a_number_in_the_place_of_a_name(tmp_path, interactive):
         convergence_chart(series, ["q", "a"], styles, interactive=interactive),
         acceleration_accuracy(series, styles, interactive=interactive),
         work_precision_with_menus(series, ["q", "a"], styles),
-        pareto_chart({"pendulum": series}, styles, interactive),
+        error_against_cost({"pendulum": series}, styles, FIRST),
         trajectory_chart(rows, curves(1.0, {"q": 2}), ["q"], styles, interactive=interactive),
         histories(rows, styles, interactive),
     ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import math
 from xml.etree import ElementTree
@@ -15,9 +17,11 @@ from bench.results.quantities import NORMS
 from reports.charts.errors import (
     acceleration_accuracy,
     convergence_chart,
+    error_against_cost,
     work_precision_with_menus,
 )
 from reports.charts.line_styles import line_styles
+from reports.questions.question import Question
 from reports.series import series_of
 
 
@@ -53,6 +57,29 @@ def test_the_legend_of_a_convergence_chart_names_the_fitted_orders() -> None:
     assert "m: order q 2.00, lam 1.00" in text
     assert "n: order q 2.00, lam 0.00" in text
     assert "two: order not determined" in text
+
+
+def test_error_against_cost_has_a_panel_for_each_scene_with_several_integrators() -> None:
+    records = everything()
+    records.append(planted("alone", "good[rho_inf=0.8]", {"a": (1.0, 2.0)}, h=0.1))
+    scenes: dict[str, list] = {}
+    for r in records:
+        scenes.setdefault(r.problem, []).append(r)
+    series = {name: series_of(own) for name, own in scenes.items()}
+    styles = line_styles(r.integrator for r in records)
+    chart = error_against_cost(series, styles, Question("a", 1e-4, "residuals", "end"))
+    altair.ConcatChart.from_dict(chart, validate=True)
+    titles = [panel["title"]["text"] for panel in chart["concat"]]
+    assert titles == ["spring mass", "pendulum"]
+    for name in ("spring_mass", "pendulum"):
+        rows = csv.DictReader(io.StringIO(chart["datasets"][f"runs on {name}"]))
+        shown = {(r["series"], float(r["residuals"]), float(r["a_end"])) for r in rows}
+        ok = [r for r in scenes[name] if r.status == "ok" and "a" in r.errors]
+        assert shown == {
+            (r.integrator, r.work["residuals"], float(f"{r.errors['a']['end']:.5g}")) for r in ok
+        }
+    assert "<svg" in vl_convert.vegalite_to_svg(chart)
+    assert error_against_cost({"alone": series["alone"]}, styles, Question("a", 1, "steps")) is None
 
 
 def guides(chart: dict) -> dict[str, list[tuple[str, float]]]:

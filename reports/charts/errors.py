@@ -21,6 +21,8 @@ from reports.charts.error_panels import (
 )
 from reports.charts.line_styles import LineStyle, styles_of
 from reports.formatting import order_text
+from reports.names import scene_name
+from reports.questions.question import Question
 from reports.series import Series, ok_runs
 
 #: What the menu of a chart offers.
@@ -53,6 +55,27 @@ def _orders(series: Series, groups: Sequence[str], norm: str) -> str:
     fits = {group: series.fit(group, norm) for group in groups}
     known = [f"{g} {order_text(f.order)}" for g, f in fits.items() if f.order is not None]
     return f": order {', '.join(known)}" if known else ": order not determined"
+
+
+def error_against_cost(
+    scenes: Mapping[str, Sequence[Series]], styles: Mapping[str, LineStyle], question: Question
+) -> vl.Spec | None:
+    """Error against cost on every scene with several integrators, a panel each; None without any.
+
+    Group, norm and cost are those of the question.
+    """
+    group, cost, norm = question.group, question.cost, question.norm
+    ended = {name: [s for s in series if s.ok] for name, series in scenes.items()}
+    own = {name: series for name, series in ended.items() if len(series) > 1}
+    options = vl.ChartOptions(styles_of((s for runs in own.values() for s in runs), styles), norm)
+    panels, data = [], []
+    for name, series in own.items():
+        rows = run_rows(series, [group], [norm], [cost, "seconds"])
+        data.append(vl.Dataset(f"runs on {name}", rows))
+        panel = error_panel(series, data[-1], group, cost, options, first=not panels)
+        title = {"text": scene_name(name), "color": vl.GREY, "fontSize": 12}
+        panels += [panel | {"title": title}] if panel else []
+    return vl.arrange(panels, data, 3, height=170)
 
 
 def work_precision_chart(

@@ -13,8 +13,6 @@ from bench.results.quantities import COSTS, GROUPS, NORM, NORMS, WRONG
 from bench.results.records import NOT_TRIED, Damping, IntegratorFacts
 from bench.results.table import Table
 from reports.charts.all_scenes import method_strip
-from reports.charts.line_styles import LineStyle
-from reports.charts.pareto_front import pareto_chart
 from reports.formatting import file_name, milliseconds, number
 from reports.names import BUILT_IN, form_name
 from reports.pages.captioned_charts import captioned
@@ -50,8 +48,6 @@ class MethodChapter:
         Results of the failure atlas.
     over
         The answers to that question for all accuracies.
-    styles
-        Looks of lines by label.
     """
 
     def __init__(
@@ -63,7 +59,6 @@ class MethodChapter:
         words: Words,
         experiments: Sequence[ExperimentResult],
         over: Sequence[Answer],
-        styles: Mapping[str, LineStyle],
     ) -> None:
         by_scene = {k: s for k, own in stored.series.items() for s in own if s.label == label}
         first = next(iter(by_scene.values()))
@@ -84,7 +79,6 @@ class MethodChapter:
         self.failures = _own(failures_table(runs), "Its runs that did not reach the end")
         self.noted = _own(notes_table(runs), "Its runs that reached the end with a note")
         self.unsupported = _own(unsupported_table(runs), "Scenes that it does not support")
-        chart = pareto_chart(stored.series, styles, False, answer.question, own=label)
         anchor, quantity = f"chart-{file_name(label)}", answer.question.quantity
         by = COSTS[answer.question.cost].words
         self.strip = captioned(
@@ -92,11 +86,6 @@ class MethodChapter:
             "of the least cost. A column 'wrong' counts runs that reach the end with an error "
             f"above {WRONG:g} and say nothing.",
             {f"{anchor}-strip": method_strip(label, over, by_scene)},
-        )
-        self.costs = captioned(
-            f"Error in {quantity} ({NORMS[NORM]}). The line: its runs. The broad grey line: the "
-            "best of all others, with their runs.",
-            {f"{anchor}-costs": chart},
         )
         families = {
             s.records[0].integrator: s.family for own in stored.series.values() for s in own

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from bench.results.demands import overviews
-from bench.results.quantities import COSTS, GROUP_NAMES, NORM, NORMS, TRUST
+from bench.results.quantities import COSTS
 from bench.results.records import NOT_TRIED
 from bench.results.store import Store
 from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.cost_by_size import size_charts
+from reports.charts.errors import error_against_cost
 from reports.charts.line_styles import line_styles
-from reports.charts.pareto_front import pareto_chart
 from reports.formatting import file_name
 from reports.pages.atlas import atlas_chapter
 from reports.pages.captioned_charts import CaptionedCharts, captioned
@@ -74,7 +74,7 @@ class Report:
         self.answer = self.answered.get(first, Answer(first, {}, {}))
         self.wrong = wrong_sentences(first.group, stored.wrong(first.group), self.words)
         self.winners = winners_table(self.answered, self.run_ids, self.words)
-        self.overview = [*self._overview(interactive), *self._cost_by_size()]
+        self.overview = [*([] if interactive else self._overview()), *self._cost_by_size()]
         self.scenes = list(self._scenes(store, interactive))
         self.integrators = integrators_table(series, facts)
         damping, experiments = store.damping(), list(store.experiments().values())
@@ -91,9 +91,7 @@ class Report:
         self.timing, self.times = timing_table(series_of(runs)), times_sentence(stored.times)
         self.method = method_of_measurement(plan)
         self.methods = [
-            MethodChapter(
-                label, stored, damping, self.answer, self.words, experiments, over, self.styles
-            )
+            MethodChapter(label, stored, damping, self.answer, self.words, experiments, over)
             for label in self.names
         ]
 
@@ -120,16 +118,9 @@ class Report:
             same_as = "" if first == title else first
             yield SceneChapter(f"scene-{i}", sections, stored.series[title], own, same_as)
 
-    def _overview(self, interactive: bool) -> list[CaptionedCharts]:
-        """The charts over all scenes, with more than one integrator to compare.
-
-        Of the first question the front page draws heat table and profile itself; a still report has
-        pictures of them.
-        """
-        first = self.stored.first
-        group, cost = GROUP_NAMES[first.group], COSTS[first.cost].title
-        front = "(choose above)" if interactive else f"({group}; {cost})"
-        which = f"({first.text}; {cost})"
+    def _overview(self) -> list[CaptionedCharts]:
+        """Pictures of the answer to the first question, which a page draws itself."""
+        which = f"({self.stored.first.text}; {COSTS[self.stored.first.cost].title})"
         heat = (
             "Cost of the cheapest run that reaches an accuracy, as a multiple of the best on the "
             f"scene {which}. Grey: not reached, or the cost is not measured; empty: not tried."
@@ -140,19 +131,11 @@ class Report:
             "cheapest; on the right: part on which it reaches the accuracy. Counted for each are "
             "the scenes with several contestants on which it was tried."
         )
-        pareto = (
-            f"Relative error, {NORMS[NORM]} (up), against cost (to the right) {front}. The broad "
-            "line joins the runs that no other run of the scene beats in both (Pareto front); "
-            f"errors below {TRUST:g} times the reference's own count as equal."
-        )
-        still = [
+        errors = error_against_cost(self.series, self.styles, self.stored.first)
+        made = [
             captioned(heat, {"overview-heat": cost_heat_map(self.answer, self.styles)}),
             captioned(profile, {"overview-profile": performance_profile(self.answer, self.styles)}),
-        ]
-        front_chart = pareto_chart(self.series, self.styles, interactive, first)
-        made = [
-            *([] if interactive else still),
-            captioned(pareto, {"overview-front": front_chart}),
+            captioned("Accuracy against cost, scene by scene.", {"overview-errors": errors}),
         ]
         return [figure for figure in made if figure]
 

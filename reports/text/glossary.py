@@ -15,7 +15,7 @@ class Term(NamedTuple):
 
     @property
     def anchor(self) -> str:
-        """The anchor of the term in the glossary: term-pareto-front."""
+        """The anchor of the term in the glossary: term-relative-error."""
         return "term-" + re.sub(r"\W+", "-", self.name.lower())
 
 
@@ -41,7 +41,6 @@ _DEFINITIONS = {
     "Operations": "Floating-point operations of a run, counted from the program of its steps, the "
     "same on every machine.",
     "Order": "The power p with which an error falls: with half the step it is 2^p times smaller.",
-    "Pareto front": "The runs that no other run beats in accuracy and cost at once.",
     "Performance profile": "The part of all tasks that a method solves at no more than so many "
     "times the cost of the best one.",
     "Period error": "The relative change of the period of an oscillation that a method computes.",

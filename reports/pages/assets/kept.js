@@ -20,7 +20,8 @@ window.keptQuestion = (() => {
     }
     for (const link of document.links) {
       const [, page, anchor] = link.getAttribute("href").match(/^([^:?#]*\.html)(?:#(.*))?$/) || [];
-      if (page && (!anchor || asks(anchor))) link.href = `${page}#${text}`;
+      const own = link.dataset.highlight ? `highlight=${encodeURIComponent(link.dataset.highlight)}&` : "";
+      if (page && (!anchor || asks(anchor))) link.href = `${page}#${own}${text}`;
     }
   };
   if (said()) keep(said());
