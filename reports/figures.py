@@ -23,7 +23,7 @@ from bench.results.quantities import (
 )
 from problems.spec import SpecError, one_of
 from reports.charts.error_panels import ACROSS, error_panel, run_rows
-from reports.charts.line_styles import paper_line_styles
+from reports.charts.line_styles import line_styles
 from reports.charts.over_time import note_lines, reference_line, run_lines, time_rows
 from reports.charts.paper_style import FORMATS, file_content, on_paper
 from reports.charts.vega_lite import ChartOptions, Dataset, Spec
@@ -188,4 +188,4 @@ def _errors(chosen: Selection, series: Sequence[Series], error: str, across: str
 
 
 def _options(series: Sequence[Series], norm: str = NORM) -> ChartOptions:
-    return ChartOptions(paper_line_styles(s.label for s in series), norm)
+    return ChartOptions(line_styles(s.label for s in series), norm)

@@ -9,16 +9,13 @@ from __future__ import annotations
 import colorsys
 import hashlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import product
-from typing import TypeVar
 
 from reports.names import BUILT_IN, BuiltIn, label_parts, short_names
 from reports.series import Series
 
-_T = TypeVar("_T")
 #: What an option adds: to the number of the dash, and of the mark. Others add by their digest.
 _STEPS = {
     ("rho_inf", "0.8"): (0, 0),
@@ -124,30 +121,6 @@ def styles_of(series: Iterable[Series], styles: Mapping[str, LineStyle]) -> dict
     return {s.label: styles[s.label] for s in series}
 
 
-def paper_line_styles(labels: Iterable[str]) -> dict[str, LineStyle]:
-    """A style per label for one figure in print: its own colour; no mark and no dash comes twice.
-
-    A line keeps its own mark and dashes unless an earlier line has them. Beyond 24 lines, marks
-    come again, each time with other dashes.
-    """
-    found: dict[str, LineStyle] = {}
-    for label, own in line_styles(labels).items():
-        used = [(s.shape, s.dash) for s in found.values()]
-        shape = _free(own.shape, _PAPER_MARKS, [shape for shape, _ in used])
-        dash = _free(own.dash, _PAPER_DASHES, [dash for _, dash in used])
-        if (shape, dash) in used:
-            free = (p for p in product(_PAPER_MARKS, _PAPER_DASHES) if p not in used)
-            shape, dash = next(free, (shape, dash))
-        found[label] = replace(own, dash=dash, shape=shape)
-    return found
-
-
-def _free(own: _T, known: Sequence[_T], used: Sequence[_T]) -> _T:
-    """The own one if it is used least of all, else the first such one."""
-    least = min(map(used.count, known))
-    return own if used.count(own) == least else next(k for k in known if used.count(k) == least)
-
-
 def _digest(text: str) -> int:
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4])
 
@@ -169,21 +142,3 @@ def _color(hue: float, light: float) -> str:
         color = "#" + "".join(f"{round(c * 255):02x}" for c in rgb)
         low, high = (middle, high) if luminance(color) < light else (low, middle)
     return color
-
-
-# ---- more marks and dashes, for paper -----------------------------------------------------
-_PAPER_MARKS = (
-    *MARKS,
-    *(_star(n, math.cos(math.pi / n)) for n in (5, 6)),
-    *(_star(n, inner) for n, inner in ((6, 0.4), (8, 0.5))),
-    _star(3, 0.2, 1.0),
-    "M-1,0.4A1,1,0,0,1,1,0.4Z",  # half discs
-    "M-1,-0.4A1,1,0,0,0,1,-0.4Z",
-    _path([(-1, -1), (0, -0.3), (1, -1), (1, 0), (0, 0.9), (-1, 0)]),
-)
-_PAPER_DASHES = (
-    *DASHES,
-    *((14, 3, 4, 3), (6, 2, 1, 2, 1, 2), (5, 5), (10, 2), (1, 1), (3, 6), (16, 3), (12, 3, 1, 3)),
-    *((4, 4, 1, 4), (7, 2, 3, 2), (2, 5), (12, 2, 2, 2, 2, 2, 2, 2), (6, 6, 2, 2), (3, 3, 1, 3)),
-    *((9, 9), (20, 2, 2, 2)),
-)  # fmt: skip

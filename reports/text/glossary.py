@@ -39,7 +39,7 @@ _DEFINITIONS = {
     "Norm": "The rule that makes one number of an error over time: its largest value over all "
     "steps unless another is named.",
     "Operations": "Floating-point operations of a run, counted from the program of its steps, the "
-    "same on every machine.",
+    "same on every machine; the arithmetic of library codes is an estimate.",
     "Order": "The power p with which an error falls: with half the step it is 2^p times smaller.",
     "Performance profile": "The part of all tasks that a method solves at no more than so many "
     "times the cost of the best one.",
