@@ -28,12 +28,6 @@ from reports.series import (
     trusted_error,
 )
 
-#: An integrator that was tried on a scene and has no cost there.
-STATES = {
-    "far": "reached the end, but not this accuracy",
-    "failed": "no run reached the end",
-    "unknown": "reached, at a cost that is not measured",
-}
 #: Errors of the same method in two programs differ by rounding, relative to them.
 _ROUNDING = 1e-3
 #: The cheapest run of a contestant with its cost.
@@ -59,7 +53,11 @@ class RankEntry(NamedTuple):
 
     @property
     def state(self) -> float | str:
-        """The multiple of the cheapest contestant's cost, or one of `STATES` if there is none."""
+        """The multiple of the cheapest contestant's cost, or why there is none.
+
+        "unknown": it reaches the target at a cost that is not measured; "far": its runs reached the
+        end, but not the target; "failed": no run reached the end.
+        """
         if self.ratio is not None:
             return self.ratio
         if self.reached:

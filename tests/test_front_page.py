@@ -172,13 +172,15 @@ def test_a_scene_that_cannot_be_judged_says_why(page, folder):
         address = (folder / "report" / "scene-spring_mass.html").as_uri()
         page.get("about:blank")
         page.get(f"{address}#group={group}&target=1e-4&cost=operations")
-        said, hidden = page.execute_script(
+        said, hidden, untold = page.execute_script(
             """
             const table = document.querySelector("[data-methods]");
-            return [document.querySelector("[data-verdict]").textContent, !table.offsetParent];
+            const command = document.querySelector("[data-try]");
+            const said = document.querySelector("[data-verdict]").textContent;
+            return [said, !table.offsetParent, !command.offsetParent];
             """
         )
-        assert hidden == bool(words)
+        assert hidden == untold == bool(words)
         assert said == words or (
             not words and "9600 operations at h=0.003125) alone reaches it." in said
         )

@@ -62,7 +62,7 @@
     const scene = Number(place.dataset.try), own = stepbench.answer()?.[scene];
     const best = winner(own), chosen = best || nearest(scene, question);
     const note = place.closest("section").querySelector(".note"), even = chosen && !/ x [\d./]+$/.test(data.methods[chosen.index].label);
-    note.textContent = "";
+    place.closest("section").hidden = !even;
     if (!even) return;
     const runs = runsOf(scene, chosen.index), { label } = data.methods[chosen.index];
     const [control, value] = stepbench.resolutionOf(runs, chosen.k, 6).split("="), end = Number(place.dataset.end);
