@@ -27,7 +27,7 @@
         own.set(key, [...own.get(key) || [], ...(least < Infinity || !ratios.some(Number.isNaN) ? [least] : [])]);
       }
     }
-    const lines = [...own].filter(([, ratios]) => ratios.length).map(([key, ratios]) => {
+    const lines = [...own].sort(([one], [two]) => one - two || 0).filter(([, ratios]) => ratios.length).map(([key, ratios]) => {
       const method = families ? data.methods.find((one) => one.family === key) : data.methods[key], name = families ? key : method.short;
       return { name: ratios.length < .9 * pairs ? `${name} (of ${ratios.length})` : name, method,
         parts: multiples.map((most) => ratios.filter((ratio) => ratio <= most * 1.00005).length / ratios.length) };

@@ -46,7 +46,7 @@
     }
     const run = (m) => {
       const [, k, cost] = own.states[m], runs = runsOf(scene, m), off = stepbench.columnOf(runs, "constraint")?.[k], { form, short } = data.methods[m];
-      const held = off > 0 ? `; ${form && !short.endsWith(form) ? `${form}; ` : ""}violates Φ by ${stepbench.number(off)}${off > Number(question.target) ? ` > ${question.target}` : ""}` : "";
+      const held = off > 0 ? `; ${form && !short.endsWith(form) ? `${form}; ` : ""}relative violation of Φ ${stepbench.number(off)}${off > Number(question.target) ? ` > ${question.target}` : ""}` : "";
       return [stepbench.methodRef(m), ` (${stepbench.costWithUnit(cost, question.cost)} at ${stepbench.resolutionOf(runs, k)}${held})`];
     };
     const shown = own.first.slice(0, MOST).map(run), more = own.first.length - shown.length;
