@@ -34,7 +34,7 @@ SELDOM = 50_000, 20, 100
 SLOWEST = (
     "test_diffrax_solvers",
     "test_hostile_plugins",
-    "test_conformance",
+    "test_check",
     "test_adaptive",
     "test_lowering",
     "test_method_orders",

@@ -35,7 +35,7 @@ LAYERS = [
     {"bench.guard"},
     {"bench.running"},
     {"bench.sweeps", "bench.stability"},
-    {"bench.conformance", "bench.atlas"},
+    {"bench.check", "bench.atlas"},
     {"bench.commands"},
     {"bench.notebook"},
     {"bench.__main__"},

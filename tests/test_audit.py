@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import pytest
 
-from bench.conformance import integrators
-from bench.conformance.audit import audited, check_counts
-from bench.conformance.trials import TRIAL_STEPS, ForcedOscillator, Trial
-from bench.conformance.verdicts import Failed
+from bench.check import integrators
+from bench.check.counts import audited, check_counts
+from bench.check.trials import TRIAL_STEPS, ForcedOscillator, Trial
+from bench.check.verdicts import Failed
 from bench.plugins.registry import Registry
 from integrators import ImplicitStepMethod, Reading, StepMethod, Steps, option
 from integrators.adapters.ida import IDA
@@ -114,7 +114,7 @@ def test_the_check_of_the_work_finds_a_lie(monkeypatch):
     monkeypatch.setattr(
         integrators, "trials", lambda registry, method: [Trial(method, ForcedOscillator())]
     )
-    told = integrators.check_work(Registry([]), Heun())
-    assert told.endswith("its counts are true on forced_oscillator.")
+    told = integrators.check_runs(Registry([]), Heun())
+    assert "counts are right, true on forced_oscillator" in told
     with pytest.raises(Failed, match="force was evaluated"):
-        integrators.check_work(Registry([]), Heun(counted=1))
+        integrators.check_runs(Registry([]), Heun(counted=1))

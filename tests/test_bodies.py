@@ -12,8 +12,8 @@ from helpers import reference
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipj, ellipk
 
-from bench.conformance.checker import CHECKS, examine
-from bench.conformance.verdicts import FAILED
+from bench.check.checker import CHECKS, examine
+from bench.check.verdicts import FAILED
 from bench.plugins.registry import Registry
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha

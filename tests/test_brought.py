@@ -11,7 +11,7 @@ import scipy.integrate
 import scipy.optimize
 from helpers import errors_at, local_slopes, reference
 
-from bench.conformance.blocks import check_parameters
+from bench.check.blocks import check_parameters
 from bench.plugins.registry import Registry
 from integrators import Reading, StepMethod, Steps, Tolerances
 from problems import MechatronicSystem, SampledSystem, State, held, jax, jnp, lagrange, parameter

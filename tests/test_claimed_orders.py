@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from radau2 import Radau2
 
-from bench.conformance.orders import check_order
-from bench.conformance.trials import TRAJECTORY_GROUPS, Trial, order_trials, reference
-from bench.conformance.verdicts import Failed
+from bench.check.orders import check_order
+from bench.check.trials import TRAJECTORY_GROUPS, Trial, order_trials, reference
+from bench.check.verdicts import Failed
 from bench.plugins.registry import Registry
 from integrators import Integrator, PreparedRun, Reading, Trajectory, option
 from integrators.methods.hht_i3 import HHTI3
@@ -62,9 +62,8 @@ def judged(**how):
     return check_order([Trial(Planted(**how), scene) for scene in SCENES])
 
 
-@pytest.mark.parametrize(
-    ("claimed", "true"),
-    [
+def test_a_claim_is_at_least_what_every_scene_shows():
+    for claimed, true in (
         (2, (2.0, 2.0)),
         (2, (2.0, 3.0)),
         (2, (3.0, 2.0)),
@@ -72,26 +71,24 @@ def judged(**how):
         (3, (3.3, 3.4)),
         (8, (8.0, 7.6)),
         (8, (8.7, 8.7)),
-    ],
-)
-def test_a_claim_is_at_least_what_every_scene_shows(claimed, true):
-    assert f"order {claimed} in q" in judged(claimed=claimed, true=true)
+    ):
+        assert f"order {claimed} in q" in judged(claimed=claimed, true=true)
 
 
-@pytest.mark.parametrize(
-    ("claimed", "true", "said"),
-    [
+def test_a_claim_that_is_too_large_or_half_an_order_too_small_fails():
+    for claimed, true, said in (
         (3, (3.0, 2.0), r"claims order 3 in q on pendulum\[th0=1.0\], is 2.00"),
         (2, (1.7, 2.0), "claims order 2 in q on pendulum, is 1.70"),
         (2, (2.6, 3.0), r"claims only order 2 in q, is 2.60 \(pendulum\)"),
         (1, (2.0, 2.0), "claims only order 1 in q, is 2.00"),
         (8, (7.4, 8.0), "claims order 8 in q on pendulum, is 7.40"),
         (7, (7.8, 8.0), "claims only order 7 in q, is 7.80"),
-    ],
-)
-def test_a_claim_that_is_too_large_or_half_an_order_too_small_fails(claimed, true, said):
-    with pytest.raises(Failed, match=said):
-        judged(claimed=claimed, true=true)
+    ):
+        with pytest.raises(Failed, match=said):
+            judged(claimed=claimed, true=true)
+    many = [Trial(Planted(claimed=3), scene) for scene in SCENES] * 3
+    with pytest.raises(Failed, match=r"s\); and 3 more like these; correct `orders`"):
+        check_order(many)
 
 
 def test_a_high_order_counts_over_the_whole_run():

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from helpers import long
 
-from bench.conformance.checker import CHECKS, examine
-from bench.conformance.verdicts import FAILED
+from bench.check.checker import CHECKS, examine
+from bench.check.verdicts import FAILED
 from bench.plugins.registry import Registry
 from integrators import Steps
 from integrators.native import step_work

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers import scene_or_skip
 
-from bench.conformance.integrators import check_scenes
+from bench.check.integrators import check_scenes
 from bench.plugins.registry import Registry
 from bench.running.drift import drift_job
 from bench.running.inventory import Inventory

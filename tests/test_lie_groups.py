@@ -8,8 +8,7 @@ from helpers import long, reference, slope
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from bench.conformance.scenes import check_published
-from bench.plugins.registry import Registry
+from bench.check.scenes import check_published
 from bench.running.errors import relative_errors
 from bench.running.scene_records import recorded_sizes
 from integrators import Steps, Tolerances
@@ -76,7 +75,7 @@ def test_rotations_are_smooth_at_rest():
 
 @pytest.mark.parametrize("scene", [SO3, *long(R3_SO3, SE3)], ids=str)
 def test_references_have_the_published_digits(scene):
-    assert "published values agree" in check_published(Registry(), scene)
+    assert "published values agree" in check_published(scene)
 
 
 @pytest.mark.parametrize(

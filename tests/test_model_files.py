@@ -14,7 +14,7 @@ from model_details import FILES, URDF, joint, link, mesh, urdf
 from model_files import LOOPS, four_bar, hinge, mjcf
 from model_files import body as rod
 
-from bench.conformance.checker import is_file
+from bench.check.checker import is_file
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
 from integrators.adapters.ida import IDA

@@ -7,8 +7,8 @@ import re
 import pytest
 from helpers import long
 
-from bench.conformance.checker import CHECKS, examine
-from bench.conformance.verdicts import FAILED
+from bench.check.checker import CHECKS, examine
+from bench.check.verdicts import FAILED
 from bench.plugins.registry import Registry
 from problems.spec import snake_case
 

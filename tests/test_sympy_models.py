@@ -29,8 +29,8 @@ from sympy.physics.mechanics import (
 )
 from sympy_scenes import OSCILLATOR, C, F, K, M, T, X, Y, rod, scene_of, spring
 
-from bench.conformance.checker import CHECKS, examine
-from bench.conformance.verdicts import FAILED
+from bench.check.checker import CHECKS, examine
+from bench.check.verdicts import FAILED
 from bench.plugins.fingerprint import fingerprint
 from bench.plugins.registry import Registry
 from bench.sweeps.ensemble import ensemble

@@ -1,4 +1,4 @@
-"""Integrators and scenes with one fault each; test_conformance.py checks them as a plugin file."""
+"""Integrators and scenes with one fault each; test_check.py checks them as a plugin file."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from bench.check.trials import FiniteTimeBlowUp
 from integrators import Integrator, PreparedRun, Steps, Work, option
 from integrators.methods.generalized_alpha import Newmark
 from problems import MechatronicSystem, State, jax, jnp, parameter
@@ -26,6 +27,8 @@ class Run(PreparedRun):
 
     def __init__(self, how, scene, t_end, steps):
         self.how, self.t0, self.executed = how, scene.interval[0], 0
+        self.sampled = bool(scene.held_values())
+        self.explosive = isinstance(scene, FiniteTimeBlowUp)
         method = Newmark(beta=0.3025, gamma=0.6) if how == "order" else Newmark()
         if how == "unchanging":
             steps = Steps(steps.h)
@@ -39,7 +42,7 @@ class Run(PreparedRun):
             run.q[1] += RANDOM.normal()
         if how == "off_grid":
             run.t[3] += 0.3 * (run.t[3] - run.t[2])
-        if how == "late":
+        if how == "late" or (how == "late_sample" and self.sampled):
             run.t[-1] += 1e-12
         if how == "without_start":
             run.q[0] = run.q[1]
@@ -60,7 +63,7 @@ class Run(PreparedRun):
         if how == "heavy":  # as if gravity were larger
             run.q[:, 0] -= 0.05 * (run.t - self.t0) ** 2
             run.v[:, 0] -= 0.1 * (run.t - self.t0)
-        if how == "raises" and run.status != "ok":
+        if run.status != "ok" and (how == "raises" or (how == "explodes" and self.explosive)):
             raise FloatingPointError("not finite")
         if how == "says_ok":
             run.status = "ok"
@@ -207,6 +210,24 @@ class WrongExact(Pendulum):
     def exact(self, t):
         values = super().exact(t)
         return values | {"a": values["a"] * [1.0, 1.01]}
+
+
+@dataclass(frozen=True)
+class WrongSlope(MechatronicSystem):
+    """A free fall whose closed form begins at the start and has the right a, on another path."""
+
+    def mass(self, q):
+        return jnp.eye(1)
+
+    def force(self, q, v, t):
+        return -jnp.ones(1) + 0 * q
+
+    def initial_state(self):
+        return State(q=np.zeros(1), v=np.zeros(1))
+
+    def exact(self, t):
+        fallen = np.asarray(t)[:, None]
+        return {"q": -(fallen**2), "v": -fallen, "a": -np.ones_like(fallen)}
 
 
 @dataclass(frozen=True)

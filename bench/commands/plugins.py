@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from bench.check.verdicts import FAILED, NOT_APPLICABLE, PASSED, CheckResult
 from bench.commands import completion, options
 from bench.commands.listing import WORDS
 from bench.commands.pages import view
-from bench.conformance.verdicts import FAILED, NOT_APPLICABLE, PASSED, CheckResult
 from bench.plugins.registry import KINDS, SUFFIXES
 from bench.running.inventory import Inventory
 from problems.spec import START, SpecError, snake_case
@@ -68,8 +68,8 @@ def check(
       stepbench check my_method.py my_scene.py
       stepbench check --all --json
     """
+    from bench.check.checker import Checker, chosen, is_file
     from bench.commands.terminal import say
-    from bench.conformance.checker import Checker, chosen, is_file
 
     registry = options.inventory([*plugins, *(name for name in names if is_file(name))])
     subjects = chosen(registry, names, everything)

@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from bench.conformance.checker import examine
-from bench.conformance.verdicts import FAILED
+from bench.check.checker import examine
+from bench.check.verdicts import FAILED
 from bench.plugins.registry import Registry
 from bench.results.records import Record, Rows, SceneRecord
 from bench.running import scene_records
@@ -78,7 +78,7 @@ def test_a_false_answer_is_a_row_that_says_what_came(worker, how):
 
 @pytest.mark.parametrize("how", METHODS)
 def test_a_check_says_what_is_false(registry, how):
-    check = "facts" if how in methods.FACTS else "scenes" if how in methods.SUPPORTS else "rows"
+    check = "description" if how in methods.FACTS or how in methods.SUPPORTS else "runs"
     finding = examine(registry, "integrators", f"lying[how={how}]", check)
     assert finding.verdict == FAILED
     assert METHODS[how] in finding.text

@@ -10,8 +10,8 @@ from helpers import long, slope
 from proofs import Bent, orders
 from scipy.integrate import solve_ivp
 
-from bench.conformance.scenes import check_mass
-from bench.conformance.verdicts import Failed
+from bench.check.scenes import check_start
+from bench.check.verdicts import Failed
 from bench.plugins.registry import Registry
 from integrators import Integrator, Steps, Tolerances, Trajectory
 from integrators.adapters.diffrax_methods import Dopri8
@@ -182,8 +182,8 @@ def test_methods_that_need_unique_multipliers_refuse_redundant_constraints(metho
 def test_the_check_counts_redundant_constraints(stated, sentence):
     wrong = type("Wrong", (Restated,), {"redundant": stated})
     with pytest.raises(Failed, match=sentence):
-        check_mass(Registry(), wrong())
-    assert "lacks 1 rank," in check_mass(Registry(), Stated())
+        check_start(Registry(), wrong())
+    assert "lacks 1 rank," in check_start(Registry(), Stated())
 
 
 @dataclass(frozen=True)
@@ -270,7 +270,7 @@ def test_a_wrong_number_of_redundant_constraints_is_told_with_the_right_one():
     assert "6 of its 35 constraints" in miscounted(wrong)
     assert miscounted(wrong).endswith("state redundant = 6.")
     assert miscounted(Scissors()) == miscounted(Bricard()) == ""
-    assert "lacks 6 rank," in check_mass(Registry(), Scissors())
+    assert "lacks 6 rank," in check_start(Registry(), Scissors())
 
 
 @pytest.mark.long

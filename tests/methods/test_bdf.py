@@ -9,7 +9,7 @@ import pytest
 from helpers import long, reference
 from proofs import SWING, TWO_RODS
 
-from bench.conformance.trials import ForcedOscillator
+from bench.check.trials import ForcedOscillator
 from integrators import Steps, Tolerances
 from integrators.methods.bdf2 import BDF2
 from integrators.methods.bdf_adaptive import BDFAdaptive, _respaced

@@ -9,7 +9,7 @@ import pytest
 from helpers import long
 from proofs import SWING, orders
 
-from bench.conformance.trials import ForcedOscillator
+from bench.check.trials import ForcedOscillator
 from bench.stability.systems import Oscillator
 from integrators import Steps
 from integrators.contract import Trajectory

@@ -8,7 +8,7 @@ from helpers import errors_at, long
 from proofs import SWING
 from scipy.integrate import RK45
 
-from bench.conformance.trials import ForcedOscillator
+from bench.check.trials import ForcedOscillator
 from integrators import Steps, Tolerances
 from integrators.methods import half_explicit
 from integrators.methods.half_explicit import PHEM56, HalfExplicitEuler

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from proofs import OMEGA_H, TWO_RODS, radii
 
-from bench.conformance.trials import ForcedOscillator
+from bench.check.trials import ForcedOscillator
 from integrators import Steps, Tolerances
 from integrators.methods import rodas5p
 from integrators.methods.rodas5p import Rodas5P

@@ -9,8 +9,8 @@ import pytest
 from helpers import long
 from proofs import SWING, damping_and_period, step_of
 
-from bench.conformance.audit import audited
-from bench.conformance.trials import FiniteTimeBlowUp
+from bench.check.counts import audited
+from bench.check.trials import FiniteTimeBlowUp
 from bench.stability.matrices import matrices
 from bench.stability.systems import Oscillator, Relaxation
 from integrators import Steps

@@ -10,7 +10,7 @@ import pytest
 from helpers import errors_at, local_slopes, long
 from proofs import OMEGA_H, damping_and_period, orders
 
-from bench.conformance.trials import ForcedOscillator
+from bench.check.trials import ForcedOscillator
 from bench.stability.matrices import matrices
 from bench.stability.systems import Oscillator
 from integrators import Steps

@@ -9,7 +9,7 @@ import pytest
 from helpers import long
 from proofs import SWING, TWO_RODS, damping_and_period, step_of
 
-from bench.conformance.trials import ForcedOscillator
+from bench.check.trials import ForcedOscillator
 from bench.stability.matrices import matrices
 from bench.stability.systems import Oscillator
 from integrators import Integrator, Steps

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.conformance.trials import TRIAL_STEPS
-from bench.conformance.verdicts import Failed
+from bench.check.trials import TRIAL_STEPS
+from bench.check.verdicts import Failed
 from integrators.adapters.counting import run_counted, watch
 from integrators.contract import Integrator
 from integrators.native.linear_solvers import DenseSolver
@@ -44,26 +44,23 @@ def check_counts(method: Integrator, scene: MechatronicSystem) -> bool:
 
 
 def audited(method: NativeMethod, scene: MechatronicSystem) -> tuple[int, int]:
-    """Take `TRIAL_STEPS` nominal steps.
+    """Return what `TRIAL_STEPS` nominal steps declare, and what they do.
 
-    Returns
-    -------
-    tuple of int
-        Residuals and Jacobians that the method declares; evaluations and linearisations of the
-        scene's force that were counted in the compiled program.
+    These are residuals and Jacobians together, and evaluations and linearisations of the scene's
+    force in the compiled program.
     """
     program, numbers = method.program(scene, sparse=False)
     # A linearisation that gives the residual, too, would hide an evaluation that is not counted.
     program = replace(program, dense=DenseSolver(joins=False))
     watched = scene.with_parameters({}, _watched(type(scene)))
     start, h = jax.tree.map(jnp.asarray, consistent_start(scene)), jnp.asarray(scene.nominal_step)
-    t0 = scene.interval[0]
 
     @jax.jit
     def run(count: Any) -> Any:
         def step(n: Any, carry: tuple) -> tuple:
             state, sums = carry
-            state, report = program.step(watched, numbers, state, t0 + (n + 1) * h, h)
+            t = scene.interval[0] + (n + 1) * h
+            state, report = program.step(watched, numbers, state, t, h)
             return state, sums + jnp.asarray(report.residuals + report.jacobians)
 
         state = program.begin(watched, numbers, start, h)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from bench.conformance.verdicts import DoesNotApply, Failed, shortly
+from bench.check.verdicts import DoesNotApply, Failed, shortly
 from bench.plugins.registry import Registry
 from problems import ContactSystem, jax, jnp, spec
 from problems.system import MechatronicSystem
@@ -23,22 +24,11 @@ _POINTS = 3
 #: The variables that each block takes.
 _ARGUMENTS = {
     "mass": "q",
-    "force": "qvt",
-    "constraint": "qt",
-    "velocity_constraint": "qvt",
-    "kinematics": "qv",
-    "coupled_force": "z",
-    **dict.fromkeys(INVARIANTS, "qv"),
-    "state_rate": "z",
-    "output": "z",
-    "events": "z",
-    "sample": "z",
-    "jump": "z",
-    "gaps": "qt",
-    "sliding": "qvt",
+    **dict.fromkeys(("force", "velocity_constraint", "sliding"), "qvt"),
+    **dict.fromkeys(("constraint", "gaps"), "qt"),
+    **dict.fromkeys(("kinematics", *INVARIANTS), "qv"),
+    **dict.fromkeys(("coupled_force", "state_rate", "output", "events", "sample", "jump"), "z"),
 }
-#: Attributes that may be parameters.
-_CONSTANTS = ("sample_time", "restitution", "friction")
 
 
 def _block(name: str) -> Callable[[MechatronicSystem, Variables], Any]:
@@ -82,60 +72,53 @@ def check_blocks(registry: Registry, scene: MechatronicSystem) -> str:
     names = [name for name in _ARGUMENTS if scene.has(name)]
     if getattr(type(scene), "jump", None) is ContactSystem.jump:
         names.remove("jump")  # the law of impact, which has a kink where bodies part
-    points = _points(scene)
+    points, random = _points(scene), np.random.default_rng(2)
     for name in names:
-        block = _block(name)
+        block = partial(_block(name), scene)
+        traced = jax.jit(block)
+        slope = jax.jit(lambda z, w, block=traced: jax.jvp(block, (z,), (w,))[1])
         try:
-            traced = jax.jit(lambda z, block=block: block(scene, z))
-            slope = jax.jit(jax.jacfwd(traced))
-            jax.block_until_ready(slope(points[0]))
+            jax.block_until_ready(slope(points[0], points[0]))
         except Exception as error:
             raise Failed(
                 f"{name} cannot be traced by JAX: {shortly(error)} Write it in jax.numpy, without "
                 f"branches on values."
             ) from error
         for z in points:
-            values = [np.asarray(value) for value in (traced(z), block(scene, z), traced(z))]
+            values = [np.asarray(value) for value in (traced(z), block(z), traced(z))]
             if not all(np.allclose(v, values[0], rtol=1e-9, atol=1e-12) for v in values):
                 raise Failed(f"{name} gives other values when called again; keep it pure.")
-            _compare(name, traced, slope(z), z)
+            for variable, at in zip(Variables._fields, z, strict=True):
+                along = np.maximum(1.0, np.abs(at)) * random.choice([-1.0, 1.0], at.shape)
+                along *= random.uniform(0.5, 1.0, at.shape)
+                w = jax.tree.map(jnp.zeros_like, z)._replace(**{variable: jnp.asarray(along)})
+                _compare(name, variable, traced, np.asarray(slope(z, w)), z, w)
     return f"{', '.join(names)}: derivatives agree with difference quotients at {_POINTS} states."
 
 
-def _compare(name: str, block: Callable, slope: Variables, z: Variables) -> None:
-    for variable, at in zip(Variables._fields, z, strict=True):
-        if not at.size:
-            continue
-        exact = np.asarray(getattr(slope, variable)).reshape(-1, at.size)
-        quotients = np.array([_quotient(block, z, variable, step) for step in _QUOTIENT_STEPS])
-        errors = np.nan_to_num(np.abs(quotients - exact), nan=np.inf)
-        best = errors.min(axis=0)
-        size = max(np.abs(exact).max(initial=0.0), np.abs(np.asarray(block(z))).max(initial=1e-300))
-        if best.size and not best.max() <= _DERIVATIVE_ERROR * size:
-            i, j = np.unravel_index(best.argmax(), best.shape)
-            quotient = quotients[errors[:, i, j].argmin(), i, j]
-            index = f"[{j}]" if at.ndim else ""
-            raise Failed(
-                f"The derivative of {name}[{i}] by {variable}{index} is {exact[i, j]:.6g}, the "
-                f"difference quotient {quotient:.6g}; look for stop_gradient, rounding or a kink "
-                f"there."
-            )
+def _compare(
+    name: str, variable: str, block: Callable, exact: np.ndarray, z: Variables, w: Variables
+) -> None:
+    """Compare the derivative along w with difference quotients of fourth order."""
 
+    def value(s: float) -> np.ndarray:
+        return np.asarray(block(jax.tree.map(lambda at, by: at + s * by, z, w)))
 
-def _quotient(block: Callable, z: Variables, variable: str, step: float) -> np.ndarray:
-    """Difference quotient of fourth order by every entry of a variable, as columns."""
-    at = np.atleast_1d(getattr(z, variable))
-    columns = []
-    for j in range(at.size):
-        h = step * max(1.0, abs(at[j]))
-        sides = []
-        for k in (-2, -1, 1, 2):
-            moved = at.copy()
-            moved[j] += k * h
-            value = jnp.asarray(moved.reshape(getattr(z, variable).shape))
-            sides.append(np.asarray(block(z._replace(**{variable: value}))))
-        columns.append((8 * (sides[2] - sides[1]) - (sides[3] - sides[0])) / (12 * h))
-    return np.stack(columns, axis=1)
+    if not exact.size:
+        return
+    quotients = np.array([
+        (8 * (value(h) - value(-h)) - (value(2 * h) - value(-2 * h))) / (12 * h)
+        for h in _QUOTIENT_STEPS
+    ])  # fmt: skip
+    errors = np.nan_to_num(np.abs(quotients - exact), nan=np.inf)
+    best, size = errors.min(axis=0), max(np.abs(exact).max(), np.abs(value(0.0)).max(), 1e-300)
+    if not best.max() <= _DERIVATIVE_ERROR * size:
+        i = best.argmax()
+        raise Failed(
+            f"The derivative of {name}[{i}] by {variable} along a vector is {exact[i]:.6g}, the "
+            f"difference quotient {quotients[errors[:, i].argmin(), i]:.6g}; look for "
+            f"stop_gradient, rounding or a kink there."
+        )
 
 
 def check_parameters(registry: Registry, scene: MechatronicSystem) -> str:
@@ -144,10 +127,13 @@ def check_parameters(registry: Registry, scene: MechatronicSystem) -> str:
     if not fields:
         raise DoesNotApply("It has no float parameter.")
     template, points = scene.template(), _points(scene)
-    names = [name for name in _ARGUMENTS if scene.has(name)]
+    calls = [_block(name) for name in _ARGUMENTS if scene.has(name)]
 
     def blocks(s: MechatronicSystem) -> list[Any]:
-        return [_block(name)(s, z) for z in points for name in names]
+        return [call(s, z) for z in points for call in calls]
+
+    def differ(one: list[Any], two: list[Any]) -> bool:
+        return any(not np.array_equal(*pair) for pair in zip(one, two, strict=True))
 
     traced = jax.jit(lambda p: blocks(template.with_parameters(p)))
     plain = blocks(scene)
@@ -162,21 +148,19 @@ def check_parameters(registry: Registry, scene: MechatronicSystem) -> str:
                 f"Another value of {field.name} makes another compiled scene; keep in fields "
                 f"only what is declared by parameter()."
             )
-        pairs = list(zip(traced(other.parameters()), blocks(other), plain, strict=True))
-        if not all(np.allclose(t, p, rtol=1e-9, atol=1e-12, equal_nan=True) for t, p, _ in pairs):
+        own = blocks(other)
+        pairs = zip(traced(other.parameters()), own, strict=True)
+        if not all(np.allclose(*pair, rtol=1e-9, atol=1e-12, equal_nan=True) for pair in pairs):
             raise Failed(
                 f"A traced value of {field.name} does not act as a plain one; compute from "
                 f"self.{field.name} inside the blocks and not when the scene is made."
             )
         # A held value may be what one sample leaves to the next, and a quantised command hides a
         # small change.
-        if field.metadata.get("held") or scene.has("sample"):
+        if field.metadata.get("held") or scene.has("sample") or differ(own, plain):
             continue
-        acts = any(not np.array_equal(p, before) for _, p, before in pairs)
-        if later and not acts:
-            both = [blocks(s.with_parameters(s.parameters() | later)) for s in (scene, other)]
-            acts = any(not np.array_equal(*pair) for pair in zip(*both, strict=True))
-        if not acts and _unmoved(scene, other):
+        both = [blocks(s.with_parameters(s.parameters() | later)) for s in (scene, other) if later]
+        if not (both and differ(*both)) and not differ(_constants(scene), _constants(other)):
             raise Failed(f"The parameter {field.name} changes nothing; use it or remove it.")
     return f"Acting when traced: {', '.join(f.name for f in fields)}; nothing is compiled anew."
 
@@ -193,13 +177,9 @@ def _with_another(scene: MechatronicSystem, field: dataclasses.Field) -> Mechatr
     return None
 
 
-def _unmoved(scene: MechatronicSystem, other: MechatronicSystem) -> bool:
-    """Whether initial states, actuation, pictures and constants of the contract are the same."""
-    one, two = scene.initial_state(), other.initial_state()
-    pairs: list[tuple[Any, Any]] = list(zip(one, two, strict=True))
-    pairs += [(getattr(scene, name), getattr(other, name)) for name in _CONSTANTS]
-    if scene.has("actuation"):
-        pairs.append((scene.actuation(), other.actuation()))
-    if scene.has("draw"):
-        pairs += zip(scene.draw(np.asarray(one.q)), other.draw(np.asarray(one.q)), strict=True)
-    return all(np.array_equal(a, b) for a, b in pairs)
+def _constants(scene: MechatronicSystem) -> list[Any]:
+    """Initial state, actuation, pictures and constants of the contract."""
+    state = scene.initial_state()
+    own = [*state, *(getattr(scene, name) for name in ("sample_time", "restitution", "friction"))]
+    actuation = [scene.actuation()] if scene.has("actuation") else []
+    return own + actuation + [*(scene.draw(np.asarray(state.q)) if scene.has("draw") else [])]

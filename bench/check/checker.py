@@ -1,4 +1,4 @@
-"""The conformance kit: runs the checks that every scene and integrator has to pass.
+"""The checks that every scene and integrator has to pass, each in a process.
 
 A check is a function of a registry and a plugin. It returns a sentence on the result, or raises
 ``Failed`` with a sentence on the fault. It runs in a process of its own, so that a plugin that
@@ -13,8 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bench.conformance import integrators, scenes
-from bench.conformance.verdicts import (
+from bench.check import integrators, scenes
+from bench.check.verdicts import (
     FAILED,
     NOT_APPLICABLE,
     PASSED,
@@ -124,13 +124,11 @@ class Checker:
                 self._sources = plugin.sources
             answer = self._process.ask(examine, kind, text, name)
             if isinstance(answer, NoAnswer):
-                fault = "The process died; look for a crash in compiled code or for an exit."
+                advice = "Look for a crash in compiled code or for an exit."
                 if answer.status == "budget_exceeded":
-                    fault = (
-                        f"It did not end within {self._budget_s:g} s; end such a run with the "
-                        f"status budget_exceeded or step_too_small, or raise --budget."
-                    )
-                answer = CheckResult(name, FAILED, fault)
+                    advice = "End such a run with the status budget_exceeded, or raise --budget."
+                reason = answer.message.rstrip(".")
+                answer = CheckResult(name, FAILED, f"{reason}. {advice}")
             if answer.verdict == FAILED:
                 first = next((told[text] for text in told if text in answer.text), "")
                 told.setdefault(answer.text, name)

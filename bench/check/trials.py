@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.conformance.verdicts import DoesNotApply, Failed
+from bench.check.verdicts import DoesNotApply, Failed
 from bench.plugins.registry import Registry
 from integrators import answers
 from integrators.answers import refusal
@@ -118,7 +118,8 @@ def reference(scene: MechatronicSystem, t_end: float) -> Reference:
 class Trial:
     """Runs of a method on a scene over `TRIAL_STEPS` nominal steps, or as long as the scene lasts.
 
-    Its step or tolerance is made finer by a factor ``finer``.
+    Its step or tolerance is made finer by a factor ``finer``. Runs raise ``Failed`` if they do not
+    give a trajectory, those of `measured` also if it does not reach the end.
     """
 
     method: Integrator
@@ -129,11 +130,6 @@ class Trial:
         """End time in s."""
         t0, t_end = self.scene.interval
         return min(t_end, t0 + TRIAL_STEPS * self.scene.nominal_step)
-
-    @property
-    def steps(self) -> int:
-        """Number of fixed steps."""
-        return Steps(self.scene.nominal_step).count(self.scene.interval[0], self.t_end)
 
     def resolution(self, finer: float = 1.0) -> Steps | Tolerances:
         """Return the step or tolerances of a run."""
@@ -151,13 +147,7 @@ class Trial:
         return answers.checked_run(self.method.prepare(self.scene, self.t_end, self.resolution()))
 
     def trajectory(self, run: PreparedRun, t_end: float | None = None) -> Trajectory:
-        """Measure a run up to t_end in s.
-
-        Raises
-        ------
-        Failed
-            If it does not give a trajectory.
-        """
+        """Measure a run up to t_end in s."""
         end, t0 = self.t_end if t_end is None else t_end, self.scene.interval[0]
         try:
             return answers.checked_trajectory(run.measure(), self.scene.sizes, t0, end)
@@ -165,19 +155,14 @@ class Trial:
             raise Failed(f"On {self.scene.spec}: {fault}") from fault
 
     def solved(self, refined: Steps | Tolerances, t_end: float | None = None) -> Trajectory:
-        """Prepare and measure a run up to t_end in s; see `trajectory`."""
+        """Prepare and measure a run up to t_end in s."""
         end = self.t_end if t_end is None else t_end
-        run = answers.checked_run(self.method.prepare(self.scene, end, refined))
-        return self.trajectory(run, end)
+        return self.trajectory(
+            answers.checked_run(self.method.prepare(self.scene, end, refined)), end
+        )
 
     def measured(self, finer: float = 1.0) -> Trajectory:
-        """Measure a run that has to succeed.
-
-        Raises
-        ------
-        Failed
-            If it does not.
-        """
+        """Measure a run that has to succeed."""
         run = self.solved(self.resolution(finer))
         if run.status != "ok":
             raise Failed(
@@ -186,28 +171,12 @@ class Trial:
             )
         return run
 
-    def on(self, scene: MechatronicSystem, what: str) -> Trial:
-        """Return the trial on a changed scene.
-
-        Raises
-        ------
-        DoesNotApply
-            If the method does not take this scene ``what``, a clause.
-        """
-        if reason := refusal(self.method, scene):
-            raise DoesNotApply(f"It does not take a scene {what}: {reason}")
-        return Trial(self.method, scene)
-
 
 def trials(registry: Registry, method: Integrator) -> list[Trial]:
     """Return trials on the trial scenes that a method takes, or on the first other scene.
 
-    Trial scenes are `ForcedOscillator` and all scenes with the tag "conformance".
-
-    Raises
-    ------
-    DoesNotApply
-        If it takes no scene at all.
+    Trial scenes are `ForcedOscillator` and all scenes with the tag "conformance". A method that
+    takes no scene at all raises ``DoesNotApply``.
     """
     tried = _taken(method, [ForcedOscillator(), *_tagged(registry, TAG)])
     tried = tried or _taken(method, map(registry.problem, _classes(registry)))[:1]

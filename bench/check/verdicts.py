@@ -1,4 +1,4 @@
-"""Verdicts of checks, and the check of names, which scenes and integrators share."""
+"""Verdicts of checks, and the check of options, which scenes and integrators share."""
 
 from __future__ import annotations
 
@@ -36,40 +36,35 @@ def shortly(error: BaseException) -> str:
 
 
 def round_trip(make: Callable[[str], Any], subject: Any) -> str:
-    """Check that every option is read back as it is written.
+    """Check that a scene or an integrator and its options are read back as they are printed.
 
-    Parameters
-    ----------
-    make
-        Makes an object from its printed name.
-    subject
-        A scene or an integrator; its options take their default, choices and limits in turn.
+    Each option takes its default, choices and limits in turn; ``make`` reads a printed name.
 
     Raises
     ------
     Failed
-        If a value is not kept, or the printed name does not make an equal object.
+        If a value is not kept, or a printed name does not make an equal object.
     """
-    name, count = subject.name, 0
     _same(make, subject)
+    count = 0
     for field, value in _notable_values(subject):
         option, shown = field.name, format_value(value)
-        text = f"{name}[{option}={shown}]"
+        text = f"{subject.name}[{option}={shown}]"
         try:
             made = make(text)
         except SpecError as error:
             if value == field.default:
                 raise Failed(f"{text} is its own default, and is refused: {error}") from error
             continue  # two options may exclude each other
-        kept = getattr(made, option)
-        if kept != value:
+        if (kept := getattr(made, option)) != value:
             raise Failed(
                 f"{text} is made with {option}={format_value(kept)}; keep options as they are "
                 f"given and derive other values elsewhere."
             )
         _same(make, made)
         count += 1
-    return f"{subject.spec} and {count} other values of its options are read as they are printed."
+    told = f" and {count} values of its options are" if count else " is"
+    return f"{subject.spec}{told} read as printed"
 
 
 def _same(make: Callable[[str], Any], subject: Any) -> None:
@@ -90,13 +85,11 @@ def _notable_values(subject: Any) -> Iterator[tuple[dataclasses.Field, Any]]:
         meta = field.metadata
         if "type" not in meta:
             continue
-        values: list[Any] = [field.default, *(meta.get("choices") or ())]
-        limits = [value for value in (meta.get("low"), meta.get("high")) if value is not None]
         kind = float if meta.get("or_number") else meta["type"]
-        values += [kind(limit) for limit in limits]
-        if meta["type"] is bool:
+        limits = [kind(meta[end]) for end in ("low", "high") if meta.get(end) is not None]
+        values = [field.default, *(meta.get("choices") or ()), *limits]
+        if kind is bool:
             values += [False, True]
         if meta["type"] is float:
-            default: Any = field.default or 1.0
-            values.append(sum(limits) / 3 if len(limits) == 2 else default / 0.7)
+            values.append(sum(limits) / 3 if len(limits) == 2 else (field.default or 1.0) / 0.7)
         yield from ((field, value) for value in dict.fromkeys(values))

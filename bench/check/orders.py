@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-from bench.conformance.trials import Trial, names_of, reference
-from bench.conformance.verdicts import DoesNotApply, Failed
-from bench.results.orders import Fit, fit_order
+from bench.check.trials import Trial, names_of, reference
+from bench.check.verdicts import DoesNotApply, Failed
+from bench.results.orders import NOT_DETERMINED, Fit, fit_order
 from bench.results.quantities import TRUST
 from bench.running.errors import relative_errors
 from integrators import answers
@@ -62,60 +62,46 @@ def check_order(trials: list[Trial]) -> str:
     steady = trials[0].method.at_constant_steps()
     if steady is None:
         raise DoesNotApply("It cannot take constant steps, so that no order can be measured.")
-    found, faults = [], []
+    shown: list[str] = []
+    faults: list[str] = []
     orders: dict[tuple[str, int], list[tuple[float, str]]] = {}
-    for scene in (trial.scene for trial in trials):
-        if refusal(steady, scene):
-            continue
-        stated = answers.checked_orders(steady.claims(scene), "claims()")
-        claims = {g: p for g, p in stated.items() if scene.sizes.of(g)}
+    for scene in (trial.scene for trial in trials if not refusal(steady, trial.scene)):
+        claims = answers.checked_orders(steady.claims(scene), "claims()")
+        claims = {g: p for g, p in claims.items() if scene.sizes.of(g)}
         if not claims:
             continue
         levels, floors = _refine(Trial(steady, scene), claims)
-        seen = {}
+        groups = []
         for group, claimed in claims.items():
             by_norm, floor = levels[group], floors[group]
-            fit, *others = (_fit(by_norm[norm], floor, claimed) for norm in _norms(claimed))
-            whole = by_norm[_norms(claimed)[0]]
+            fit, *others = (_fit(rows, floor, claimed) for rows in by_norm.values())
+            whole = next(iter(by_norm.values()))
             if fit.order is None and _at_round_off(whole, floor):
                 continue  # exact, or too accurate to show an order
             if fit.order is None or fit.order < claimed - _allowed(claimed):
                 measured = _in_words(fit, whole)
                 faults.append(f"claims order {claimed} in {group} on {scene.spec}, {measured}")
             else:
-                least = min([fit.order, *(o.order for o in others if o.order is not None)])
+                least = min(f.order for f in (fit, *others) if f.order is not None)
                 orders.setdefault((group, claimed), []).append((least, scene.spec))
-            seen[group] = claimed
-        if seen:
-            found.append(f"{_words(seen)} on {scene.spec}")
+            groups.append((claimed, group))
+        if groups:
+            words = [
+                f"{p} in {' '.join(g for q, g in groups if q == p)}"
+                for p in dict.fromkeys(p for p, _ in groups)
+            ]
+            shown.append(f"{', '.join(words)} on {scene.spec}")
     for (group, claimed), measured in orders.items():
         least, name = min(measured)
         if least > claimed + _allowed(claimed) + _MODEST:
             faults.append(f"claims only order {claimed} in {group}, is {least:.2f} ({name})")
     if faults:
-        raise Failed(_failure(faults))
-    if not found:
+        more = len(faults) - _SHOWN
+        rest = [f"and {more} more like these"] if more > 0 else []
+        raise Failed(f"It {'; '.join(faults[:_SHOWN] + rest)}; correct `orders` or the method.")
+    if not shown:
         raise DoesNotApply("No order is claimed, or errors are round-off; see `orders`.")
-    return f"Measured as claimed, at least: order {'; '.join(found)}."
-
-
-def _failure(faults: list[str]) -> str:
-    """The sentence on false claims, of which the first ones stand for all: long ones are cut."""
-    shown, more = faults[:_SHOWN], len(faults) - _SHOWN
-    rest = [f"and {more} more like these"] if more > 0 else []
-    return f"It {'; '.join([*shown, *rest])}; correct `orders` or the method."
-
-
-def _words(claims: dict[str, int]) -> str:
-    groups: dict[int, list[str]] = {}
-    for group, order in claims.items():
-        groups.setdefault(order, []).append(group)
-    return ", ".join(f"{order} in {' '.join(names)}" for order, names in groups.items())
-
-
-def _norms(claimed: int) -> tuple[str, ...]:
-    """Return the norm that has to show the order, and others."""
-    return _NORMS if claimed <= _LOW else _NORMS_OF_HIGH
+    return f"Measured as claimed, at least: order {'; '.join(shown)}."
 
 
 def _refine(
@@ -126,29 +112,28 @@ def _refine(
     length = trial.t_end - trial.scene.interval[0]
     known = reference(trial.scene, trial.t_end)
     levels: dict[str, dict[str, Levels]] = {
-        group: {norm: [] for norm in _norms(claimed)} for group, claimed in claims.items()
+        group: {norm: [] for norm in (_NORMS if claimed <= _LOW else _NORMS_OF_HIGH)}
+        for group, claimed in claims.items()
     }
-    floors, count = dict.fromkeys(claims, 0.0), float(_FEWEST)
-    while True:
-        steps = round(count)
+    floors, count, trouble = dict.fromkeys(claims, 0.0), float(_FEWEST), ""
+    while count <= _MOST:
+        h = length / round(count)
         count *= ratio
-        run = trial.solved(Steps(length / steps))
-        trouble = "" if run.status == "ok" else f"{run.status}: {run.message}"
-        if not trouble:  # coarse steps may be too coarse
-            errors, own, *_ = relative_errors(run, known)
-            for group, claimed in claims.items():
-                for norm in _norms(claimed):
-                    error = errors[group][norm]
-                    floors[group] = max(floors[group], own[group][norm])
-                    at = length / steps, math.inf if error is None else error
-                    levels[group][norm].append(at)
-            if all(_shown(levels[g][_norms(p)[0]], floors[g], p) for g, p in claims.items()):
-                return levels, floors
-        if count > _MOST:
+        run = trial.solved(Steps(h))
+        trouble = "" if run.status == "ok" else f"h={h:.2g} s it ends with {run.status}: "
+        trouble += run.message if trouble else ""
+        if trouble:
+            continue  # coarse steps may be too coarse
+        errors, own, *_ = relative_errors(run, known)
+        for group, by_norm in levels.items():
+            for norm, rows in by_norm.items():
+                error = errors[group][norm]
+                floors[group] = max(floors[group], own[group][norm])
+                rows.append((h, math.inf if error is None else error))
+        if all(_shown(next(iter(levels[g].values())), floors[g], p) for g, p in claims.items()):
             break
     if trouble:
-        h = f"h={length / steps:.2g} s"
-        raise Failed(f"On {trial.scene.spec} at {h} it ends with {trouble}")
+        raise Failed(f"On {trial.scene.spec} at {trouble}")
     return levels, floors
 
 
@@ -176,9 +161,8 @@ def _fit(levels: Levels, floor: float, claimed: int) -> Fit:
     last = [(h, e) for h, e in levels if max(10 * floor, _ROUNDING) < e < math.inf][-_LAST_POINTS:]
     slopes = [math.log(e / f) / math.log(h / k) for (h, e), (k, f) in pairwise(last)]
     if len(last) < _LAST_POINTS or max(slopes) - min(slopes) > _AGREEMENT:
-        return Fit(None, None, 0, "not determined")
-    window = last[0][0], last[-1][0]
-    return Fit(sum(slopes) / len(slopes), window, len(last), "converges")
+        return NOT_DETERMINED
+    return Fit(sum(slopes) / len(slopes), (last[0][0], last[-1][0]), len(last), "converges")
 
 
 def _in_words(fit: Fit, levels: Levels) -> str:
@@ -204,9 +188,8 @@ def check_tolerance(trials: list[Trial]) -> str:
     if trials[0].method.controls != "tolerance":
         raise DoesNotApply("It has fixed steps.")
     for trial in trials:
-        scene = trial.scene
+        scene, done = trial.scene, []
         errors: dict[str, list[float]] = {"q": [], "v": []}
-        done: list[float] = []
         for rtol in _RTOLS:
             run = trial.solved(Tolerances(rtol))
             if run.status == "budget_exceeded" and len(done) >= _FEWEST_RTOLS:
@@ -219,16 +202,14 @@ def check_tolerance(trials: list[Trial]) -> str:
             done.append(rtol)
             for group, values in errors.items():
                 # Samples shorten steps below what a tolerance asks for.
-                least = rtol if scene.is_hybrid else 0.0
-                values.append(max(measured[group]["max"] or 0.0, least))
+                values.append(max(measured[group]["max"] or 0.0, rtol if scene.is_hybrid else 0.0))
         wanted = (done[0] / done[-1]) ** _FALL
         for group, values in errors.items():
-            shown = ", ".join(f"{e:.1e}" for e in values)
-            if values[0] < _ALMOST * wanted * values[-1] or any(
-                b > 2 * a for a, b in pairwise(values)
-            ):
+            rises = any(b > 2 * a for a, b in pairwise(values))
+            if rises or values[0] < _ALMOST * wanted * values[-1]:
                 raise Failed(
-                    f"Errors in {group} on {scene.spec} are {shown} at rtol = {done[0]:g} to "
+                    f"Errors in {group} on {scene.spec} are "
+                    f"{', '.join(f'{e:.1e}' for e in values)} at rtol = {done[0]:g} to "
                     f"{done[-1]:g}; they have to fall steadily, by {wanted:.0f} at least: let "
                     f"rtol and atol control the error of q and v."
                 )

@@ -1,0 +1,1 @@
+"""The checks that every scene and integrator has to pass."""

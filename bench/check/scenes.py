@@ -1,0 +1,289 @@
+"""The checks that every scene has to pass; `blocks` has those of derivatives."""
+
+from __future__ import annotations
+
+import inspect
+from functools import partial
+
+import numpy as np
+
+from bench.check.blocks import check_blocks, check_parameters
+from bench.check.jumps import check_jumps
+from bench.check.trials import reference
+from bench.check.verdicts import DoesNotApply, Failed, round_trip
+from bench.plugins.registry import Registry
+from bench.results.quantities import LEVELS
+from bench.running.errors import relative_reference_error
+from problems import answers, jax, jnp
+from problems.compiled import compiled
+from problems.constraints import constraint_change
+from problems.initial_values import consistent_start
+from problems.kinematics import q_rate
+from problems.system import MechatronicSystem
+from problems.variables import INVARIANTS
+from problems.witnesses import published_digits
+
+#: Largest estimated error of a reference in q and v, relative to their largest values; the same
+#: for residuals of the constraints, relative to the size of q, v or a.
+_REFERENCE_ERROR = 1e-8
+#: Largest d/dt E along the reference, relative to the powers that it is the sum of; a closed form
+#: fits the equations of motion and its own slopes to the same.
+_RATE_ERROR = 1e-6
+#: Its difference quotients are tried with these parts of the nominal step, which may be longer
+#: than the fastest oscillation.
+_SLOPE_STEPS = (1e-2, 1e-3, 1e-4, 1e-5)
+_TIMES = 40
+#: A movement follows dq/dt to this, relative to the largest rate.
+_MOVE_ERROR = 1e-9
+
+
+def check_description(registry: Registry, scene: MechatronicSystem) -> str:
+    """Docstring, interval, step, names and units can be shown, and parameters are read back."""
+    if not inspect.getdoc(type(scene)):
+        raise Failed("It has no docstring; say what the scene tests and what it leaves out.")
+    if fault := answers.fault_of_times(scene.interval, scene.nominal_step):
+        raise Failed(fault)
+    (t0, t_end), step = scene.interval, scene.nominal_step
+    if not step <= (t_end - t0) / 4:
+        raise Failed(
+            f"The nominal step {step:g} s does not fit the interval of {t_end - t0:g} s; take "
+            f"the largest step that resolves the motion."
+        )
+    names = {"coordinates": "q", "multipliers": "lam", "states": "x", "outputs": "y"}
+    if scene.has("kinematics"):
+        names["velocities"] = "v"
+    for attribute, group in names.items():
+        scene.components(group)  # refuses names that are no text, and sizes that are no numbers
+        named = getattr(scene, attribute)
+        named = 1 if isinstance(named, str) else len(named)
+        if named not in (0, size := scene.sizes.of(group)):
+            raise Failed(f"{named} {attribute} are named, {group} has {size} entries.")
+    answers.texts(scene.tags, "tags")
+    answers.texts(scene.difficulties, "difficulties")
+    answers.text(scene.source, "source")
+    for item in answers.description(scene)["parameters"]:
+        if isinstance(item["value"], float) and not item["unit"].strip():
+            raise Failed(f"The parameter {item['name']} has no unit; give '1' for a pure number.")
+        if not item["doc"].strip():
+            raise Failed(f"The parameter {item['name']} has no description; say what it is.")
+    return f"{round_trip(registry.problem, scene)}."
+
+
+# ---- the start ---------------------------------------------------------------------------
+def check_start(registry: Registry, scene: MechatronicSystem) -> str:
+    """The start is consistent, with a regular augmented matrix, and new values can be used."""
+    try:
+        z = consistent_start(scene).z
+    except ValueError as error:
+        raise Failed(str(error)) from error
+    sizes = scene.sizes
+    for block, size in (("state_rate", sizes.nx), ("output", sizes.ny)):
+        shape = jax.eval_shape(getattr(scene, block), z).shape if scene.has(block) else (size,)
+        if shape != (size,):
+            raise Failed(f"{block} has shape {shape}, expected {(size,)}.")
+    rank = _check_mass(scene)
+    if scene.has("move"):
+        _check_move(scene)
+    own = sizes._asdict() | {"nh": 0} | ({"nv": 0} if sizes.nv == sizes.nq else {})
+    shown = ", ".join(f"{name}={size}" for name, size in own.items() if size)
+    matrix = f"the augmented matrix {rank}{check_jumps(scene)}"
+    return f"Consistent at t={scene.interval[0]:g} s: {shown}; {matrix}."
+
+
+def _check_mass(scene: MechatronicSystem) -> str:
+    """M is symmetric, and the augmented matrix has the rank at the start that is stated."""
+    q = jnp.asarray(scene.initial_state().q, dtype=float)
+    mass = np.asarray(scene.mass(q))
+    size, skew, nl = np.abs(mass).max(), np.abs(mass - mass.T), scene.sizes.nl
+    if not skew.max() <= 1e-12 * size:
+        i, j = np.unravel_index(skew.argmax(), skew.shape)
+        raise Failed(
+            f"mass is not symmetric at the start: M[{i},{j}]={mass[i, j]:.9g}, "
+            f"M[{j},{i}]={mass[j, i]:.9g}; it has to be, as a second derivative of the energy."
+        )
+    augmented = mass / size
+    if nl:
+        change = partial(constraint_change, scene, q, jnp.asarray(scene.interval[0]))
+        jacobian = np.asarray(jax.jacfwd(change)(jnp.zeros(scene.sizes.nv)))
+        # Rows of any unit: each is scaled to its own size, and a row of zeros stays one.
+        rows = np.abs(jacobian).max(axis=1, keepdims=True)
+        jacobian = jacobian / np.where(rows > 0, rows, 1.0)
+        augmented = np.block([[augmented, jacobian.T], [jacobian, np.zeros((nl, nl))]])
+    singular = np.linalg.svd(augmented, compute_uv=False)
+    missing = np.count_nonzero(singular <= 1e-12 * singular[0])
+    if missing > scene.redundant:
+        raise Failed(
+            "The matrix [[M, Phi_q^T], [Phi_q, 0]] is singular at the start; remove dependent "
+            "constraints or state how many are `redundant`, or give every coordinate a mass or a "
+            "constraint."
+        )
+    if missing < scene.redundant:
+        raise Failed(
+            f"It states redundant = {scene.redundant}, and {missing} of its constraints depend on "
+            f"the others at the start."
+        )
+    if scene.has("mass_product"):
+        a = jnp.asarray(np.random.default_rng(1).normal(size=scene.sizes.nv))
+        difference = np.abs(np.asarray(scene.mass_product(q, a)) - mass @ np.asarray(a)).max()
+        if not difference <= 1e-12 * size * len(q):
+            raise Failed(f"mass_product differs from mass times a vector by {difference:.2g}.")
+    return f"lacks {missing} rank, as stated" if missing else "is regular"
+
+
+def _check_move(scene: MechatronicSystem) -> None:
+    """A displacement s w leads along dq/ds = T(q) w, from q itself."""
+    q, v, _ = map(jnp.asarray, scene.initial_state())
+    w = jnp.asarray(np.random.default_rng(1).uniform(-1, 1, v.shape))
+    there, rate = jax.jvp(lambda s: scene.move(q, s * w), (1.0,), (1.0,))
+    for of, one, other in (
+        ("move by zero", scene.move(q, 0 * w), q),
+        ("the rate of move", rate, scene.kinematics(there, w)),
+    ):
+        difference = np.abs(np.asarray(one - other)).max()
+        if not difference <= _MOVE_ERROR * np.abs(np.asarray(other)).max():
+            raise Failed(
+                f"{of} differs by {difference:.2g} from what kinematics leads to; let move(q, w) "
+                f"follow dq/ds = kinematics(q, w) for one second."
+            )
+
+
+# ---- the motion --------------------------------------------------------------------------
+def check_reference(registry: Registry, scene: MechatronicSystem) -> str:
+    """The reference is accurate, solves the equations, has published digits and can be drawn."""
+    exact = reference(scene, scene.interval[1])
+    if scene.has_closed_form:
+        _check_closed_form(scene)
+    own = relative_reference_error(exact)
+    for group in ("q", "v"):
+        if not own[group] < _REFERENCE_ERROR:
+            raise Failed(
+                f"The reference ({exact.method}) knows {group} to {own[group]:.1e} only; "
+                f"shorten the interval: it must not last until neighbours have parted."
+            )
+    drawn = "; nothing is drawn: state `draw` to show the motion in reports"
+    if scene.has("draw"):
+        lines = [answers.drawing(scene.draw(q)) for q in _along(scene)[1]["q"]][-1]
+        drawn = f"; {len(lines)} lines are drawn at all times"
+    told = f"{exact.method}; relative error {max(own['q'], own['v']):.1e} in q and v"
+    return f"{told}{check_published(scene)}{drawn}."
+
+
+def _check_closed_form(scene: MechatronicSystem) -> None:
+    """It begins at the initial state, dq/dt follows v, v' = a, and the forces agree."""
+    t, values = _along(scene)
+    start = consistent_start(scene).z
+    for group in ("q", "v"):
+        first = values[group][0]
+        if not np.allclose(first, getattr(start, group), rtol=1e-9, atol=1e-9):
+            raise Failed(
+                f"`exact` starts with {group}={first}, initial_state with {getattr(start, group)}."
+            )
+    state = values["q"], values["v"], values["x"]
+    solved, _ = compiled(scene).complete(scene.parameters(), *state, t)
+    rates = {"q": np.array([q_rate(scene, *row) for row in zip(*state[:2], strict=True)])}
+    wanted = [
+        (f"its {group}", f"{group} of the equations of motion", values[group], [other])
+        for group, other in (("a", solved.a), ("lam", solved.lam))
+        if np.size(other)
+    ] + [
+        (name, f"the slope of its {low}", value, [_slope(scene, t, low, k) for k in _SLOPE_STEPS])
+        for low, name, value in (("q", "its dq/dt", rates["q"]), ("v", "its a", values["a"]))
+    ]
+    for name, what, value, others in wanted:
+        other = min(others, key=lambda other, value=value: np.abs(value - other).max())
+        difference, size = np.abs(value - other).max(axis=1), np.abs(other).max() or 1.0
+        if not difference.max() <= _RATE_ERROR * size:
+            raise Failed(
+                f"`exact` is no solution: {name} differs from {what} by {difference.max():.2g} "
+                f"(of {size:.2g}) at t={t[difference.argmax()]:.4g} s; correct `exact` or the "
+                f"blocks."
+            )
+
+
+def _slope(scene: MechatronicSystem, t: np.ndarray, group: str, part: float) -> np.ndarray:
+    """Difference quotient of fourth order."""
+    h = part * scene.nominal_step
+    at = {k: np.asarray(scene.exact(t + k * h)[group]) for k in (-2, -1, 1, 2)}
+    return (8 * (at[1] - at[-1]) - (at[2] - at[-2])) / (12 * h)
+
+
+def check_published(scene: MechatronicSystem) -> str:
+    """The reference has the published digits, up to their tolerances."""
+    if not (own := answers.published(scene.published)):
+        return ""
+    end, t = max(scene.interval[1], *(p.t for p in own)), np.unique([p.t for p in own])
+    parts = []
+    for stated, computed in published_digits(scene, t, reference(scene, end)(t)):
+        difference = np.abs(computed - stated.values).max()
+        if not difference <= stated.tolerance:
+            raise Failed(
+                f"{stated.quantity} at t={stated.t:g} s differs from the published digits by "
+                f"{difference:.2g}, more than the tolerance of {stated.tolerance:.2g}."
+            )
+        parts.append(difference / stated.tolerance)
+    if not parts:
+        return "; published digits belong to its default parameters"
+    return f"; {len(parts)} published values agree, up to {max(parts):.2g} of their tolerances"
+
+
+def check_conserved(registry: Registry, scene: MechatronicSystem) -> str:
+    """Phi and its derivatives vanish along the reference; energy and momenta stay as they are."""
+    told = []
+    if scene.sizes.nl:
+        t, values = _along(scene)
+        rows = [values[group] for group in ("q", "v", "a")]
+        levels = compiled(scene).levels(scene.parameters(), *rows, t)
+        for name, residual, row in zip(LEVELS, levels, rows, strict=True):
+            worst, size = np.abs(residual).max(initial=0.0), max(1.0, np.abs(row).max())
+            if not worst <= _REFERENCE_ERROR * size:
+                at = t[np.abs(residual).max(axis=1).argmax()]
+                raise Failed(
+                    f"The reference violates the constraints at {name} level by {worst:.2g} at "
+                    f"t={at:.4g} s; correct `exact` or `constraint`."
+                )
+        told.append("Phi and two derivatives vanish")
+    told += [_check_invariant(scene, block) for block in INVARIANTS if scene.has(block)]
+    if not told:
+        raise DoesNotApply("It has no constraint and states no energy and no momentum.")
+    return f"Along the reference: {'; '.join(told)}."
+
+
+def _check_invariant(scene: MechatronicSystem, block: str) -> str:
+    """No entry f of an invariant changes along the motion: f_q dq/dt + f_v a = 0."""
+    q, v, _ = map(jnp.asarray, scene.initial_state())
+    first, (unit, kinetic) = getattr(scene, block)(q, v), INVARIANTS[block]
+    if kinetic:
+        answers.number(first, f"{block}()")
+    elif not jnp.size(first):
+        raise Failed(f"{block}() has no entry; leave it out.")
+    t, values = _along(scene)
+    entries = lambda q, v: jnp.atleast_1d(getattr(scene, block)(q, v))  # noqa: E731
+    by = jax.jit(jax.jacrev(entries, argnums=(0, 1)))
+    rates = []
+    for q, v, a in zip(*(jnp.asarray(values[g]) for g in ("q", "v", "a")), strict=True):
+        by_q, by_v = by(q, v)
+        rates.append(np.concatenate([by_q * q_rate(scene, q, v), by_v * a], axis=1))
+    net, parts = np.abs(np.sum(rates, axis=2)).max(axis=1), np.abs(rates).sum(axis=2).max(axis=1)
+    if not net.max() <= _RATE_ERROR * max(parts.max(), np.finfo(float).tiny):
+        raise Failed(
+            f"d/dt {block} is {net.max():.2g} {unit} at t={t[net.argmax()]:.4g} s, of parts of "
+            f"{parts.max():.2g} {unit}; let the {block} fit the forces, or leave it out where it "
+            f"is not conserved."
+        )
+    return f"d/dt {block} is below {net.max():.1e} {unit}, of parts of {parts.max():.2g} {unit}"
+
+
+def _along(scene: MechatronicSystem) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Times spread over the interval, and the reference there."""
+    t = np.linspace(*scene.interval, _TIMES)
+    return t, reference(scene, scene.interval[1])(t)
+
+
+SCENE_CHECKS = {
+    "description": check_description,
+    "start": check_start,
+    "blocks": check_blocks,
+    "parameters": check_parameters,
+    "reference": check_reference,
+    "conserved": check_conserved,
+}
