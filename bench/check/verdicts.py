@@ -91,5 +91,6 @@ def _notable_values(subject: Any) -> Iterator[tuple[dataclasses.Field, Any]]:
         if kind is bool:
             values += [False, True]
         if meta["type"] is float:
-            values.append(sum(limits) / 3 if len(limits) == 2 else (field.default or 1.0) / 0.7)
+            default: Any = field.default or 1.0
+            values.append(sum(limits) / 3 if len(limits) == 2 else default / 0.7)
         yield from ((field, value) for value in dict.fromkeys(values))
