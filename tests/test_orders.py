@@ -268,3 +268,15 @@ def test_failed_runs_are_told_with_their_resolutions():
     failed = [planted("s", "n", {}, h=0.1, errors={}, status="crashed")]
     (said,) = observations(series_of(failed))
     assert said.text == "1 of 1 runs did not reach the end: 1 crashed (h=0.1)."
+
+
+@pytest.mark.usefixtures("without_processes")
+def test_a_method_that_is_exact_has_no_order_and_is_told_to_be_exact(stepbench):
+    said = stepbench("order", "bouncing_ball", "newmark", "--steps", "0.1,0.05,0.025")
+    assert said.exit_code == 0, said.output
+    assert "Exact: at every step the error is round-off" in said.stdout
+    rows = [line.split() for line in said.stdout.splitlines() if " settled " in line]
+    assert rows[1:]
+    assert all("exact" in row for row in rows[-3:])
+    worse = stepbench("order", "pendulum", "newmark", "--steps", "0.1,0.02", "--t-end", "0.4")
+    assert "Exact" not in worse.output

@@ -16,7 +16,7 @@ from bench.commands.pages import view, write_reports
 from bench.commands.suite import in_common, run_suite
 from bench.plugins.facts import SceneFacts
 from bench.plugins.reasons import Unavailable
-from bench.results.orders import order_summary
+from bench.results.orders import EXACT, EXACT_NOTE, order_summary
 from bench.results.records import UNSUPPORTED, Record
 from bench.results.table import NO_VALUE, Table, formatted
 from bench.running.inventory import Inventory, PluginFailed
@@ -187,9 +187,11 @@ def _tables(records: Sequence[Record], orders: Mapping[str, Any]) -> tuple[Table
             found = orders["verdict"][group][norm] if order is None else f"{order:.2f}"
             points = str(orders["points"][group][norm] or NO_VALUE)
             fits.append([group, norm, found, points, *(formatted(h, ".3g") for h in window)])
+    head = ["group", "norm", "order", "points", "from h", "to h"]
+    note = EXACT_NOTE if any(row[2] == EXACT for row in fits) else ""
     return (
         Table(f"{name}: relative error, norm 'settled'", ["h", *orders["orders"]], errors),
-        Table("Fitted orders", ["group", "norm", "order", "points", "from h", "to h"], fits),
+        Table("Fitted orders", head, fits, note=note),
     )
 
 

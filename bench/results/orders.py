@@ -32,6 +32,12 @@ from bench.results.records import Record
 SPREAD = 0.15
 #: A slope below this is no convergence worth the name.
 NO_CONVERGENCE = 0.3
+#: The verdict on a method without an error that could fall, and the largest error that is none.
+EXACT, _ROUND_OFF = "exact", 1e-12
+EXACT_NOTE = (
+    "Exact: at every step the error is round-off, or within a hundred times the reference's own, "
+    "so that no order can be fitted."
+)
 
 
 class Fit(msgspec.Struct, frozen=True):
@@ -148,7 +154,11 @@ def order_summary(records: Sequence[Record]) -> dict[str, Any]:
             for g in groups
         }
         for group, fit in fit_orders(steps, errors, floors).items():
-            values = fit.order, fit.window, fit.points, fit.verdict, errors[group]
+            known = [error for error in errors[group] if error is not None]
+            limit = max(TRUST * floors[group], _ROUND_OFF)
+            exact = fit.order is None and known and max(known) <= limit
+            verdict = EXACT if exact else fit.verdict
+            values = fit.order, fit.window, fit.points, verdict, errors[group]
             for name, value in zip(names, values, strict=True):
                 result[name].setdefault(group, {})[norm] = value
     return result
