@@ -14,9 +14,10 @@ from problems.formulations import (
     algebraic_iterations,
     complete,
     event_values,
+    linearised,
     ode_rate,
-    with_rates,
 )
+from problems.layouts import state_layout
 from problems.projections import projected_state
 from problems.runtime import FEW_CALLS, Array, Float, Int, jax, jnp
 from problems.spec import SpecError
@@ -27,13 +28,16 @@ from problems.variables import INVARIANTS, VARIABLES, Variables
 _ROW_BLOCK, _LARGE_BLOCK = 256, 4096
 #: Blocks of large scenes have fewer rows: at most so many numbers go into one, or one row.
 _MOST_NUMBERS = 2**21
+#: With more states than this there is no Jacobian: it would cost more than the runs.
+MOST_STATES = 400
 
 
 class Compiled(NamedTuple):
     """Compiled functions of a scene; the first argument p is ``scene.parameters()``.
 
-    ``start(p, q, v, x, t)``
-        `formulations.with_rates` at one time
+    ``linearised(p, q, v, x, t)``
+        `formulations.with_rates` at one time, and the Jacobian of the ODE form by s = [q, v, x]
+        ``(n, n)``, of scenes with more than `MOST_STATES` states ``(n, 0)``
     ``ode(p, t, s)``
         `formulations.ode_rate` of s = [q, v, x]
     ``rates(values, t, s)``
@@ -58,7 +62,7 @@ class Compiled(NamedTuple):
         iterations in `formulations.complete` at k times, ``(k,)``; for scenes with outputs
     """
 
-    start: Callable[..., Start]
+    linearised: Callable[..., tuple[Start, Float[Array, "n n"]]]
     ode: Callable[..., Float[Array, " n"]]
     rates: Callable[..., Float[Array, "k n"]]
     complete: Callable[..., tuple[Variables, Float[np.ndarray, "k nx"]]]
@@ -79,10 +83,14 @@ def compiled(scene: MechatronicSystem) -> Compiled:
 
 @cache
 def _compiled(template: MechatronicSystem) -> Compiled:
-    names = list(template.parameters())
+    names, states = list(template.parameters()), state_layout(template.sizes).size
 
     def at(p: Mapping[str, Array]) -> MechatronicSystem:
         return template.with_parameters(p)
+
+    def start(p: Mapping, q: Array, v: Array, x: Array, t: Array) -> tuple[Start, Array]:
+        changes = jnp.eye(states if states <= MOST_STATES else 0, states)
+        return linearised(at(p), q, v, x, t, changes)
 
     def rate(values: Array, t: Array, s: Array) -> Array:
         return ode_rate(at(dict(zip(names, values, strict=True))), t, s)
@@ -99,9 +107,7 @@ def _compiled(template: MechatronicSystem) -> Compiled:
         return jax.jit(lambda p, z: at(p).jump(z, event))
 
     return Compiled(
-        start=jax.jit(
-            lambda p, q, v, x, t: with_rates(at(p), q, v, x, t), compiler_options=FEW_CALLS
-        ),
+        linearised=jax.jit(start, compiler_options=FEW_CALLS),
         ode=jax.jit(lambda p, t, s: ode_rate(at(p), t, s)),
         rates=jax.jit(jax.vmap(rate, (None, 0, 0))),
         complete=_over_rows(lambda p, q, v, x, t: complete(at(p), q, v, x, t)),

@@ -286,16 +286,47 @@ def with_rates(
 ) -> Start:
     """Solve for all other variables and the next derivatives along the motion.
 
-    The derivatives are one Jacobian-vector product of `complete` in the direction of the motion.
     ``constrained_jerk`` is left out; values are NaN where there is no solution.
     """
+    return linearised(scene, q, v, x, t, jnp.zeros((0, state_layout(scene.sizes).size)))[0]
+
+
+def linearised(
+    scene: MechatronicSystem,
+    q: Float[Array, " nq"],
+    v: Float[Array, " nv"],
+    x: Float[Array, " nx"],
+    t: Float[Array, ""],
+    changes: Float[Array, "k n"],
+) -> tuple[Start, Float[Array, "n k"]]:
+    """Compute `with_rates`, and the derivatives of `ode_rate` along changes of the state [q, v, x].
+
+    By the implicit function theorem: one matrix serves all of them and the motion.
+    """
+    of_state, of_u = state_layout(scene.sizes), algebraic_layout(scene.sizes)
     z, xdot = complete(scene, q, v, x, t)
-    _, (dz, xddot) = jax.jvp(
-        lambda q, v, x, t: complete(scene, q, v, x, t),
-        (q, v, x, t),
-        (q_rate(scene, q, v), z.a, xdot, jnp.ones_like(t)),
-    )
-    return Start(z, xdot, dz.a, xddot)
+    u, s = jnp.concatenate([z.a, z.lam, z.y]), jnp.concatenate([q, v, x])
+
+    def residual(u: Array, s: Array, t: Array) -> Array:
+        return algebraic_residual(scene, u, *of_state.split(s), t)
+
+    def rate(u: Array, s: Array, t: Array) -> Array:
+        (q, v, x), (a, lam, y) = of_state.split(s), of_u.split(u)
+        z = Variables(q, v, a, lam, x, y, t)
+        return jnp.concatenate([q_rate(scene, q, v), a, *([scene.state_rate(z)] if x.size else [])])
+
+    motion = jnp.concatenate([q_rate(scene, q, v), z.a, xdot])[None]
+    of_s = jnp.concatenate([jnp.zeros((of_u.size, s.size)), changes, motion])
+    directions = jnp.eye(len(of_s), of_u.size), of_s, jnp.zeros(len(of_s)).at[-1].set(1.0)
+
+    def along(function: Callable, *directions: Array) -> Array:
+        return jax.vmap(lambda *d: jax.jvp(function, (u, s, t), d)[1], out_axes=1)(*directions)
+
+    matrix, right = jnp.split(along(residual, *directions), [of_u.size], axis=1)
+    of_s, of_t = (direction[of_u.size :] for direction in directions[1:])
+    rates = along(rate, -_solver(scene)(matrix, right).T, of_s, of_t)
+    _, jerk, xddot = of_state.split(rates[:, -1])
+    return Start(z, xdot, jerk, xddot), rates[:, :-1]
 
 
 # ---- DAE residuals for general-purpose solvers -----------------------------------------

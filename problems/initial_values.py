@@ -92,7 +92,7 @@ def _completed(scene: MechatronicSystem, state: State, t: float) -> Start:
     if sparsity.prefers_sparse(scene):
         with contextlib.suppress(sparsity.NoPattern):
             return sparse_start(scene, state, t)
-    return compiled(scene).start(scene.parameters(), *state, t)
+    return compiled(scene).linearised(scene.parameters(), *state, t)[0]
 
 
 def _check_constraints(scene: MechatronicSystem, state: State, t: float) -> None:

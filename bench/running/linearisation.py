@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
 
 from bench.running.errors import scales
 from integrators.contract import Trajectory
+from problems.compiled import MOST_STATES, compiled
 from problems.constraints import constraint_velocity
-from problems.formulations import ode_rate
 from problems.kinematics import q_rate
 from problems.layouts import state_layout
 from problems.reference import Reference
-from problems.runtime import FEW_CALLS, Float, jax, jnp
+from problems.runtime import Float, jax, jnp
 from problems.system import MechatronicSystem
 
-#: Times at which eigenvalues are taken; linearised steps come in blocks with as many nodes, so that
-#: one compiled program serves both.
+#: Times at which eigenvalues are taken, and nodes of a block of linearised steps.
 _SPECTRA = 60
-#: With more states than this there are no eigenvalues: they would cost more than the runs.
-_MOST_STATES = 400
 #: Times at which a run is asked for its fastest vibration, if the scene has no more states than
 #: this: every run pays for it.
 _TIMES, _MOST_OF_RUNS = 5, 100
@@ -38,16 +34,6 @@ _NODES = 0.5 + np.array([-1.0, 1.0]) / np.sqrt(12)
 _UP_TO = np.array([[0.25, _NODES[0] - 0.25], [_NODES[1] - 0.25, 0.25]])
 
 
-@cache
-def _jacobians(template: MechatronicSystem) -> Any:
-    """Jacobians of the ODE form over rows of times and states."""
-
-    def one(p: dict, t: Any, s: Any) -> Any:
-        return jax.jacfwd(lambda s: ode_rate(template.with_parameters(p), t, s))(s)
-
-    return jax.jit(jax.vmap(one, in_axes=(None, 0, 0)), compiler_options=FEW_CALLS)
-
-
 def rates(scene: MechatronicSystem, reference: Reference) -> dict[str, float] | None:
     """Compute rates in 1/s from the eigenvalues of the ODE form along the motion.
 
@@ -62,10 +48,10 @@ def rates(scene: MechatronicSystem, reference: Reference) -> dict[str, float] | 
         large or the Jacobian is not finite.
     """
     sizes = scene.sizes
-    if state_layout(sizes).size > _MOST_STATES:
+    if state_layout(sizes).size > MOST_STATES:
         return None
     t = np.linspace(scene.interval[0], reference.t_end, _SPECTRA)
-    jacobians = _jacobians_at(scene, reference, t)
+    jacobians = _jacobians(scene, t, _states(reference, t))
     if not np.isfinite(jacobians).all():
         return None
     values = np.linalg.eigvals(jacobians).ravel()
@@ -96,11 +82,10 @@ def uncontrolled(scene: MechatronicSystem, run: Trajectory, rtol: float | None) 
         return ""
     places = np.searchsorted(t, np.linspace(t[0], t[-1], 2 * _TIMES + 1)[1::2])
     states = np.concatenate([run.q, run.v, run.x], axis=1)
-    at = np.resize(places, _SPECTRA)
-    jacobians = np.asarray(_jacobians(scene.template())(scene.parameters(), t[at], states[at]))
+    jacobians = _jacobians(scene, t[places], states[places])
     if not np.isfinite(jacobians).all():
         return ""
-    fastest = [max(e, key=lambda e: e.imag) for e in np.linalg.eigvals(jacobians[:_TIMES])]
+    fastest = [max(e, key=lambda e: e.imag) for e in np.linalg.eigvals(jacobians)]
     decay, omega = -np.median(np.real(fastest)), float(np.median(np.imag(fastest)))
     stated = [component.scale for component in scene.components("a") if component.scale]
     change = np.linalg.norm(np.diff(v, axis=0), axis=1) / np.diff(t)
@@ -132,7 +117,7 @@ def growth(scene: MechatronicSystem, reference: Reference) -> float | None:
         Jacobian not finite, or values jump.
     """
     at = state_layout(scene.sizes)
-    if at.size > _MOST_STATES or scene.is_hybrid:
+    if at.size > MOST_STATES or scene.is_hybrid:
         return None
     size = np.concatenate([scales(reference, group).components for group in ("q", "v", "x")])
     start = _admitted(scene, _states(reference, np.array([scene.interval[0]]))[0], size)
@@ -147,11 +132,14 @@ def growth(scene: MechatronicSystem, reference: Reference) -> float | None:
     return None
 
 
-def _jacobians_at(
-    scene: MechatronicSystem, reference: Reference, t: Float[np.ndarray, " k"]
+def _jacobians(
+    scene: MechatronicSystem, t: Float[np.ndarray, " k"], states: Float[np.ndarray, "k n"]
 ) -> Float[np.ndarray, "k n n"]:
-    states = _states(reference, t)
-    return np.asarray(_jacobians(scene.template())(scene.parameters(), t, states))
+    """Jacobians of the ODE form, by the program that consistent starts have compiled."""
+    p, split = scene.parameters(), state_layout(scene.sizes).split
+    rows = zip(t.tolist(), states, strict=True)  # times of one type, for one program
+    found = (compiled(scene).linearised(p, *split(s), t) for t, s in rows)
+    return np.array([jacobian for _, jacobian in found])
 
 
 def _states(reference: Reference, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k n"]:
@@ -197,7 +185,7 @@ def _largest(
     unit, largest = np.eye(len(size)), 1.0
     for block in np.split(t, steps // (_SPECTRA // 2)):
         nodes = (block[:, None] + h * _NODES).ravel()
-        jacobians = _jacobians_at(scene, reference, nodes) * size / size[:, None]
+        jacobians = _jacobians(scene, nodes, _states(reference, nodes)) * size / size[:, None]
         if not np.isfinite(jacobians).all():
             return np.nan
         first, second = jacobians[::2], jacobians[1::2]
