@@ -30,7 +30,7 @@ FORMS = {
     "implicit_fast[erp=0.2]": "index 2, Baumgarte",
     "implicit_fast[erp=0]": "index 2, unprojected",
     "kvaerno5": "index 1, unprojected",
-    "radau[constraints=projected]": "index 1, projected",
+    "dopri8[constraints=projected]": "index 1, projected",
     "cvode[constraints=baumgarte]": "index 1, Baumgarte",
     "rodas5p": "index 1, unprojected",
     "rodas5p[formulation=index2,constraints=projected]": "index 2, projected",

@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from integrators.adapters.library_runs import CountedEquations, LibrarySolver, callbacks_option
-from integrators.adapters.ode import ODEMethod, given_ode
+from integrators.adapters.library_runs import CountedEquations, callbacks_option
+from integrators.adapters.ode import ODESolver, given_ode
 from integrators.adapters.sundials_native import NativeCVODE
 from integrators.adapters.sundials_runs import SundialsRun
 from integrators.contract import PreparedRun, option
@@ -21,7 +21,7 @@ _BDF_ORDER = 5
 
 
 @dataclass(frozen=True)
-class CVODE(LibrarySolver, ODEMethod):
+class CVODE(ODESolver):
     """BDF of order 1 to 5, or Adams-Moulton of order 1 to 12, with adaptive steps on the ODE.
 
     CVODE takes neither a mass matrix nor a constraint, so that a scene is taken in its ODE form:
@@ -41,11 +41,6 @@ class CVODE(LibrarySolver, ODEMethod):
     loop = "a C library"
     source: ClassVar[str] = "Hindmarsh et al. (2005), SUNDIALS, doi:10.1145/1089014.1089020"
 
-    constraints: str = option(
-        "index1",
-        "index1: the motion drifts off them; baumgarte: the drift decays",
-        choices=("index1", "baumgarte"),
-    )
     method: str = option(
         "bdf",
         "formulas: bdf, backward differences, for stiff equations; adams, of Adams and Moulton",

@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from integrators.adapters.library_runs import GivenEquations
+from integrators.adapters.library_runs import GivenEquations, LibrarySolver
 from integrators.adapters.packed_functions import PackedFunction
 from integrators.adapters.trajectories import trajectory_from_states
-from integrators.contract import WIDER, Trajectory
+from integrators.contract import WIDER, Trajectory, option
 from integrators.native.own_values import DriftHandling
 from problems.formulations import Baumgarte, ode_rate
 from problems.initial_values import consistent_start
@@ -27,6 +27,17 @@ class ODEMethod(DriftHandling):
 
     formulation = "ode"
     takes: ClassVar[tuple[str, ...]] = tuple(WIDER)
+
+
+@dataclass(frozen=True)
+class ODESolver(LibrarySolver, ODEMethod):
+    """Base of solvers of other libraries on the explicit ODE, whose steps end as they are."""
+
+    constraints: str = option(
+        "index1",
+        "index1: the motion drifts off them; baumgarte: the drift decays",
+        choices=("index1", "baumgarte"),
+    )
 
 
 def given_ode(scene: MechatronicSystem, baumgarte: Baumgarte | None) -> GivenEquations:

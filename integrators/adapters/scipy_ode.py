@@ -19,16 +19,16 @@ from integrators.adapters.library_runs import (
     LibrarySolver,
     callbacks_option,
 )
-from integrators.adapters.ode import ODEMethod, given_ode, packed_parameters, packed_projection
+from integrators.adapters.ode import ODESolver, given_ode
 from integrators.contract import PreparedRun, Trajectory, Work, option
-from integrators.program_costs import Cost, NotCounted, dense, of_calls
+from integrators.program_costs import NotCounted, dense
 from integrators.resolutions import Tolerances
 from problems.runtime import Float
 from problems.system import MechatronicSystem
 
 
 @dataclass(frozen=True)
-class ScipySolver(LibrarySolver, ODEMethod):
+class ScipySolver(ODESolver):
     """Base of scipy's implicit methods: a method states ``library_class`` and its source.
 
     scipy takes neither a mass matrix nor a constraint, so that a scene is taken in its ODE form:
@@ -40,9 +40,8 @@ class ScipySolver(LibrarySolver, ODEMethod):
     The equations are called in C, where they have such a form, or by JAX. Everything is counted
     where it happens: ``residuals`` are evaluations of the right-hand side,
     those of the choice of the first step included; ``factorisations`` and ``solves`` count real and
-    complex systems alike. After a projection Radau evaluates the right-hand side once more, and BDF
-    moves its whole history along, which does not change the differences in it. A value that is not
-    finite makes the solver take a smaller step; where none helps the run ends as diverged.
+    complex systems alike. A value that is not finite makes the solver take a smaller step; where
+    none helps the run ends as diverged.
     """
 
     family: ClassVar[str] = "scipy"
@@ -56,7 +55,11 @@ class ScipySolver(LibrarySolver, ODEMethod):
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances
     ) -> PreparedRun:
-        return _ODERun(self, scene, t_end, resolution)
+        from scipy import integrate
+
+        tolerances = {"rtol": resolution.rtol, "atol": resolution.atol}
+        given, solver = given_ode(scene, self.baumgarte(scene)), self.library_class
+        return ScipyRun(self, given, t_end, getattr(integrate, solver), tolerances)
 
 
 @dataclass(frozen=True)
@@ -103,9 +106,6 @@ class ScipyRun(LibraryRun):
 
         start = self.given.start
         return self._kind(equations.value, *start, self._t_end, jac=jacobian, **self._tolerances)
-
-    def after_step(self, solver: Any, equations: CountedEquations) -> None:
-        """Change the solver's state at the end of an accepted step."""
 
     @contextlib.contextmanager
     def _solver(self, counts: bool) -> Iterator[_ScipySolver]:
@@ -159,7 +159,6 @@ class _ScipySolver:
             if not equations.finite:
                 raise EarlyEnd("diverged", NOT_FINITE)
             raise EarlyEnd("step_too_small", "the step size fell to the spacing of numbers")
-        self._run.after_step(solver, equations)
         return float(solver.t), solver.y
 
     @property
@@ -169,33 +168,3 @@ class _ScipySolver:
 
     def work(self, steps: int) -> Work:
         return self._equations.work(steps)
-
-
-class _ODERun(ScipyRun):
-    def __init__(
-        self, method: ScipySolver, scene: MechatronicSystem, t_end: float, resolution: Tolerances
-    ) -> None:
-        from scipy import integrate
-
-        solver = getattr(integrate, method.library_class)
-        tolerances = {"rtol": resolution.rtol, "atol": resolution.atol}
-        given = given_ode(scene, method.baumgarte(scene))
-        super().__init__(method, given, t_end, solver, tolerances)
-        self._projection = packed_projection(scene.template()) if method.projects(scene) else None
-        if self._projection:
-            self._project = self._projection.bind(packed_parameters(scene))
-            self._project(*given.start)  # compiles
-
-    def after_step(self, solver: Any, equations: CountedEquations) -> None:
-        if not self._projection:
-            return
-        solver.y = np.asarray(self._project(solver.t, solver.y))
-        if hasattr(solver, "D"):  # backward differences, the value before them
-            solver.D[0] = solver.y
-        else:
-            equations.begin_step(solver.t)  # the step has ended: no iteration is to be counted
-            solver.f = equations.value(solver.t, solver.y)
-
-    def _costs(self, work: Work) -> list[Cost]:
-        projections = self._projection.costs if self._projection else []
-        return [*super()._costs(work), *of_calls(projections, work.steps or 0)]

@@ -115,7 +115,7 @@ REGISTRY = Registry()
     ("spec", "said"),
     [
         ("rodas5p[alpha=5]", "alpha=5.0 decides nothing without constraints=baumgarte"),
-        ("radau[constraints=projected,beta=5]", "beta=5.0 decides nothing without constraints="),
+        ("dopri8[constraints=projected,beta=5]", "beta=5.0 decides nothing without constraints="),
         ("hht_i3[steps=constant,control=chrono]", "control=chrono decides nothing without steps="),
         ("phem56[steps=constant,max_steps=5]", "max_steps=5 decides nothing without steps="),
         ("radau_iia[steps=constant,error_test=all]", "error_test=all decides nothing without"),
