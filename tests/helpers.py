@@ -22,6 +22,14 @@ def long(*parameters: object) -> list:
     return [pytest.param(*values, marks=pytest.mark.long) for values in each]
 
 
+#: Scenes whose equations together take every operation and every kind of block.
+EVERY_OPERATION = (
+    *("pendulum", "bricard", "full_car", "heavy_top", "mjcf_four_bar", "painleve_rod"),
+    *("planar_truck", "quarter_car", "rolling_disc", "sampled_quarter_car"),
+    *("slider_crank_friction", "slider_crank_minimal", "spatial_four_bar", "spring_mass"),
+)
+
+
 def scene_or_skip(name: str) -> MechatronicSystem:
     """A built-in scene at its default parameters, if the library that it needs is there."""
     registry = Registry([])

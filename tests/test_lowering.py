@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import long, scene_or_skip
+from helpers import EVERY_OPERATION, long, scene_or_skip
 
 from bench.plugins.registry import Registry
 from integrators.adapters import dae
@@ -23,9 +23,6 @@ from problems.runtime import jax
 #: seen to differ by 1.2e-14, which is 2e-16 of the largest term. So it is with bricard.
 ROUNDING = 1e-14
 _OF_SMALL_REMAINDERS = {"heavy_top": 2e-14, "bricard": 4e-14}
-#: Scenes whose equations are too long for a compiler; IDA calls them through Python.
-_TOO_LARGE = ("mjcf_quadruped",)
-SCENES = Registry([]).problems
 FORMULATIONS = ("index1", "index2", "stabilised_index2", "index3")
 
 
@@ -62,20 +59,17 @@ def differences(scene, formulation, sparse=False):
     return worst
 
 
-@pytest.mark.parametrize(
-    ("name", "formulation"),
-    [
-        ("pendulum", "stabilised_index2"),
-        *long(*((name, form) for name in sorted(SCENES) for form in FORMULATIONS)),
-    ],
-)
-def test_residual_and_jacobian_are_those_of_jax_to_rounding(name, formulation):
-    allowed = _OF_SMALL_REMAINDERS.get(name, ROUNDING)
-    if name in _TOO_LARGE:
-        with pytest.raises(NotLowered, match="a compiler is given at most 25000"):
-            differences(scene_or_skip(name), formulation)
-        return
-    assert max(differences(scene_or_skip(name), formulation)) < allowed
+@pytest.mark.parametrize("name", ["pendulum", *long(*EVERY_OPERATION[1:])])
+def test_residual_and_jacobian_are_those_of_jax_to_rounding(name):
+    scene, allowed = scene_or_skip(name), _OF_SMALL_REMAINDERS.get(name, ROUNDING)
+    for formulation in FORMULATIONS if name == "pendulum" else ("stabilised_index2",):
+        assert max(differences(scene, formulation)) < allowed, formulation
+
+
+@pytest.mark.long
+def test_equations_that_are_too_long_for_a_compiler_are_refused():
+    with pytest.raises(NotLowered, match="a compiler is given at most 25000"):
+        differences(scene_or_skip("mjcf_quadruped"), "stabilised_index2")
 
 
 def test_entries_of_a_sparse_jacobian_are_those_of_jax():
@@ -259,19 +253,16 @@ LOOPS = {
 }
 
 
-#: A loop that counts its turns, one within another, one over rows, branches, and a system.
-SHORT = ("newton", "derivative", "nested", "rows", "branches", "large systems")
-
-
-@pytest.mark.parametrize(
-    "name",
-    [name if name in SHORT else pytest.param(name, marks=pytest.mark.long) for name in LOOPS],
-)
-def test_loops_take_the_turns_that_they_take_in_jax(name):
-    function, traced = in_c(LOOPS[name], 3), jax.jit(LOOPS[name])
-    for seed in range(10):
-        u = np.random.default_rng(seed).normal(size=3) * (1 + seed % 3)
-        assert function(u) == pytest.approx(np.asarray(traced(u)), rel=1e-13, abs=1e-13), seed
+@pytest.mark.parametrize("more", [False, *long(True)])
+def test_loops_take_the_turns_that_they_take_in_jax(more):
+    # A loop that counts its turns, one within another, one over rows, branches, and a system.
+    short = ("newton", "derivative", "nested", "rows", "branches", "large systems")
+    for name in LOOPS.keys() - short if more else short:
+        function, traced = in_c(LOOPS[name], 3), jax.jit(LOOPS[name])
+        for seed in range(10):
+            u = np.random.default_rng(seed).normal(size=3) * (1 + seed % 3)
+            right = np.asarray(traced(u))
+            assert function(u) == pytest.approx(right, rel=1e-13, abs=1e-13), (name, seed)
 
 
 def test_constants_are_no_values_given_to_a_loop():
@@ -306,45 +297,37 @@ def test_only_operations_that_matter_remain():
 
 
 # ---- refusals --------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("function", "reason"),
-    [
-        (lambda u: jax.lax.while_loop(lambda x: x[0] < 9, jnp.sort, u), "'sort'"),
-        (
-            lambda u: jax.lax.while_loop(
-                lambda x: x[0] < 9, lambda x: x[::-1] * x[jnp.argmax(x)], u
-            ),
-            "'",
+REFUSED = [
+    (lambda u: jax.lax.while_loop(lambda x: x[0] < 9, jnp.sort, u), "'sort'"),
+    (
+        lambda u: jax.lax.while_loop(lambda x: x[0] < 9, lambda x: x[::-1] * x[jnp.argmax(x)], u),
+        "'",
+    ),
+    (lambda u: jax.lax.cond(u[0] > 0, LOOPS["none"], jnp.sin, u), "'case'"),
+    (lambda u: jax.lax.fori_loop(0, 2000, lambda k, x: x + k, u), "'while'"),
+    (lambda u: u[jnp.argmax(u)], "'reduce'|'dynamic_slice'"),
+    (lambda u: jnp.sort(u), "'sort'"),
+    (lambda u: jnp.linalg.solve(jnp.eye(50) + u[0], jnp.ones(50)), "unknowns"),
+    (lambda u: u.astype(jnp.float32) * 2, "float32"),
+    (lambda u: jnp.sin(jnp.arange(24_000) + u[0]), "operations"),
+    (lambda u: jnp.arange(c_source._MOST_LINES + 1) + 1.0, "lines"),
+    (
+        lambda u: sum(
+            jnp.linalg.solve(
+                k * jnp.eye(40) + u[0] + jnp.diag(u[:1] * jnp.ones(40)), u[:1] * jnp.ones(40)
+            )
+            for k in range(16)
         ),
-        (lambda u: jax.lax.cond(u[0] > 0, LOOPS["none"], jnp.sin, u), "'case'"),
-        (lambda u: jax.lax.fori_loop(0, 2000, lambda k, x: x + k, u), "'while'"),
-        (lambda u: u[jnp.argmax(u)], "'reduce'|'dynamic_slice'"),
-        (lambda u: jnp.sort(u), "'sort'"),
-        (lambda u: jnp.linalg.solve(jnp.eye(50) + u[0], jnp.ones(50)), "unknowns"),
-        (lambda u: u.astype(jnp.float32) * 2, "float32"),
-        (lambda u: jnp.cumsum(jnp.ones((60, 60)) * u[0], axis=1) * u[1], None),
-        (lambda u: jnp.sin(jnp.arange(24_000) + u[0]), "operations"),
-        (lambda u: jnp.arange(c_source._MOST_LINES + 1) + 1.0, "lines"),
-        (
-            lambda u: sum(
-                jnp.linalg.solve(
-                    k * jnp.eye(40) + u[0] + jnp.diag(u[:1] * jnp.ones(40)), u[:1] * jnp.ones(40)
-                )
-                for k in range(16)
-            ),
-            "operations",
-        ),
-    ],
-)
-def test_what_has_no_form_in_c_is_refused_with_the_reason(function, reason):
-    def lower():
-        return c_function(lowered(function, (3,)))
+        "operations",
+    ),
+]
 
-    if reason is None:
-        assert lower()
-    else:
+
+def test_what_has_no_form_in_c_is_refused_with_the_reason():
+    for function, reason in REFUSED:
         with pytest.raises(NotLowered, match=reason):
-            lower()
+            c_function(lowered(function, (3,)))
+    assert c_function(lowered(lambda u: jnp.cumsum(jnp.ones((60, 60)) * u[0], axis=1) * u[1], (3,)))
 
 
 def test_operations_that_no_result_needs_do_no_harm():
