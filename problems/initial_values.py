@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from problems import answers, sparsity
+from problems import checks, sparsity
 from problems.compiled import compiled
 from problems.constraints import constraint_velocity
 from problems.formulations import Start, with_rates
@@ -201,7 +201,7 @@ def consistent_starts(scenes: Sequence[MechatronicSystem]) -> tuple[Start, dict[
     for k in np.flatnonzero(~good).tolist():
         try:
             alone = consistent_start(scenes[k])._replace(constrained_jerk=None)
-        except (InconsistentStart, NoConsistentStart, answers.FalseAnswer) as error:
+        except (InconsistentStart, NoConsistentStart, checks.FalseAnswer) as error:
             refused[k] = str(error)
             continue
         for table, row in zip(jax.tree.leaves(start), jax.tree.leaves(alone), strict=True):

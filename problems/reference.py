@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from problems import answers
+from problems import checks
 from problems.collocation import Motion, TooSmallStep, gauss, integrate, radau, terms
 from problems.compiled import compiled
 from problems.initial_values import consistent_start, rests
@@ -250,7 +250,7 @@ class Reference:
     def _closed_form(self, t: np.ndarray) -> dict[str, np.ndarray]:
         sizes = {g: self.scene.sizes.of(g) for g in (*GROUPS, "xdot")}
         values = {g: np.zeros((len(t), 0)) for g in ("x", "xdot", "y", "lam", "xd")}
-        return values | answers.closed_form(self.scene.exact(t), len(t), sizes)
+        return values | checks.closed_form(self.scene.exact(t), len(t), sizes)
 
     def _evaluate(
         self, phases: _Phases, t: np.ndarray, phase: np.ndarray | None = None

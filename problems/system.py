@@ -34,7 +34,7 @@ from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 
-from problems import answers, spec
+from problems import checks, spec
 from problems.models import starts
 from problems.runtime import Array, Float, jax
 from problems.stray_blocks import fault_of_blocks
@@ -271,7 +271,7 @@ class MechatronicSystem:
     @cache
     def fault(cls) -> str:
         """The sentence on blocks or times that cannot be used, or nothing."""
-        return fault_of_blocks(cls, MechatronicSystem) or answers.fault_of_times(
+        return fault_of_blocks(cls, MechatronicSystem) or checks.fault_of_times(
             cls.interval, cls.nominal_step
         )
 
@@ -324,7 +324,7 @@ class MechatronicSystem:
         SpecError
             If there is no start with these values.
         """
-        state = State(*answers.state(self.initial_state(), not self.has("kinematics")))
+        state = State(*checks.state(self.initial_state(), not self.has("kinematics")))
         later = "initial_state" in vars(self)
         return starts.started(self, state, dict(self.given)) if self.given and not later else state
 
@@ -369,7 +369,7 @@ class MechatronicSystem:
         named = {
             "lam": self.multipliers, "x": self.states, "y": self.outputs, "q": self.coordinates,
         }.get(group, self.velocities if own_velocities else self.coordinates)  # fmt: skip
-        texts = answers.texts(named, f"names of {group}")
+        texts = checks.texts(named, f"names of {group}")
         found = [Component.read(text) for text in texts]
         for _ in range("qva".find(group) - own_velocities):
             found = [component.rate() for component in found]

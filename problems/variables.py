@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from problems import answers
+from problems import checks
 from problems.runtime import Array, Float
 
 #: Groups of variables, and of errors: "xd" are values that are held between samples or events.
@@ -65,7 +65,7 @@ class Component(NamedTuple):
         """
         name, tilde, sizes = (part.strip() for part in text.partition("~"))
         name, bracket, unit = name.partition(" [")
-        scales = answers.natural_sizes(sizes.split(","), text) if tilde else ()
+        scales = checks.natural_sizes(sizes.split(","), text) if tilde else ()
         return cls(name, unit.rstrip("]") if bracket else "", scales)
 
     @property

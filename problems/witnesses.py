@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from problems import answers
+from problems import checks
 from problems.compiled import compiled
 from problems.runtime import Float
 from problems.system import MechatronicSystem
@@ -28,7 +28,7 @@ def named_points(
     """
     if not scene.has("points"):
         return {}
-    return answers.points(compiled(scene).points(scene.parameters(), q), len(q))
+    return checks.points(compiled(scene).points(scene.parameters(), q), len(q))
 
 
 def published_digits(
@@ -48,7 +48,7 @@ def published_digits(
     FalseAnswer
         If an entry of `published` is none, or names another quantity or number of values.
     """
-    own = answers.published(scene.published)
+    own = checks.published(scene.published)
     if scene.spec != scene.name or "interval" in vars(scene) or not own or not len(t):
         return []
     place = [int(np.abs(t - each.t).argmin()) for each in own]
@@ -58,8 +58,8 @@ def published_digits(
         known |= named_points(scene, known["q"])
     found = []
     for each, k in zip(own, place, strict=True):
-        answers.one_of(each.quantity, "a quantity of published", known)
-        answers.array(each.values, f"published {each.quantity}", known[each.quantity].shape[1:])
+        checks.one_of(each.quantity, "a quantity of published", known)
+        checks.array(each.values, f"published {each.quantity}", known[each.quantity].shape[1:])
         if abs(t[k] - each.t) <= near:
             found.append((each, known[each.quantity][k]))
     return found

@@ -13,9 +13,9 @@ from bench.running.linearisation import uncontrolled
 from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators import Steps, Tolerances, Trajectory
-from integrators.answers import caution
+from integrators.checks import caution
 from integrators.methods.hht_i3 import HHTI3
-from problems.answers import FalseAnswer
+from problems.checks import FalseAnswer
 from problems.scenes.double_pendulum import DoublePendulum
 from problems.scenes.driven_springs import DrivenSprings
 from problems.scenes.pendulum import Pendulum

@@ -20,7 +20,7 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.half_explicit import PHEM56
 from integrators.methods.rattle import RATTLE
 from integrators.methods.rodas5p import Rodas5P
-from problems import Published, answers, jax
+from problems import Published, checks, jax
 from problems.scenes.andrews import Andrews
 from problems.scenes.bricard import Bricard
 from problems.scenes.flyball_governor import FlyballGovernor
@@ -69,7 +69,7 @@ def test_entries_that_are_none_are_refused(entry, message):
         published = (entry,)
 
     scene, t = Wrong(), np.array([1.0])
-    with pytest.raises(answers.FalseAnswer, match=message):
+    with pytest.raises(checks.FalseAnswer, match=message):
         published_digits(scene, t, reference(IFToMMPendulum(), 10.0)(t))
 
 

@@ -22,7 +22,7 @@ from integrators.methods.half_explicit import PHEM56
 from integrators.methods.radau_iia import RadauIIA
 from integrators.methods.rodas5p import Rodas5P
 from integrators.methods.simulator_steppers import SemiImplicitEuler
-from problems import MechatronicSystem, State, answers, jax, jnp, parameter
+from problems import MechatronicSystem, State, checks, jax, jnp, parameter
 from problems.constraints import constraint_force
 from problems.kinematics import advance, displaced
 from problems.layouts import state_layout
@@ -246,7 +246,7 @@ def test_v_of_another_length_needs_kinematics():
         def initial_state(self):
             return State(q=np.zeros(2), v=np.zeros(1))
 
-    with pytest.raises(answers.FalseAnswer, match=r"v = dq/dt of initial_state\(\)"):
+    with pytest.raises(checks.FalseAnswer, match=r"v = dq/dt of initial_state\(\)"):
         assert Short().sizes
 
 

@@ -28,10 +28,10 @@ from bench.check.verdicts import Failed, round_trip, shortly
 from bench.plugins.registry import Registry
 from bench.results.quantities import PARTS
 from bench.running.measure import ignored_pattern
-from integrators import answers
+from integrators import checks
 from integrators.contract import STATUSES, Integrator, PreparedRun, Trajectory
 from integrators.resolutions import Steps
-from problems.answers import FalseAnswer
+from problems.checks import FalseAnswer
 from problems.initial_values import consistent_start
 from problems.spec import SpecError
 
@@ -45,10 +45,10 @@ _DEEPEST = 4
 
 def check_description(registry: Registry, method: Integrator) -> str:
     """Facts are of the right kind, options are read as printed, scenes are taken or refused."""
-    answers.facts(method)
+    checks.facts(method)
     options = round_trip(registry.integrator, method)
     scenes = check_scenes(registry, method)
-    answers.checked_orders(method.claims(trials(registry, method)[0].scene), "claims()")
+    checks.checked_orders(method.claims(trials(registry, method)[0].scene), "claims()")
     return f"{options}; it {scenes}"
 
 
@@ -60,7 +60,7 @@ def check_scenes(registry: Registry, method: Integrator) -> str:
         if plugin.cls is None:
             continue
         try:
-            reason = answers.refusal(method, registry.problem(name))
+            reason = checks.refusal(method, registry.problem(name))
         except FalseAnswer as fault:
             raise Failed(f"On {name}: {fault}") from fault
         (taken if reason is None else refused.setdefault(reason.rstrip("."), [])).append(name)
@@ -83,7 +83,7 @@ def check_runs(registry: Registry, method: Integrator) -> str:
         compared &= _check_execute(name, run, two)
         three = trial.trajectory(run)
         same_run(two, three, f"measure() before and after execute() on {name}")
-        answers.checked_bill(run.bill(three), PARTS)
+        checks.checked_bill(run.bill(three), PARTS)
         _check_work(trial, one)
         audited += [trial] * check_counts(method, trial.scene)
     true = f", true on {names_of(audited)}" if audited else ""
@@ -186,7 +186,7 @@ def check_steps(registry: Registry, method: Integrator) -> str:
     allowed, later = 1e-8 if method.controls == "step" else 100 * TRIAL_RTOL, []
     for trial in tried:
         shifted = moved(trial.scene, _SHIFT)
-        if answers.refusal(method, shifted):
+        if checks.refusal(method, shifted):
             continue
         here, there = trial.measured(), Trial(method, shifted).measured()
         for group in ("q", "v"):
@@ -229,7 +229,7 @@ def check_endings(registry: Registry, method: Integrator) -> str:
         (spoilt(trial.scene, at), f"a force that is NaN after t={at:g} s"),
         (FiniteTimeBlowUp(), "a solution that is infinite at t=1 s"),
     ):
-        if answers.refusal(method, scene) is None:
+        if checks.refusal(method, scene) is None:
             told.append(_ends_badly(Trial(method, scene), what))
     return f"{'; '.join(told)}."
 

@@ -10,7 +10,7 @@ import numpy as np
 from bench.check.trials import TRIAL_RTOL, Trial
 from bench.check.verdicts import DoesNotApply, Failed
 from bench.plugins.registry import Registry
-from integrators.answers import refusal
+from integrators.checks import refusal
 from integrators.contract import Integrator, Trajectory
 from problems import MechatronicSystem, State, jax, jnp
 from problems.compiled import compiled

@@ -10,8 +10,8 @@ from bench.check.verdicts import DoesNotApply, Failed
 from bench.results.orders import NOT_DETERMINED, Fit, fit_order
 from bench.results.quantities import TRUST
 from bench.running.errors import relative_errors
-from integrators import answers
-from integrators.answers import refusal
+from integrators import checks
+from integrators.checks import refusal
 from integrators.resolutions import Steps, Tolerances
 
 #: Allowed difference of a measured order from the claimed one: 0.2, or 6 % of the claimed one if
@@ -66,7 +66,7 @@ def check_order(trials: list[Trial]) -> str:
     faults: list[str] = []
     orders: dict[tuple[str, int], list[tuple[float, str]]] = {}
     for scene in (trial.scene for trial in trials if not refusal(steady, trial.scene)):
-        claims = answers.checked_orders(steady.claims(scene), "claims()")
+        claims = checks.checked_orders(steady.claims(scene), "claims()")
         claims = {g: p for g, p in claims.items() if scene.sizes.of(g)}
         if not claims:
             continue

@@ -14,7 +14,7 @@ from bench.check.verdicts import DoesNotApply, Failed, round_trip
 from bench.plugins.registry import Registry
 from bench.results.quantities import LEVELS
 from bench.running.errors import relative_reference_error
-from problems import answers, jax, jnp
+from problems import checks, jax, jnp
 from problems.compiled import compiled
 from problems.constraints import constraint_change
 from problems.initial_values import consistent_start
@@ -41,7 +41,7 @@ def check_description(registry: Registry, scene: MechatronicSystem) -> str:
     """Docstring, interval, step, names and units can be shown, and parameters are read back."""
     if not inspect.getdoc(type(scene)):
         raise Failed("It has no docstring; say what the scene tests and what it leaves out.")
-    if fault := answers.fault_of_times(scene.interval, scene.nominal_step):
+    if fault := checks.fault_of_times(scene.interval, scene.nominal_step):
         raise Failed(fault)
     (t0, t_end), step = scene.interval, scene.nominal_step
     if not step <= (t_end - t0) / 4:
@@ -58,10 +58,10 @@ def check_description(registry: Registry, scene: MechatronicSystem) -> str:
         named = 1 if isinstance(named, str) else len(named)
         if named not in (0, size := scene.sizes.of(group)):
             raise Failed(f"{named} {attribute} are named, {group} has {size} entries.")
-    answers.texts(scene.tags, "tags")
-    answers.texts(scene.difficulties, "difficulties")
-    answers.text(scene.source, "source")
-    for item in answers.description(scene)["parameters"]:
+    checks.texts(scene.tags, "tags")
+    checks.texts(scene.difficulties, "difficulties")
+    checks.text(scene.source, "source")
+    for item in checks.description(scene)["parameters"]:
         if isinstance(item["value"], float) and not item["unit"].strip():
             raise Failed(f"The parameter {item['name']} has no unit; give '1' for a pure number.")
         if not item["doc"].strip():
@@ -162,7 +162,7 @@ def check_reference(registry: Registry, scene: MechatronicSystem) -> str:
             )
     drawn = "; nothing is drawn: state `draw` to show the motion in reports"
     if scene.has("draw"):
-        lines = [answers.drawing(scene.draw(q)) for q in _along(scene)[1]["q"]][-1]
+        lines = [checks.drawing(scene.draw(q)) for q in _along(scene)[1]["q"]][-1]
         drawn = f"; {len(lines)} lines are drawn at all times"
     told = f"{exact.method}; relative error {max(own['q'], own['v']):.1e} in q and v"
     return f"{told}{check_published(scene)}{drawn}."
@@ -209,7 +209,7 @@ def _slope(scene: MechatronicSystem, t: np.ndarray, group: str, part: float) -> 
 
 def check_published(scene: MechatronicSystem) -> str:
     """The reference has the published digits, up to their tolerances."""
-    if not (own := answers.published(scene.published)):
+    if not (own := checks.published(scene.published)):
         return ""
     end, t = max(scene.interval[1], *(p.t for p in own)), np.unique([p.t for p in own])
     parts = []
@@ -253,7 +253,7 @@ def _check_invariant(scene: MechatronicSystem, block: str) -> str:
     q, v, _ = map(jnp.asarray, scene.initial_state())
     first, (unit, kinetic) = getattr(scene, block)(q, v), INVARIANTS[block]
     if kinetic:
-        answers.number(first, f"{block}()")
+        checks.number(first, f"{block}()")
     elif not jnp.size(first):
         raise Failed(f"{block}() has no entry; leave it out.")
     t, values = _along(scene)

@@ -11,12 +11,12 @@ import numpy as np
 
 from bench.check.verdicts import DoesNotApply, Failed
 from bench.plugins.registry import Registry
-from integrators import answers
-from integrators.answers import refusal
+from integrators import checks
+from integrators.checks import refusal
 from integrators.contract import Integrator, PreparedRun, Trajectory
 from integrators.resolutions import Steps, Tolerances
 from problems import MechatronicSystem, State, jnp
-from problems.answers import FalseAnswer, texts
+from problems.checks import FalseAnswer, texts
 from problems.reference import Reference
 
 #: The tag by which a scene says that integrators are checked on it, beside the scene below.
@@ -144,13 +144,13 @@ class Trial:
 
     def prepared(self) -> PreparedRun:
         """Prepare a run."""
-        return answers.checked_run(self.method.prepare(self.scene, self.t_end, self.resolution()))
+        return checks.checked_run(self.method.prepare(self.scene, self.t_end, self.resolution()))
 
     def trajectory(self, run: PreparedRun, t_end: float | None = None) -> Trajectory:
         """Measure a run up to t_end in s."""
         end, t0 = self.t_end if t_end is None else t_end, self.scene.interval[0]
         try:
-            return answers.checked_trajectory(run.measure(), self.scene.sizes, t0, end)
+            return checks.checked_trajectory(run.measure(), self.scene.sizes, t0, end)
         except FalseAnswer as fault:
             raise Failed(f"On {self.scene.spec}: {fault}") from fault
 
@@ -158,7 +158,7 @@ class Trial:
         """Prepare and measure a run up to t_end in s."""
         end = self.t_end if t_end is None else t_end
         return self.trajectory(
-            answers.checked_run(self.method.prepare(self.scene, end, refined)), end
+            checks.checked_run(self.method.prepare(self.scene, end, refined)), end
         )
 
     def measured(self, finer: float = 1.0) -> Trajectory:

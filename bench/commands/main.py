@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
+from contextlib import suppress
 from typing import Any
 
 import click
@@ -21,7 +23,6 @@ from bench.commands import (
     suite,
     sweeps,
 )
-from bench.commands.standard_streams import LostOutput, plain_streams
 from bench.results.store import StoreError
 from problems.plain_text import shortened
 from problems.spec import SpecError, suggest
@@ -72,14 +73,20 @@ class ShortErrors(click.Group):
 
     def main(self, *args: Any, **more: Any) -> Any:
         """Run a command line and end the process with its exit code."""
-        code = 0
+        for stream in (sys.stdout, sys.stderr):  # characters that the encoding lacks are escaped
+            if isinstance(stream, io.TextIOWrapper):
+                stream.reconfigure(errors="backslashreplace")
+        code = self._run(*args, **more | {"standalone_mode": False})
         try:
-            with plain_streams():
-                code = self._run(*args, **more | {"standalone_mode": False})
-        except LostOutput as error:
+            sys.stdout.flush()
+        except (OSError, AttributeError):  # full; or closed, when it is None
             if not code:  # else the reason was said
-                code = 1
-                click.echo(f"Error: {error}", err=True)
+                click.echo(
+                    "Error: The standard output takes no more; the answer is lost.", err=True
+                )
+            code = code or 1
+            with suppress(OSError, AttributeError):  # else Python ends with a traceback
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(code)
 
     def _run(self, *args: Any, **more: Any) -> int:

@@ -14,7 +14,7 @@ from typing import Any
 from bench.guard import wire
 from bench.guard.limits import LOADING, RUNNING
 from bench.plugins.reasons import PluginError, why
-from problems.answers import FalseAnswer
+from problems.checks import FalseAnswer
 from problems.plain_text import said
 from problems.spec import SpecError
 

@@ -10,10 +10,11 @@ import msgspec
 import numpy as np
 
 from bench.plugins.fingerprint import fingerprint
+from bench.plugins.reasons import why
 from bench.plugins.registry import KINDS, Plugin, Registry
-from integrators import answers
-from problems.answers import asked, refused, step, tidy
-from problems.answers import text as text_of
+from integrators import checks
+from problems.checks import number, refused, tidy
+from problems.checks import text as text_of
 from problems.variables import GROUPS
 
 #: Paragraphs of a plugin's documentation that are told.
@@ -88,7 +89,7 @@ def plugin_facts(plugin: Plugin) -> PluginFacts:
 
 def _own_spec(made: Any) -> str:
     """Return the printed name of a scene or an integrator, which has to be its own."""
-    stated = text_of(asked(made, "spec"), "spec")
+    stated = text_of(made.spec, "spec")
     if stated.partition("[")[0] != made.name:
         raise refused("spec", stated, f"{made.name!r}, or {made.name!r} with options")
     return stated
@@ -101,7 +102,7 @@ def scene_facts(registry: Registry, text: str, parameters: dict[str, Any]) -> Sc
         spec=_own_spec(scene),
         name=scene.name,
         interval=scene.interval,
-        nominal_step=step(scene.nominal_step),
+        nominal_step=number(scene.nominal_step, "nominal_step", positive=True),
         constrained=scene.has("constraint") or scene.has("velocity_constraint"),
         points=scene.has("points"),
         energy=scene.has("energy"),
@@ -115,7 +116,12 @@ def method_facts(registry: Registry, text: str) -> MethodFacts:
     """State the facts of the integrator that is written as ``text``."""
     method = registry.integrator(text)
     plugin = registry.integrators[method.name]
-    stated, fault = answers.stated(method)
+    fault = ""
+    stated: dict[str, Any] = dict.fromkeys(checks.WORDS, "") | {"orders": {}, "controls": "step"}
+    try:
+        stated = checks.facts(method)
+    except Exception as error:
+        fault = why(error)
     return MethodFacts(
         spec=_own_spec(method),
         name=method.name,
@@ -124,7 +130,7 @@ def method_facts(registry: Registry, text: str) -> MethodFacts:
         fingerprint=fingerprint(type(method)),
         sources=plugin.sources,
         fault=fault,
-        **stated._asdict() | {"family": stated.family or method.name, "orders": {**stated.orders}},
+        **stated | {"family": stated["family"] or method.name},
     )
 
 
@@ -136,7 +142,7 @@ def refusals(registry: Registry, text: str, methods: Sequence[str]) -> dict[str,
     scene, found = registry.problem(text), {}
     for method in methods:
         with suppress(Exception):
-            if reason := answers.refusal(registry.integrator(method), scene):
+            if reason := checks.refusal(registry.integrator(method), scene):
                 found[method] = reason
     return found
 

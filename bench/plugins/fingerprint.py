@@ -35,7 +35,7 @@ from problems.whole_files import keep, kept
 #: Variables of the environment that change what JAX computes.
 FLAGS = ("XLA_FLAGS", "JAX_ENABLE_X64")
 #: The modules whose functions turn the answers of a method into errors and a status.
-JUDGES = ("bench.running.measure", "integrators.answers")
+JUDGES = ("bench.running.measure", "integrators.checks")
 #: The module that calls the C compiler.
 _COMPILES = "integrators.lowering.native"
 _PROJECT = frozenset({"problems", "integrators", "bench"})

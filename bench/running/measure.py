@@ -14,11 +14,11 @@ from bench.results.published import Digits
 from bench.results.quantities import GROUPS, LEVELS, NORM, error_note
 from bench.results.records import TIMING_SECONDS, Rows
 from bench.running.errors import constraint_errors, finite, relative_errors
-from integrators import answers
+from integrators import checks
 from integrators.contract import Integrator, Trajectory
 from integrators.kept_rows import spread_rows
 from integrators.resolutions import Steps, Tolerances
-from problems.answers import array
+from problems.checks import array
 from problems.compiled import compiled
 from problems.initial_values import InconsistentStart, NoConsistentStart
 from problems.reference import Reference
@@ -221,11 +221,11 @@ def errors_from_later_starts(
         z = reference(np.array([t]))
         later = scene.later(t, State(*(z[group][0] for group in ("q", "v", "x"))))
         try:
-            run = answers.checked_run(integrator.prepare(later, t_end, resolution))
+            run = checks.checked_run(integrator.prepare(later, t_end, resolution))
         except (InconsistentStart, NoConsistentStart):
             return [], []
         begun = computed_seconds()
-        answer = answers.checked_trajectory(run.measure(), scene.sizes, t, t_end)
+        answer = checks.checked_trajectory(run.measure(), scene.sizes, t, t_end)
         if computed_seconds() - begun > _LONGEST:
             return [], []
         errors = {}

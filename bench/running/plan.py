@@ -22,7 +22,7 @@ from bench.running.inventory import Inventory, PluginFailed
 from bench.running.profiles import FIGURES, TABLES, ProfileFile, StudyFile
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances, check_end
-from problems.answers import tidy
+from problems.checks import tidy
 from problems.spec import SpecError, one_of
 from problems.system import MechatronicSystem
 

@@ -12,7 +12,7 @@ from bench.results.realtime import RealTimeRun, StepTimes
 from bench.running import measure
 from bench.running.errors import finite, relative_errors
 from bench.running.worker import Worker
-from integrators import answers
+from integrators import checks
 from integrators.advice import advice
 from integrators.contract import Integrator, Trajectory
 from integrators.native.lone_steps import LoneStep
@@ -105,7 +105,7 @@ def stepping(method: Integrator, scene: MechatronicSystem) -> NativeMethod:
     SpecError
         If there is none, or it does not take the scene.
     """
-    if reason := answers.refusal(method, scene):
+    if reason := checks.refusal(method, scene):
         raise SpecError(f"{method.spec} does not take {scene.spec}: {reason}")
     if scene.is_hybrid:
         raise SpecError(

@@ -14,7 +14,7 @@ from bench.results.records import Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import relative_reference_error
 from bench.running.linearisation import growth, rates
-from problems import answers
+from problems import checks
 from problems.reference import Reference
 from problems.runtime import jnp
 from problems.start_equations import missing_rank
@@ -71,19 +71,19 @@ def scene_record(
             "growth": part("sensitivity", lambda: growth(scene, reference()), None),
         }
     nameless = {"title": scene.name, "description": "", "parameters": []}
-    known |= part("description", lambda: answers.description(scene), nameless)
+    known |= part("description", lambda: checks.description(scene), nameless)
     if scene.has("energy"):
         part("energy", lambda: first_energy(scene), None)
-    tags = part("list of tags", lambda: answers.texts(scene.tags, "tags"), ())
+    tags = part("list of tags", lambda: checks.texts(scene.tags, "tags"), ())
     if part("rank of the constraints", lambda: _missing_rank(scene), 0):
         tags = dict.fromkeys((*tags, "redundant"))
     hard = part(
-        "list of difficulties", lambda: answers.texts(scene.difficulties, "difficulties"), ()
+        "list of difficulties", lambda: checks.texts(scene.difficulties, "difficulties"), ()
     )
     return SceneRecord(
         problem=scene.spec,
         t_end=t_end,
-        source=part("source", lambda: answers.text(scene.source, "source"), ""),
+        source=part("source", lambda: checks.text(scene.source, "source"), ""),
         components=part("list of components", lambda: _components(scene), {}),
         sizes=recorded_sizes(scene),
         t0=scene.interval[0],
@@ -91,7 +91,7 @@ def scene_record(
         tags=list(tags),
         difficulties=list(hard),
         equations=equations(scene),
-        nominal_step=part("nominal step", lambda: answers.step(scene.nominal_step), None),
+        nominal_step=part("nominal step", lambda: _step(scene), None),
         faults=faults,
         **known,
     )
@@ -118,7 +118,7 @@ def _motion(scene: MechatronicSystem, reference: Reference) -> dict[str, Any]:
 def _published(reference: Reference) -> list[Digits]:
     """Return the published digits up to the end of the reference, beside its values."""
     scene, t_end = reference.scene, reference.t_end
-    t = np.array([p.t for p in answers.published(scene.published) if p.t <= t_end])
+    t = np.array([p.t for p in checks.published(scene.published) if p.t <= t_end])
     return measure.digits(scene, t, reference(t)) if len(t) else []
 
 
@@ -126,10 +126,14 @@ def _missing_rank(scene: MechatronicSystem) -> int:
     return missing_rank(scene, np.asarray(scene.start().q), scene.interval[0])
 
 
+def _step(scene: MechatronicSystem) -> float:
+    return checks.number(scene.nominal_step, "nominal_step", positive=True)
+
+
 def first_energy(scene: MechatronicSystem) -> float:
     """Return the energy of a scene at its start, in J."""
     q, v, _ = map(jnp.asarray, scene.start())
-    return answers.number(scene.energy(q, v), "energy()")
+    return checks.number(scene.energy(q, v), "energy()")
 
 
 def recorded_sizes(scene: MechatronicSystem) -> dict[str, int]:
@@ -174,6 +178,6 @@ def drawings(scene: MechatronicSystem, reference: Reference, count: int) -> list
         return []
     t = np.linspace(scene.interval[0], reference.t_end, count)
     return [
-        {"t": float(now), "lines": answers.drawing(scene.draw(q))}
+        {"t": float(now), "lines": checks.drawing(scene.draw(q))}
         for now, q in zip(t, reference(t)["q"], strict=True)
     ]

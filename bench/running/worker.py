@@ -33,7 +33,7 @@ from bench.running.inventory import load_registry
 from bench.running.linearisation import uncontrolled
 from bench.running.plan import Cell
 from bench.running.scene_records import drawings, scene_record
-from integrators import answers
+from integrators import checks
 from integrators.contract import PreparedRun, Trajectory
 from problems.initial_values import InconsistentStart, NoConsistentStart
 from problems.plain_text import said
@@ -183,11 +183,11 @@ class Worker:
         run.notes |= noted | drift | part(no_points, points, {})
 
         def operations() -> dict[str, float]:
-            return answers.checked_bill(self.prepared[record.key].bill(run), PARTS)
+            return checks.checked_bill(self.prepared[record.key].bill(run), PARTS)
 
         def cautions() -> str:
             method = self.registry.integrator(record.integrator)
-            caution = answers.caution(method, scene) or ""
+            caution = checks.caution(method, scene) or ""
             overlap = measure.end_at_overlap(run, scene, bool(method.passes_impacts))
             return (
                 f"{caution} {overlap} {miscounted(scene)} {uncontrolled(scene, run, record.rtol)}"
@@ -195,7 +195,7 @@ class Worker:
 
         def claims() -> dict[str, int]:
             stated = self.registry.integrator(record.integrator).claims(scene)
-            return answers.checked_orders(stated, "claims()")
+            return checks.checked_orders(stated, "claims()")
 
         record.operations = part("Its operations are not known", operations, {})
         # A run that takes longer than its preparation would double the time of the suite.
@@ -224,17 +224,17 @@ class Worker:
         if wrong := check_runtime():
             return Trajectory.failed("crashed", wrong), None
         try:
-            answers.facts(integrator)
-            if reason := answers.refusal(integrator, scene):
+            checks.facts(integrator)
+            if reason := checks.refusal(integrator, scene):
                 return Trajectory.failed("unsupported", reason), None
             started = computed_seconds()
-            run = answers.checked_run(integrator.prepare(scene, cell.t_end, cell.resolution))
+            run = checks.checked_run(integrator.prepare(scene, cell.t_end, cell.resolution))
             compile_s = computed_seconds() - started
             self.notify(RUNNING, "running")
             measuring = computed_seconds()
             measured = run.measure()
             seconds = computed_seconds() - measuring
-            trajectory = answers.checked_trajectory(measured, scene.sizes, *span)
+            trajectory = checks.checked_trajectory(measured, scene.sizes, *span)
             measure.end_at_overlap(trajectory, scene, bool(integrator.passes_impacts))
         except (InconsistentStart, NoConsistentStart, SpecError) as error:
             return Trajectory.failed("crashed", f"{said(error)}."), None

@@ -23,7 +23,7 @@ import numpy as np
 
 from bench.running.measure import ignored_pattern
 from bench.stability.systems import LinearSystem
-from integrators import answers
+from integrators import checks
 from integrators.contract import Integrator
 from integrators.native.step_method import NativeMethod
 from integrators.native.step_program import StepProgram
@@ -115,7 +115,7 @@ def matrices(
     """
     method, macro_steps = steppable(method), np.asarray(steps, dtype=float)
     fractions = Steps(1.0, tuple(pattern)).pattern  # refuses a bad pattern
-    reason = answers.refusal(method, system)
+    reason = checks.refusal(method, system)
     if reason:
         raise SpecError(f"{method.spec} does not take {system.name}: {reason}")
     if isinstance(method, NativeMethod):
@@ -251,8 +251,8 @@ def _two_patterns(
     """[q, v, x] of the excited entries after one and after two patterns."""
     scene = system.from_deviation(start)
     steps = Steps(length, pattern)
-    measured = answers.checked_run(method.prepare(scene, 2 * length, steps)).measure()
-    run = answers.checked_trajectory(measured, scene.sizes, scene.interval[0], 2 * length)
+    measured = checks.checked_run(method.prepare(scene, 2 * length, steps)).measure()
+    run = checks.checked_trajectory(measured, scene.sizes, scene.interval[0], 2 * length)
     if fault := ignored_pattern(run, steps, scene.interval[0], 2 * length):
         raise SpecError(f"{method.spec} has no matrix of a pattern: {fault}")
     blank = np.nan if run.status == "newton_failed" else np.inf

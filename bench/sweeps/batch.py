@@ -21,7 +21,7 @@ import numpy as np
 
 from bench.sweeps.batched_steps import BatchRun, distinct, times_of
 from integrators.advice import advice
-from integrators.answers import refusal
+from integrators.checks import refusal
 from integrators.contract import Integrator
 from integrators.native.endings import Ending
 from integrators.native.kernel import Form

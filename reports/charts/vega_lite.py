@@ -14,7 +14,7 @@ from typing import Any
 
 from bench.results.csv_text import csv_text
 from bench.results.quantities import NORM, NORMS
-from problems.plain_text import clean, clean_json
+from problems.plain_text import clean_json
 from reports.charts.line_styles import LineStyle
 
 #: A chart or a part of one: a specification of Vega-Lite, https://vega.github.io/vega-lite.
@@ -142,7 +142,7 @@ def chart_json(value: Any, **options: Any) -> str:
     except ValueError:
         text = json.dumps(_without_nan(value), ensure_ascii=False, **options)
     # Control characters stand in JSON as escapes.
-    return clean_json(clean(text).encode()).decode()
+    return clean_json(text)
 
 
 def _without_nan(value: Any) -> Any:

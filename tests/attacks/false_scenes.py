@@ -57,7 +57,7 @@ SCENES = {
     "DrawSpace": (
         drawn([LINE, np.zeros((4, 3))]),
         "reference",
-        "line 1 of draw() is an array of float64 of shape (4, 3), expected an array of shape (poi",
+        "line 1 of draw() is an array of float64 of shape (4, 3), expected real numbers of",
     ),
     "EnergyVector": (
         {"energy": lambda self, q, v: jnp.stack([q, v])},
@@ -67,7 +67,7 @@ SCENES = {
     "EnergyNan": (
         {"energy": lambda self, q, v: NAN * (q @ v)},
         "conserved",
-        "energy() is Array(nan, dtype=float64",
+        "energy() is Array(nan, dty",
     ),
     "EnergyText": (
         {"energy": lambda self, q, v: "much"},
@@ -119,7 +119,7 @@ TIMES = {
     "StepZero": ({"nominal_step": 0.0}, "nominal_step is 0.0, expected a positive number"),
     "IntervalTurned": ({"interval": (1, 0)}, "interval is (1.0, 0.0), expected a start in s, and"),
     "IntervalNan": ({"interval": (0, NAN)}, "interval[1] is nan, expected finite numbers"),
-    "IntervalOne": ({"interval": 3.0}, "interval is array(3.), expected real numbers of shape (2"),
+    "IntervalOne": ({"interval": 3.0}, "interval is 3.0, expected real numbers of shape (2"),
 }
 
 

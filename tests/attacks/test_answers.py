@@ -22,7 +22,7 @@ from bench.running.profiles import ProfileFile, StudyFile
 from bench.running.worker import Worker
 from integrators import Steps
 from problems import jnp
-from problems.answers import MOST_SENTENCE, FalseAnswer
+from problems.checks import MOST_SENTENCE, FalseAnswer
 from problems.reference import Reference
 from problems.scenes.spring_mass import SpringMass
 from problems.spec import snake_case
@@ -117,10 +117,10 @@ def test_rows_are_not_those_of_the_plugin(worker):
             mine["run"] = super().measure()
             return mine["run"]
 
-    from integrators import answers
+    from integrators import checks
 
     theirs = Kept("", scene, 20.0).measure()
-    ours = answers.checked_trajectory(theirs, scene.sizes, 0.0, 20.0)
+    ours = checks.checked_trajectory(theirs, scene.sizes, 0.0, 20.0)
     for name in ("t", "q", "v", "a", "lam", "x", "xdot", "y"):
         np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
         assert not np.shares_memory(getattr(ours, name), getattr(theirs, name))
