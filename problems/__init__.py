@@ -16,8 +16,8 @@ from problems.joints import (
 )
 from problems.runtime import jax, jnp
 from problems.sampled import SampledSystem
-from problems.system import MechatronicSystem, held, parameter
-from problems.variables import Published, State, Variables
+from problems.system import MechatronicSystem
+from problems.variables import Published, State, Variables, held, parameter
 
 if TYPE_CHECKING:
     from problems.models.mjcf import from_mjcf

@@ -104,6 +104,8 @@ class RigidBodies(MechatronicSystem):
     has ``constraint = None``, one with dampers ``energy = None``.
     """
 
+    offered = ("bodies", "frames", "gravity", "joints", "springs", "torque")
+
     def bodies(self) -> tuple[Body, ...]:
         """All bodies as they are at the start."""
         raise NotImplementedError

@@ -11,8 +11,8 @@ from typing import Any
 from problems.dependence import takes
 from problems.runtime import Array, jnp
 from problems.spec import SpecError
-from problems.system import MechatronicSystem, parameter
-from problems.variables import Variables
+from problems.system import MechatronicSystem
+from problems.variables import Variables, parameter
 
 #: Words for what a run does at samples.
 POLICIES = {

@@ -30,96 +30,59 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from problems import checks, spec
 from problems.models import starts
 from problems.runtime import Array, Float, jax
-from problems.stray_blocks import fault_of_blocks
 from problems.variables import Component, Published, Sizes, State, Variables
 
-_Number = TypeVar("_Number", int, float)
-
-
-def parameter(
-    default: _Number,
-    unit: str,
-    doc: str,
-    *,
-    low: float | None = None,
-    high: float | None = None,
-) -> _Number:
-    """Declare a parameter of a scene, a field of its dataclass.
-
-    A float is traced: it can vary without recompiling. An int is structural (a number of
-    links, say): another value is another compiled system.
-
-    Parameters
-    ----------
-    unit, doc
-        Unit and meaning, as reports show them.
-    low, high
-        Limits of the values that are allowed, included.
-    """
-    # The type has to be float, not np.float64.
-    value: Any = default.item() if isinstance(default, np.generic) else default
-    meta = {"type": type(value), "unit": unit, "doc": doc, "low": low, "high": high}
-    return dataclasses.field(default=value, metadata=meta)
-
-
-def held(default: float, unit: str, doc: str) -> float:
-    """Declare a held value of a scene: a parameter that changes at instants alone.
-
-    ``default`` is its value before the first one; unit and meaning as of `parameter`.
-    """
-    value: Any = float(default)
-    meta = {"type": float, "unit": unit, "doc": doc, "held": True}
-    return dataclasses.field(default=value, metadata=meta)
+#: Blocks, and those without which they are of no use.
+_PARTNERS = (
+    ("output", "actuation"), ("actuation", "output"), ("events", "jump"), ("jump", "events"),
+    ("sliding", "gaps"), ("gaps", "events"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class MechatronicSystem:
     """Base class of all scenes.
 
-    Required: ``mass``, ``force`` and ``initial_state``. Everything else is stated only by the
-    scenes that have it: ``constraint``; ``velocity_constraint``; ``kinematics``, perhaps with
-    ``move``; ``coupled_force``; ``state_rate`` (controller states); ``output`` together with
-    ``actuation``; ``sample`` together with ``sample_time``; ``events`` together with ``jump``;
-    ``gaps`` (see `problems.contact.ContactSystem`), perhaps with ``sliding``; ``energy``;
-    ``momentum``; ``points``; ``exact``; ``draw``. An override may leave out annotations.
+    Required: ``mass``, ``force`` and ``initial_state``. A scene states other blocks if it has them;
+    an override may leave out annotations.
 
-    The class attributes say how to use the scene:
-
-    ``interval``
-        start and end time in s
-    ``nominal_step``
-        the step size in s from which a convergence study starts
-    ``tags``
-        words to search by; `stepbench check` tries integrators on scenes with "conformance", and
-        measures their orders on those with "orders", too
-    ``difficulties``
-        a sentence for each difficulty, and the methods that it concerns
-    ``coordinates``, ``velocities``, ``multipliers``, ``states``, ``outputs``
-        names of the entries of q, v (only with ``kinematics``), lam, x and y, as "heave [m]" or
+    Attributes
+    ----------
+    interval, nominal_step
+        Start and end in s; the step in s from which a convergence study starts.
+    tags
+        Words to search by; `stepbench check` tries integrators on scenes with "conformance", and
+        measures their orders on those with "orders", too.
+    difficulties
+        A sentence for each difficulty, and the methods that it concerns.
+    coordinates, velocities, multipliers, states, outputs
+        Names of the entries of q, v (only with ``kinematics``), lam, x and y, as "heave [m]" or
         "heave [m] ~ 0.05, 0.3, 2": the unit, and natural sizes of the values, their rates and
         accelerations, by which errors are divided; without one, an error is relative to the largest
-        value in the reference
-    ``source``
-        publication of the equations and data
-    ``redundant``
-        number of constraints that depend on the others everywhere; the least lam is taken then
-    ``dear_tangents``
-        whether each column of a tangent costs as much as the equations, as on trees of bodies
-    ``published``
-        published digits, which runs are shown beside and the reference is checked by
-    ``sample_time``, ``sampling``
-        time between two samples in s, and the word of `problems.sampled.POLICIES` for what a run
-        does at samples; both may be parameters
-    ``restitution``, ``friction``
-        of contacts: part of the approaching velocity with which a body leaves after an impact, and
-        Coulomb's coefficient; a number for all gaps or one for each, perhaps parameters
+        value in the reference.
+    source
+        Publication of the equations and data.
+    redundant
+        Number of constraints that depend on the others everywhere; the least lam is taken then.
+    dear_tangents
+        Whether each column of a tangent costs as much as the equations, as on trees of bodies.
+    published
+        Published digits, which runs are shown beside and the reference is checked by.
+    sample_time, sampling
+        Time between two samples in s, and the word of `problems.sampled.POLICIES` for what a run
+        does at samples; both may be parameters.
+    restitution, friction
+        Of contacts: part of the approaching velocity with which a body leaves after an impact, and
+        Coulomb's coefficient; a number for all gaps or one for each, perhaps parameters.
+    offered
+        Public methods beside the blocks, of a base class that makes blocks of them.
 
     Parameters
     ----------
@@ -147,6 +110,7 @@ class MechatronicSystem:
     sampling = "hit"
     restitution = 0.0
     friction = 0.0
+    offered: ClassVar[tuple[str, ...]] = ()
     given: tuple[tuple[str, float], ...] = dataclasses.field(default=(), kw_only=True, repr=False)
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
@@ -271,9 +235,20 @@ class MechatronicSystem:
     @cache
     def fault(cls) -> str:
         """The sentence on blocks or times that cannot be used, or nothing."""
-        return fault_of_blocks(cls, MechatronicSystem) or checks.fault_of_times(
-            cls.interval, cls.nominal_step
-        )
+        for block, other in _PARTNERS:
+            if cls.has(block) and not cls.has(other):
+                base = " (or take problems.ContactSystem for a base)" if block == "gaps" else ""
+                return f"it states {block} but not {other}; they belong together{base}."
+        for name in dir(cls):
+            own, common = getattr(cls, name), getattr(MechatronicSystem, name, None)
+            is_method = callable(own) and not inspect.isclass(own)
+            if is_method and not (name[0] == "_" or callable(common) or name in cls.offered):
+                nearest = spec.suggest(name, filter(_is_block, vars(MechatronicSystem)))
+                return (
+                    f"its method {name} is no block and would be left out; {nearest}. "
+                    f"Begin the name of a helper with '_'."
+                )
+        return checks.fault_of_times(cls.interval, cls.nominal_step)
 
     @property
     def spec(self) -> str:
@@ -287,7 +262,7 @@ class MechatronicSystem:
         Raises
         ------
         SpecError
-            If blocks are missing that belong together, or a method looks like a block and is none.
+            If blocks are missing that belong together, or a public method is no block.
         """
         fault, start = self.fault(), self.start()
         nx = len(start.x)
@@ -297,22 +272,22 @@ class MechatronicSystem:
             fault = "it states state_rate, but its initial_state has no x."
         if fault:
             raise spec.SpecError(f"{self.spec}: {fault}")
-        q, t0, ny = start.q, self.interval[0], 0
-        rows = {"constraint": 0, "velocity_constraint": 0}
-        for block, given in zip(rows, ((q, t0), (q, start.v, t0)), strict=True):
-            if self.has(block):
-                shape = jax.eval_shape(getattr(self, block), *given).shape
-                if len(shape) != 1:
-                    raise spec.SpecError(f"{self.spec}: {block} has shape {shape}, expected (n,).")
-                rows[block] = shape[0]
-        if self.has("output"):
-            shape = np.shape(self.actuation_at(q))
-            if len(shape) != 2:
-                fault = f"actuation has shape {shape}, expected ({len(start.v)}, ny)."
-                raise spec.SpecError(f"{self.spec}: {fault}")
-            ny = shape[1]
+        q, t0 = start.q, self.interval[0]
+
+        def rows(block: str, *at: Any) -> int:
+            shape = jax.eval_shape(getattr(self, block), *at).shape if self.has(block) else (0,)
+            if len(shape) != 1:
+                raise spec.SpecError(f"{self.spec}: {block} has shape {shape}, expected (n,).")
+            return shape[0]
+
+        nh = rows("constraint", q, t0)
+        nl = nh + rows("velocity_constraint", q, start.v, t0)
+        shape = np.shape(self.actuation_at(q)) if self.has("output") else (len(start.v), 0)
+        if len(shape) != 2:
+            fault = f"actuation has shape {shape}, expected ({len(start.v)}, ny)."
+            raise spec.SpecError(f"{self.spec}: {fault}")
         nd = len(self.held_values())
-        return Sizes(len(q), len(start.v), sum(rows.values()), nx, ny, rows["constraint"], nd)
+        return Sizes(len(q), len(start.v), nl, nx, shape[1], nh, nd)
 
     def start(self) -> State:
         """Return the initial state as arrays of floats, with the values that are ``given``.
@@ -417,3 +392,9 @@ class MechatronicSystem:
         defaults: dict[str, Any] = {name: field.default for name, field in numbers.items()}
         defaults["given"] = ()
         return self.with_parameters(defaults)
+
+
+def _is_block(name: str) -> bool:
+    """Whether a method of the contract is left to the scenes: its own version only raises."""
+    method = vars(MechatronicSystem)[name]
+    return inspect.isfunction(method) and "NotImplementedError" in method.__code__.co_names

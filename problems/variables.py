@@ -1,8 +1,9 @@
-"""Variables of a mechatronic system, their names and numbers, and published values of them."""
+"""Parameters and variables of a mechatronic system, their names, numbers and published values."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import dataclasses
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -12,6 +13,43 @@ from problems.runtime import Array, Float
 #: Groups of variables, and of errors: "xd" are values that are held between samples or events.
 VARIABLES = ("q", "v", "a", "lam", "x", "y")
 GROUPS = (*VARIABLES, "xd")
+_Number = TypeVar("_Number", int, float)
+
+
+def parameter(
+    default: _Number,
+    unit: str,
+    doc: str,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+) -> _Number:
+    """Declare a parameter of a scene, a field of its dataclass.
+
+    A float is traced: it can vary without recompiling. An int is structural (a number of
+    links, say): another value is another compiled system.
+
+    Parameters
+    ----------
+    unit, doc
+        Unit and meaning, as reports show them.
+    low, high
+        Limits of the values that are allowed, included.
+    """
+    # The type has to be float, not np.float64.
+    value: Any = default.item() if isinstance(default, np.generic) else default
+    meta = {"type": type(value), "unit": unit, "doc": doc, "low": low, "high": high}
+    return dataclasses.field(default=value, metadata=meta)
+
+
+def held(default: float, unit: str, doc: str) -> float:
+    """Declare a held value of a scene: a parameter that changes at instants alone.
+
+    ``default`` is its value before the first one; unit and meaning as of `parameter`.
+    """
+    value: Any = float(default)
+    meta = {"type": float, "unit": unit, "doc": doc, "held": True}
+    return dataclasses.field(default=value, metadata=meta)
 
 
 class Variables(NamedTuple):

@@ -81,16 +81,16 @@ def _of_all(scene: MechatronicSystem, q: Any, v: Any, t: Any) -> dict[str, Any]:
         found["constraint"] = scene.constraint(q, t)
         found["velocity"] = constraint_velocity(scene, q, v, t)
         found["moved"] = jax.jacfwd(scene.constraint, 1)(q, t)
-    if hasattr(scene, "kinetic_energy"):
-        found["kinetic_energy"] = scene.kinetic_energy(q, v)
-        found["potential_energy"] = scene.potential_energy(q)
+    if hasattr(scene, "_kinetic_energy"):
+        found["_kinetic_energy"] = scene._kinetic_energy(q, v)
+        found["_potential_energy"] = scene._potential_energy(q)
 
     def energy(q, v):
         if scene.has("energy"):
             return scene.energy(q, v)
-        return scene.kinetic_energy(q, v) + scene.potential_energy(q)
+        return scene._kinetic_energy(q, v) + scene._potential_energy(q)
 
-    if scene.has("energy") or hasattr(scene, "kinetic_energy"):
+    if scene.has("energy") or hasattr(scene, "_kinetic_energy"):
         found["energy"], found["slopes"] = jax.value_and_grad(energy, (0, 1))(q, v)
     if scene.has("momentum"):
         found["momentum"] = scene.momentum(q, v)
@@ -138,11 +138,11 @@ class Measured:
     def energy(self, q, v):
         return self.at(q, v)["energy"]
 
-    def kinetic_energy(self, q, v):
-        return self.at(q, v)["kinetic_energy"]
+    def _kinetic_energy(self, q, v):
+        return self.at(q, v)["_kinetic_energy"]
 
-    def potential_energy(self, q):
-        return self.at(q, 0 * q)["potential_energy"]
+    def _potential_energy(self, q):
+        return self.at(q, 0 * q)["_potential_energy"]
 
     def momentum(self, q, v):
         return self.at(q, v)["momentum"]

@@ -146,12 +146,12 @@ class Driven(PartsPendulum):
         tip = 2 * super().bodies()[0].position
         return *super().joints(), Revolute("rod", "tip", tip, (0.0, 0.0, 1.0))
 
-    def motors(self):
+    def _motors(self):
         axis = (0.0, 0.0, 5.0)
         return self.torque(GROUND, "rod", axis), self.torque("rod", "tip", axis)
 
     def actuation(self):
-        return jnp.stack(self.motors(), axis=1)
+        return jnp.stack(self._motors(), axis=1)
 
     def output(self, z):
         return jnp.array(self.torques)
@@ -160,7 +160,7 @@ class Driven(PartsPendulum):
 def test_a_motor_turns_one_body_and_the_other_back():
     scene, t = Driven(), np.array([0.0, 0.3])
     start = consistent_start(scene).z
-    first, second = (np.asarray(motor) @ start.v for motor in scene.motors())
+    first, second = (np.asarray(motor) @ start.v for motor in scene._motors())
     assert (first, second) == pytest.approx((-1.5, 3.5), abs=1e-12)
     # The power of the motors is the rate of the energy, in which the weights are.
     z = reference(scene, 0.3)(t)

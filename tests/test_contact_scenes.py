@@ -130,7 +130,7 @@ class KinkedStop(QuarterCarStop):
     jump = None
 
     def force(self, q, v, t):
-        stop = self.k_stop * jnp.maximum(-self.room(q), 0.0)
+        stop = self.k_stop * jnp.maximum(-self._room(q), 0.0)
         return QuarterCar.force(self, q, v, t) + jnp.stack([stop, -stop])
 
 

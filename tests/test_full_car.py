@@ -39,7 +39,7 @@ def tie_rods(scene, q, t):
         turn = np.array([[np.cos(q[10 + k]), -np.sin(q[10 + k])],
                          [np.sin(q[10 + k]), np.cos(q[10 + k])]])  # fmt: skip
         outer = [x[k], y[k]] + turn @ [scene.arm, sign * scene.arm_out]
-        middle = -scene.offset_front + float(scene.rack_displacement(t))
+        middle = -scene.offset_front + float(scene._rack_displacement(t))
         inner = np.array([x[k] + scene.arm, middle + sign * scene.rack_width / 2])
         travel = q[6 + k] - (q[2] + y[k] * q[3] - x[k] * q[4])
         length = (scene.track_front - scene.rack_width) / 2 + scene.arm_out
@@ -114,7 +114,7 @@ def check_balances(scene):
     weight = 9.81 * np.array([scene.m * scene.b, scene.m * scene.b, scene.m * scene.a,
                               scene.m * scene.a]) / (2 * (scene.a + scene.b))  # fmt: skip
     weight += 9.81 * np.array([scene.m_front] * 2 + [scene.m_rear] * 2)
-    heights = np.asarray(scene.road(t))
+    heights = np.asarray(scene._road(t))
     pressed = 158294.0 * (heights - q[6:10])
     slip = -np.arctan(contact.imag / contact.real)
     stiff = 21.92 / 1.3507 / 1.0489 * slip
@@ -135,7 +135,7 @@ def check_balances(scene):
     p, rates = x[:8].reshape(2, 4), xdot[:8].reshape(2, 4)
     volumes = np.array([scene.v_reb, scene.v_comp])
     stored = 1e6 / scene.bulk * volumes @ (p * rates).sum(axis=1)
-    flows = np.array(scene.flows(p[0], p[1], y[:4]))
+    flows = np.array(scene._flows(p[0], p[1], y[:4]))
     lost = 1e6 * np.array([p[0], p[1] - p[0], -p[1]]) * flows
     assert (lost >= 0).all()
     moved = np.asarray(jax.jvp(lambda q: scene.constraint(q, t), (q,), (v,))[1])
@@ -151,13 +151,13 @@ def check_balances(scene):
     speeds = corners.T @ v[2:5] - v[6:10]
     assert not (demanded & (forces * speeds < -10.0)).any()
     assert (forces * speeds > 0).any()
-    by_hand = scene.limited_current(scene.demanded_current(forces, speeds))
+    by_hand = scene._limited_current(scene._demanded_current(forces, speeds))
     assert y[:4] == pytest.approx(np.asarray(by_hand), abs=1e-9)
 
 
 MUTANTS = {
-    "kinetic_energy": ["h", "q3", "v4", "v10"],
-    "potential_energy": [
+    "_kinetic_energy": ["h", "q3", "v4", "v10"],
+    "_potential_energy": [
         "k_rear",
         "k_tyre",
         "gravity",
@@ -166,13 +166,13 @@ MUTANTS = {
         "q7",
         "q4",
     ],
-    "contact_velocities": ["trail", "q5", "q11", "b"],
-    "tyre_forces": ["slope"],
-    "tyre_loads": ["k_tyre"],
+    "_contact_velocities": ["trail", "q5", "q11", "b"],
+    "_tyre_forces": ["slope"],
+    "_tyre_loads": ["k_tyre"],
     "constraint": ["arm", "arm_out", "rack", "q2", "q10"],
     "actuation": ["a"],
-    "pressure_rates": ["a_piston"],
-    "damper_force": ["a_rod"],
+    "_pressure_rates": ["a_piston"],
+    "_damper_force": ["a_rod"],
     "state_rate": ["leak"],
     "output": ["gain_roll"],
 }
@@ -216,7 +216,7 @@ def test_the_ride_model_has_the_published_frequencies():
 def test_it_starts_calmly_on_its_weight(scene):
     start = consistent_start(scene)
     assert np.abs(start.z.a).max() < 1e-2
-    loads = np.asarray(scene.tyre_loads(start.z.q, 0.0))
+    loads = np.asarray(scene._tyre_loads(start.z.q, 0.0))
     assert loads.sum() == pytest.approx(9.81 * (965.711 + 4 * 31.896), rel=1e-12)
     front = loads[:2].sum() - 2 * 9.81 * 31.896
     rear = loads[2:].sum() - 2 * 9.81 * 31.896
@@ -227,10 +227,10 @@ def test_it_starts_calmly_on_its_weight(scene):
 @pytest.mark.parametrize(("force", "speed"), [(800, 0.2), (1200, 0.15), (-700, -0.25)])
 def test_the_inverse_damper_finds_the_current_of_a_force(force, speed):
     scene = FullCar()
-    i = scene.limited_current(scene.demanded_current(float(force), speed))
-    rates = jax.jit(lambda p: jnp.stack(scene.pressure_rates(*p, i, speed)))
+    i = scene._limited_current(scene._demanded_current(float(force), speed))
+    rates = jax.jit(lambda p: jnp.stack(scene._pressure_rates(*p, i, speed)))
     p = solve_ivp(lambda t, p: rates(p), (0, 1), np.zeros(2), method="LSODA", rtol=1e-8).y[:, -1]
-    assert float(scene.damper_force(*p)) == pytest.approx(force, rel=0.25)
+    assert float(scene._damper_force(*p)) == pytest.approx(force, rel=0.25)
 
 
 # ---- the lane change -------------------------------------------------------------------
@@ -238,7 +238,7 @@ def test_the_inverse_damper_finds_the_current_of_a_force(force, speed):
 def lane_change(scene):
     run = METHOD.prepare(scene, 12.0, Steps(0.01)).measure()
     assert run.status == "ok", run.message
-    loads = np.asarray(jax.jit(jax.vmap(scene.tyre_loads))(run.q, run.t))
+    loads = np.asarray(jax.jit(jax.vmap(scene._tyre_loads))(run.q, run.t))
     return run, loads
 
 
@@ -287,7 +287,7 @@ def test_currents_saturate_and_pressures_are_those_of_the_strokes():
     assert near.mean() > 0.45
     assert currents.min() < 0.31
     assert currents.max() > 1.5
-    speeds = np.asarray(jax.jit(jax.vmap(scene.stretch))(run.v))
+    speeds = np.asarray(jax.jit(jax.vmap(scene._stretch))(run.v))
     reb, comp = run.x[:, :4], run.x[:, 4:8]
     # Where the stroke turned some milliseconds ago, the pressure has not fallen yet.
     assert comp[speeds > 0.05].max() < 0.05

@@ -103,7 +103,7 @@ def test_the_eigenvalues_of_the_truck_are_the_published_ones():
 def test_the_governor_has_the_published_inertia_and_rates_of_its_dampers():
     scene = FlyballGovernor()
     q, v, _ = scene.initial_state()
-    assert scene.axial_inertia(np.pi / 6) == pytest.approx(8.573517415898, abs=1e-12)
+    assert scene._axial_inertia(np.pi / 6) == pytest.approx(8.573517415898, abs=1e-12)
     of_q, of_v = jax.jacfwd(
         lambda q, v: jax.numpy.linalg.solve(scene.mass(q), scene.force(q, v, 0.0)), argnums=(0, 1)
     )(q, v)

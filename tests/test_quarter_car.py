@@ -38,7 +38,7 @@ def at(scene, q, v, x, t):
 def check_balances(scene):
     for q, v, x, t in random_states():
         z, xdot = at(scene, q, v, x, t)
-        height, climb = map(float, jax.jvp(scene.road, (t,), (1.0,)))
+        height, climb = map(float, jax.jvp(scene._road, (t,), (1.0,)))
         masses = np.array([scene.m_body, scene.m_wheel])
         # Momentum: only the tyre acts from outside.
         tyre = scene.k_tyre * (height - q[1])
@@ -50,7 +50,7 @@ def check_balances(scene):
         volumes = np.array([scene.v_reb, scene.v_comp])
         gained += 1e6 * volumes @ (x[:2] * xdot[:2]) / scene.bulk
         drops = np.array([x[0], x[1] - x[0], -x[1]])
-        flows = np.array(scene.flows(x[0], x[1], z.y[0]))
+        flows = np.array(scene._flows(x[0], x[1], z.y[0]))
         lost = 1e6 * drops * flows
         assert (lost >= 0).all()
         size = np.abs([tyre * climb, *lost]).sum() + masses @ np.abs(v * z.a)
@@ -65,9 +65,9 @@ def check_balances(scene):
 
 MUTANTS = {
     "force": ["k", "k_tyre", "q0", "q1"],
-    "pressure_rates": ["a_piston", "a_rod", "bulk"],
-    "damper_force": ["a_piston", "a_rod"],
-    "flows": ["check", "soft_area"],
+    "_pressure_rates": ["a_piston", "a_rod", "bulk"],
+    "_damper_force": ["a_piston", "a_rod"],
+    "_flows": ["check", "soft_area"],
     "state_rate": ["leak"],
     "output": ["gain"],
 }
@@ -94,10 +94,10 @@ def test_it_starts_at_rest():
 # ---- characteristics of the damper -----------------------------------------------------
 def steady(scene, i, speed):
     """Pressures and force at a constant speed of extension."""
-    rates = jax.jit(lambda p: jax.numpy.stack(scene.pressure_rates(*p, i, speed)))
+    rates = jax.jit(lambda p: jax.numpy.stack(scene._pressure_rates(*p, i, speed)))
     p = solve_ivp(lambda t, p: rates(p), (0, 0.5), np.zeros(2), method="LSODA", rtol=1e-9).y[:, -1]
     assert np.abs(rates(p)).max() < 1e-2  # MPa/s, of some hundred
-    return p, float(scene.damper_force(*p))
+    return p, float(scene._damper_force(*p))
 
 
 def test_the_damper_has_the_forces_of_a_passenger_car_at_0_3_m_per_s():

@@ -270,7 +270,7 @@ def test_the_energy_that_is_lost_is_the_work_of_friction():
     scene, t = SliderCrankFriction(), np.linspace(0.0, 1.0, 8001)
     z = reference(scene, 1.0)(t)
     q, v = z["q"].T, z["v"].T
-    bodies = np.asarray(scene.inertias())
+    bodies = np.asarray(scene._inertias())
     energy = 0.5 * bodies @ v**2 + scene.g * (scene.m1 * q[1] + scene.m2 * q[4])
     normal = scene.m3 * scene.g - z["lam"][:, 5]
     power = -scene.mu * np.hypot(normal, scene.soft) * np.tanh(v[6] / scene.eps) * v[6]

@@ -66,12 +66,12 @@ CHECKS = [
 MUTANTS = {
     Duffing: {"force": ["c", "k", "k3", "amplitude"]},
     SliderCrank: {"force": ["g"], "constraint": ["l1", "l2", *(f"q{k}" for k in range(7))]},
-    SliderCrankMinimal: {"assembled": ["l1", "l2"], "potential_energy": ["g"], "force": ["g"]},
+    SliderCrankMinimal: {"_assembled": ["l1", "l2"], "_potential_energy": ["g"], "force": ["g"]},
     SliderCrankDriven: {"constraint": ["l1", "omega", "q0", "q1"]},
     SliderCrankFlexible: {
-        "kinetic_energy": ["l1", "l2", *(f"q{k}" for k in (0, 1, 3, 4, 5, 6)),
+        "_kinetic_energy": ["l1", "l2", *(f"q{k}" for k in (0, 1, 3, 4, 5, 6)),
                      *(f"v{k}" for k in (0, 1, 3, 4, 5, 6))],
-        "potential_energy": ["young", "q5", "q6"],
+        "_potential_energy": ["young", "q5", "q6"],
         "constraint": ["l1", "l2", "omega", "q0", "q1", "q2", "q6"],
     },
     CarAxis: {
@@ -94,8 +94,8 @@ MUTANTS = {
     },
     # The heights do not depend on q0, which turns the chain about the vertical.
     Bricard: {
-        "kinetic_energy": ["m", *(f"q{k}" for k in range(1, 5)), *(f"v{k}" for k in range(5))],
-        "potential_energy": ["m", "g", *(f"q{k}" for k in range(1, 5))],
+        "_kinetic_energy": ["m", *(f"q{k}" for k in range(1, 5)), *(f"v{k}" for k in range(5))],
+        "_potential_energy": ["m", "g", *(f"q{k}" for k in range(1, 5))],
         "force": ["m", "g", *(f"q{k}" for k in range(1, 5)), *(f"v{k}" for k in range(5))],
         "constraint": ["length", *(f"q{k}" for k in range(5))],
     },

@@ -163,9 +163,9 @@ def test_a_spoilt_pendulum_shares_its_multiplier_or_is_refused():
 def test_a_bump_with_corners_is_two_planes():
     scene = QuarterCar(corner=1.0, rough=0.0)
     way = np.array([10.4, 11.25, 12.0, 12.75, 13.6])
-    height = [float(scene.road(x / scene.speed)) for x in way]
+    height = [float(scene._road(x / scene.speed)) for x in way]
     assert height == pytest.approx([0.0, 0.025, 0.05, 0.025, 0.0], abs=1e-12)
-    smooth = float(QuarterCar(rough=0.0).road(12.75 / 15.0))
+    smooth = float(QuarterCar(rough=0.0)._road(12.75 / 15.0))
     assert smooth == pytest.approx(0.05 * np.exp(-0.25), rel=1e-12)
 
 

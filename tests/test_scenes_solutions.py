@@ -129,7 +129,7 @@ def test_the_flexible_slider_crank_has_the_published_digits_as_far_as_they_go():
 def test_the_flexible_rod_has_the_published_eigenfrequencies():
     scene, wanted = SliderCrankFlexible(), [1276.7, 5106.7, 6840.8, 24612.7]
     q = np.zeros(7)
-    matrices = jax.jit(lambda q: (scene.mass(q), jax.hessian(scene.potential_energy)(q)))(q)
+    matrices = jax.jit(lambda q: (scene.mass(q), jax.hessian(scene._potential_energy)(q)))(q)
     m, k = (np.asarray(matrix)[3:, 3:] for matrix in matrices)
     frequencies = np.sort(np.sqrt(np.linalg.eigvals(np.linalg.solve(m, k)).real))
     assert frequencies == pytest.approx(wanted, abs=0.05)
@@ -222,7 +222,7 @@ def test_absolute_and_minimal_slider_crank_are_the_same_motion():
     ours, other = Reference(absolute, 5.0)(t), Reference(minimal, 5.0)(t)
     for group, tolerance in (("q", 1e-10), ("v", 1e-9), ("a", 1e-7)):
         assert ours[group][:, 2] == pytest.approx(other[group][:, 0], abs=tolerance)
-    placed = np.array([minimal.assembled(th) for th in other["q"][:, 0]])
+    placed = np.array([minimal._assembled(th) for th in other["q"][:, 0]])
     assert ours["q"] == pytest.approx(placed, abs=1e-10)
     assert np.ptp(ours["q"][:, 2]) > 6 * np.pi  # several turns, so that every position was met
     assert energies(absolute, ours) == pytest.approx(energies(minimal, other), abs=1e-10)

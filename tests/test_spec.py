@@ -16,7 +16,7 @@ from problems import spec
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
 from problems.spec import SpecError, build, split_spec
-from problems.system import parameter
+from problems.variables import parameter
 
 
 def read(cls, text):

@@ -88,26 +88,26 @@ class Rods(MechatronicSystem):
     lengths: tuple[float, ...] = (1.0, 2.0, 2.0)
     d: float = parameter(2.5, "m", "distance of the supports")
 
-    def centres(self, q):
+    def _centres(self, q):
         rods = jnp.stack([jnp.cos(q), jnp.sin(q)], axis=1) * jnp.array(self.lengths)[:, None]
         return jnp.cumsum(rods, axis=0) - rods / 2, jnp.sum(rods, axis=0)
 
-    def kinetic_energy(self, q, v):
+    def _kinetic_energy(self, q, v):
         length = jnp.array(self.lengths)
-        rates = jax.jvp(lambda q: self.centres(q)[0], (q,), (v,))[1]
+        rates = jax.jvp(lambda q: self._centres(q)[0], (q,), (v,))[1]
         return jnp.sum(length * (jnp.sum(rates**2, axis=1) + length**2 * v**2 / 12)) / 2
 
-    def potential_energy(self, q):
-        return 9.81 * jnp.sum(jnp.array(self.lengths) * self.centres(q)[0][:, 1])
+    def _potential_energy(self, q):
+        return 9.81 * jnp.sum(jnp.array(self.lengths) * self._centres(q)[0][:, 1])
 
     def mass(self, q):
-        return lagrange.mass(self.kinetic_energy, q)
+        return lagrange.mass(self._kinetic_energy, q)
 
     def force(self, q, v, t):
-        return lagrange.force(self.kinetic_energy, self.potential_energy, q, v)
+        return lagrange.force(self._kinetic_energy, self._potential_energy, q, v)
 
     def constraint(self, q, t):
-        return self.centres(q)[1] - jnp.array([self.d, 0.0])
+        return self._centres(q)[1] - jnp.array([self.d, 0.0])
 
     def initial_state(self):
         q2, q3 = assembled(1.0, self.lengths, self.d)

@@ -117,7 +117,7 @@ def method_facts(registry: Registry, text: str) -> MethodFacts:
     method = registry.integrator(text)
     plugin = registry.integrators[method.name]
     fault = ""
-    stated: dict[str, Any] = dict.fromkeys(checks.WORDS, "") | {"orders": {}, "controls": "step"}
+    stated: Any = dict.fromkeys(checks.WORDS, "") | {"orders": {}, "controls": "step"}
     try:
         stated = checks.facts(method)
     except Exception as error:

@@ -23,6 +23,7 @@ class LinearSystem(MechatronicSystem):
     ``excited`` are the places in [q, v, x] of unit deviations.
     """
 
+    offered = ("from_deviation", "deviations")
     #: All entries if None; entries that they never reach take no part in the spectrum.
     excited: ClassVar[tuple[int, ...] | None] = None
     size: ClassVar[tuple[int, int]] = (1, 0)

@@ -32,8 +32,8 @@ from problems.models.mjcf_read import read
 from problems.rotations import quaternion_rate, turned
 from problems.runtime import Array, Float, jnp
 from problems.spec import SpecError, convert, is_name, one_of, suggest
-from problems.system import MechatronicSystem, parameter
-from problems.variables import Component, State
+from problems.system import MechatronicSystem
+from problems.variables import Component, State, parameter
 
 #: What a parameter says of a part that the equations do not have.
 REFUSED, LEFT_OUT = "refused", "left_out"
@@ -49,6 +49,7 @@ class MujocoScene(MechatronicSystem):
     """
 
     dear_tangents = True
+    offered = ("at_keyframe", "in_mujoco", "variant")
     model: ClassVar[Model]
     at_start: ClassVar[Start]
     #: Names of the parameters that are controls, and the parts that are refused, or left out.

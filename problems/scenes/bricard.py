@@ -68,7 +68,7 @@ class Bricard(MechatronicSystem):
         """P0 to P5 in m, a row each."""
         return jnp.concatenate([jnp.zeros((1, 3)), jnp.cumsum(self._rods(q)[1], axis=0)])
 
-    def kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
+    def _kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         frames, rods = self._rods(q)
         turning = jnp.cumsum(v[:, None] * jnp.einsum("ki,kij->kj", _AXES, frames), axis=0)
         ends = jnp.cross(turning, rods)
@@ -79,15 +79,15 @@ class Bricard(MechatronicSystem):
         squares = self.m * jnp.sum(centres**2) + across * jnp.sum(turning**2)
         return (squares + along * jnp.sum(spins**2)) / 2
 
-    def potential_energy(self, q: jax.Array) -> jax.Array:
+    def _potential_energy(self, q: jax.Array) -> jax.Array:
         joints = self._joints(q)
         return self.m * self.g * jnp.sum(joints[:-1] + joints[1:], axis=0)[1] / 2
 
     def mass(self, q: jax.Array) -> jax.Array:
-        return lagrange.mass(self.kinetic_energy, q)
+        return lagrange.mass(self._kinetic_energy, q)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        return lagrange.force(self.kinetic_energy, self.potential_energy, q, v)
+        return lagrange.force(self._kinetic_energy, self._potential_energy, q, v)
 
     def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         frames, rods = self._rods(q)
@@ -95,7 +95,7 @@ class Bricard(MechatronicSystem):
         return jnp.concatenate([gap, frames[-1, 0, 1:]])
 
     def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return self.kinetic_energy(q, v) + self.potential_energy(q)
+        return self._kinetic_energy(q, v) + self._potential_energy(q)
 
     def points(self, q: jax.Array) -> dict[str, jax.Array]:
         return {"P3": self._joints(q)[3]}

@@ -60,12 +60,12 @@ class SemiActiveDamper(MechatronicSystem):
     i_max: float = parameter(1.6, "A", "largest current: firm")
     i_soft: float = parameter(0.05, "A", "rounding of the current's limits", low=1e-9)
 
-    def valve_area(self, i: jax.Array) -> jax.Array:
+    def _valve_area(self, i: jax.Array) -> jax.Array:
         """Flow area in m^2, falling linearly with the current in A."""
         part = (i - self.i_min) / (self.i_max - self.i_min)
         return self.soft_area + part * (self.firm_area - self.soft_area)
 
-    def flows(
+    def _flows(
         self, p_reb: jax.Array, p_comp: jax.Array, i: jax.Array
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Flows in m^3/s; each has the sign of its pressure drop, so that none gives energy.
@@ -77,7 +77,7 @@ class SemiActiveDamper(MechatronicSystem):
         # Two square roots cost less than a power of 1/4 and its derivatives.
         root = jnp.sqrt(jnp.sqrt(p_reb**2 + self.p_turb**2))
         speed = jnp.sqrt(2e6 / self.density) * p_reb / root
-        out = self.valve_area(i) * speed + self._relieved(p_reb)
+        out = self._valve_area(i) * speed + self._relieved(p_reb)
         return out, self._checked(p_comp - p_reb), self._checked(-p_comp)
 
     # The next two functions compute root(drop) - root(0) without cancellation.
@@ -92,20 +92,20 @@ class SemiActiveDamper(MechatronicSystem):
         roots = jnp.sqrt(drop**2 + self.p_check**2) + self.p_check
         return 0.5 * self.check * drop * (1 + drop / roots)
 
-    def pressure_rates(
+    def _pressure_rates(
         self, p_reb: jax.Array, p_comp: jax.Array, i: jax.Array, speed: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         """Rates of both pressures in MPa/s at a speed of extension in m/s."""
-        out, piston, base = self.flows(p_reb, p_comp, i)
+        out, piston, base = self._flows(p_reb, p_comp, i)
         return (
             self.bulk / self.v_reb * ((self.a_piston - self.a_rod) * speed - out + piston),
             self.bulk / self.v_comp * (-self.a_piston * speed - piston + base),
         )
 
-    def damper_force(self, p_reb: jax.Array, p_comp: jax.Array) -> jax.Array:
+    def _damper_force(self, p_reb: jax.Array, p_comp: jax.Array) -> jax.Array:
         """Force in N with which the damper pulls its ends together."""
         return 1e6 * ((self.a_piston - self.a_rod) * p_reb - self.a_piston * p_comp)
 
-    def limited_current(self, i: jax.Array) -> jax.Array:
+    def _limited_current(self, i: jax.Array) -> jax.Array:
         """Current in A that flows if the controller asks for i."""
         return limited(i, self.i_min, self.i_max, self.i_soft)

@@ -51,18 +51,18 @@ class FlyballGovernor(MechatronicSystem):
     rest: float = parameter(0.5, "m", "length of the springs without force")
     g: float = parameter(9.81, "m/s^2", "gravity, along the shaft")
 
-    def axial_inertia(self, alpha: jax.Array) -> jax.Array:
+    def _axial_inertia(self, alpha: jax.Array) -> jax.Array:
         """Inertia of all bodies about the shaft in kg m^2."""
         cos, sin = jnp.cos(alpha), jnp.sin(alpha)
         rod = _ALONG * sin**2 + _ACROSS * cos**2 + _BAR * (_REACH + 0.5 * _ROD * cos) ** 2
         return _ALONG + _OF_SLIDER + 2 * (rod + _BALL * (_REACH + _ROD * cos) ** 2)
 
-    def kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
+    def _kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         swing = _ACROSS + _BAR * _ROD**2 / 4 + _BALL * _ROD**2
-        turn = self.axial_inertia(q[1]) * v[0] ** 2
+        turn = self._axial_inertia(q[1]) * v[0] ** 2
         return 0.5 * turn + swing * v[1] ** 2 + 0.5 * _SLIDER * v[2] ** 2
 
-    def potential_energy(self, q: jax.Array) -> jax.Array:
+    def _potential_energy(self, q: jax.Array) -> jax.Array:
         weight = _SLIDER * q[2] - 2 * (0.5 * _BAR + _BALL) * _ROD * jnp.sin(q[1])
         return self.g * weight + self.k * (self._length(q) - self.rest) ** 2
 
@@ -73,17 +73,17 @@ class FlyballGovernor(MechatronicSystem):
         return jnp.sqrt(across**2 + along**2)
 
     def mass(self, q: jax.Array) -> jax.Array:
-        return lagrange.mass(self.kinetic_energy, q)
+        return lagrange.mass(self._kinetic_energy, q)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         slope = jax.grad(self._length)(q)
         return (
-            lagrange.force(self.kinetic_energy, self.potential_energy, q, v)
+            lagrange.force(self._kinetic_energy, self._potential_energy, q, v)
             - 2 * self.c * (slope @ v) * slope
         )
 
     def momentum(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return self.axial_inertia(q[1])[None] * v[:1]
+        return self._axial_inertia(q[1])[None] * v[:1]
 
     def points(self, q: jax.Array) -> dict[str, jax.Array]:
         reach = _REACH + _ROD * jnp.cos(q[1])

@@ -90,16 +90,16 @@ class _Car(MechatronicSystem):
         offset = self._axles(self.offset_front, self.offset_rear)
         return self._axles(self.a, -self.b), jnp.asarray(_LEFT * half - offset)
 
-    def corners(self) -> jax.Array:
+    def _corners(self) -> jax.Array:
         """Heights of the corners by heave, roll and pitch, shape ``(4, 3)``."""
         x, y = self._places()
         return jnp.stack([jnp.ones(4), y, -x], axis=1)
 
-    def stretch(self, q: jax.Array) -> jax.Array:
+    def _stretch(self, q: jax.Array) -> jax.Array:
         """Extension of springs and dampers in m, shape ``(4,)``; with v for q, their speed."""
-        return self.corners() @ q[2:5] - q[6:10]
+        return self._corners() @ q[2:5] - q[6:10]
 
-    def road(self, t: jax.Array) -> jax.Array:
+    def _road(self, t: jax.Array) -> jax.Array:
         """Height of the road under each wheel in m, at the initial speed; zero at t = 0."""
         x, _ = self._places()
         way = self.speed * t + x
@@ -107,13 +107,13 @@ class _Car(MechatronicSystem):
         waves = jnp.sin(2 * np.pi * _WAVES * way[:, None] + phases) @ (_WAVES[0] / _WAVES)
         return self.rough * jnp.tanh(0.1 * self.speed * t) * waves
 
-    def rack_displacement(self, t: jax.Array) -> jax.Array:
+    def _rack_displacement(self, t: jax.Array) -> jax.Array:
         """Displacement of the rack to the left in m."""
         left, right = ((t - at) / self.pulse for at in (self.t_left, self.t_right))
         return self.rack * (jnp.cosh(left) ** -2 - jnp.cosh(right) ** -2)
 
     # ---- equations of motion ------------------------------------------------------------
-    def kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
+    def _kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         c, s = jnp.cos(q[5]), jnp.sin(q[5])
         ahead, aside = c * v[0] + s * v[1], c * v[1] - s * v[0]
         (roll, pitch), (roll_rate, pitch_rate, yaw_rate) = q[3:5], v[3:6]
@@ -130,25 +130,25 @@ class _Car(MechatronicSystem):
         plane = jnp.sum(unsprung) * (ahead**2 + aside**2)
         return 0.5 * (self.m * (body @ body) + plane + turning + unsprung @ v[6:10] ** 2)
 
-    def potential_energy(self, q: jax.Array, t: jax.Array) -> jax.Array:
-        springs = self._axles(self.k_front, self.k_rear) @ self.stretch(q) ** 2
-        tyres = self.k_tyre * jnp.sum((q[6:10] - self.road(t)) ** 2)
+    def _potential_energy(self, q: jax.Array, t: jax.Array) -> jax.Array:
+        springs = self._axles(self.k_front, self.k_rear) @ self._stretch(q) ** 2
+        tyres = self.k_tyre * jnp.sum((q[6:10] - self._road(t)) ** 2)
         front = q[3] - (q[6] - q[7]) / self.track_front
         rear = q[3] - (q[8] - q[9]) / self.track_rear
         bars = self.anti_roll_front * front**2 + self.anti_roll_rear * rear**2
         falling = self.m * self.gravity * self.h * (q[3] ** 2 + q[4] ** 2)
         return 0.5 * (springs + tyres + bars - falling)
 
-    def tyre_loads(self, q: jax.Array, t: jax.Array) -> jax.Array:
+    def _tyre_loads(self, q: jax.Array, t: jax.Array) -> jax.Array:
         """Vertical forces on the tyres in N, shape ``(4,)``."""
         lever = self._axles(
             self.offset_front / self.track_front, self.offset_rear / self.track_rear
         )
         share = self._axles(self.b, self.a) / (self.a + self.b) * (0.5 + lever * _LEFT)
         weight = self.gravity * (self.m * share + self._axles(self.m_front, self.m_rear))
-        return weight - self.k_tyre * (q[6:10] - self.road(t))
+        return weight - self.k_tyre * (q[6:10] - self._road(t))
 
-    def contact_velocities(self, q: jax.Array, v: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def _contact_velocities(self, q: jax.Array, v: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Velocities of the tyres' contacts along and across the wheels, each ``(4,)``."""
         x, y = self._places()
         c, s = jnp.cos(q[5]), jnp.sin(q[5])
@@ -158,23 +158,23 @@ class _Car(MechatronicSystem):
         c, s = jnp.cos(steer), jnp.sin(steer)
         return c * ahead + s * aside, c * aside - s * ahead - self.trail * (v[5] + rate)
 
-    def tyre_forces(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
+    def _tyre_forces(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         """Lateral forces on the tyres in N, to the left of each wheel, shape ``(4,)``.
 
         The magic formula D sin(C atan(B s - E (B s - atan(B s)))) at the slip angle s.
         """
-        along, across = self.contact_velocities(q, v)
+        along, across = self._contact_velocities(q, v)
         stiff = self.slope / (self.shape * self.friction) * -jnp.arctan2(across, along)
         bent = stiff - self.curvature * (stiff - jnp.arctan(stiff))
-        return self.friction * self.tyre_loads(q, t) * jnp.sin(self.shape * jnp.arctan(bent))
+        return self.friction * self._tyre_loads(q, t) * jnp.sin(self.shape * jnp.arctan(bent))
 
     def mass(self, q: jax.Array) -> jax.Array:
-        return lagrange.mass(self.kinetic_energy, q)
+        return lagrange.mass(self._kinetic_energy, q)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        g = lagrange.force(self.kinetic_energy, lambda q: self.potential_energy(q, t), q, v)
-        _, transposed = jax.vjp(lambda v: self.contact_velocities(q, v)[1], v)
-        return g + transposed(self.tyre_forces(q, v, t))[0]
+        g = lagrange.force(self._kinetic_energy, lambda q: self._potential_energy(q, t), q, v)
+        _, transposed = jax.vjp(lambda v: self._contact_velocities(q, v)[1], v)
+        return g + transposed(self._tyre_forces(q, v, t))[0]
 
     def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         # (d.d - l^2)/(2 l), so that a multiplier is a tie rod's force: positive when compressed.
@@ -183,14 +183,14 @@ class _Car(MechatronicSystem):
         inside = (self.track_front - self.rack_width) / 2
         length = inside + self.arm_out
         dx = self.arm * (c - 1) - left * self.arm_out * s
-        dy = left * (inside + self.arm_out * c) + self.arm * s - self.rack_displacement(t)
-        dz = self.stretch(q)[:2]
+        dy = left * (inside + self.arm_out * c) + self.arm * s - self._rack_displacement(t)
+        dz = self._stretch(q)[:2]
         return (dx**2 + dy**2 + dz**2 - length**2) / (2 * length)
 
     def initial_state(self) -> State:
         # In equilibrium; only the steered wheels move, which follow the rack.
         t = jnp.asarray(self.interval[0])
-        rack, rack_rate = map(float, jax.jvp(self.rack_displacement, (t,), (jnp.ones_like(t),)))
+        rack, rack_rate = map(float, jax.jvp(self._rack_displacement, (t,), (jnp.ones_like(t),)))
         inside, left = (self.track_front - self.rack_width) / 2, _LEFT[:2]
         ends = self.arm + 1j * left * self.arm_out
         rods = inside + self.arm_out
@@ -249,8 +249,8 @@ class FullCarPassive(_Car):
     c_rear: float = parameter(1649.08, "N s/m", "damper per rear wheel", low=0.0)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        pull = self._axles(self.c_front, self.c_rear) * self.stretch(v)
-        _, transposed = jax.vjp(self.stretch, q)
+        pull = self._axles(self.c_front, self.c_rear) * self._stretch(v)
+        _, transposed = jax.vjp(self._stretch, q)
         return super().force(q, v, t) - transposed(pull)[0]
 
 
@@ -317,12 +317,12 @@ class FullCar(SemiActiveDamper, _Car):
     )
     p_demand: float = parameter(0.1, "MPa", "rounding of the demanded pressure at zero", low=1e-9)
 
-    def modal(self) -> jax.Array:
+    def _modal(self) -> jax.Array:
         """Heave, roll and pitch by the four corners, shape ``(3, 4)``; least squares."""
-        corners = self.corners()
+        corners = self._corners()
         return jnp.linalg.solve(corners.T @ corners, corners.T)
 
-    def demanded_current(self, force: jax.Array, speed: jax.Array) -> jax.Array:
+    def _demanded_current(self, force: jax.Array, speed: jax.Array) -> jax.Array:
         """Current in A at which the steady damper has this force at this speed of extension.
 
         The area that carries the rebound pressure and displaces the oil is a_piston - a_rod in
@@ -339,20 +339,20 @@ class FullCar(SemiActiveDamper, _Car):
         return self.i_min + part * (self.i_max - self.i_min)
 
     def state_rate(self, z: Variables) -> jax.Array:
-        rates = self.pressure_rates(z.x[:4], z.x[4:8], z.y[:4], self.stretch(z.v))
-        accelerations = self.corners() @ z.a[2:5]
-        velocities = self.modal() @ accelerations - self.leak * z.x[8:]
+        rates = self._pressure_rates(z.x[:4], z.x[4:8], z.y[:4], self._stretch(z.v))
+        accelerations = self._corners() @ z.a[2:5]
+        velocities = self._modal() @ accelerations - self.leak * z.x[8:]
         return jnp.concatenate([*rates, velocities])
 
     def output(self, z: Variables) -> jax.Array:
         gains = jnp.stack([self.gain_heave, self.gain_roll, self.gain_pitch])
-        demanded = self.modal().T @ (gains * z.x[8:])
-        currents = self.demanded_current(demanded, self.stretch(z.v))
-        forces = self.damper_force(z.x[:4], z.x[4:8])
-        return jnp.concatenate([self.limited_current(currents), forces])
+        demanded = self._modal().T @ (gains * z.x[8:])
+        currents = self._demanded_current(demanded, self._stretch(z.v))
+        forces = self._damper_force(z.x[:4], z.x[4:8])
+        return jnp.concatenate([self._limited_current(currents), forces])
 
     def actuation(self) -> jax.Array:
-        pull = jax.jacfwd(self.stretch)(jnp.zeros(12)).T
+        pull = jax.jacfwd(self._stretch)(jnp.zeros(12)).T
         return jnp.concatenate([jnp.zeros((12, 4)), -pull], axis=1)
 
     def initial_state(self) -> State:

@@ -48,7 +48,7 @@ class HeavyTop(MechatronicSystem):
     nod: float = parameter(2.0, "rad/s", "initial angular velocity of the tip upwards")
 
     @staticmethod
-    def turning(p: jax.Array) -> jax.Array:
+    def _turning(p: jax.Array) -> jax.Array:
         """B(p) of the angular velocity B(p) p' in the body's axes, shape ``(3, 4)``.
 
         It is 2 times the vector of p* p', so B(p) r = -B(r) p.
@@ -58,33 +58,35 @@ class HeavyTop(MechatronicSystem):
         return 2 * jnp.stack([jnp.stack(row) for row in rows])
 
     @staticmethod
-    def axis(p: jax.Array) -> jax.Array:
+    def _axis(p: jax.Array) -> jax.Array:
         """Direction of the body's axis in space (of length p.p), shape ``(3,)``."""
         p0, p1, p2, p3 = p
         return jnp.stack(
             [2 * (p1 * p2 - p0 * p3), p0**2 - p1**2 + p2**2 - p3**2, 2 * (p2 * p3 + p0 * p1)]
         )
 
-    def about_the_centre(self, p: jax.Array, rate: jax.Array) -> jax.Array:
+    def _about_the_centre(self, p: jax.Array, rate: jax.Array) -> jax.Array:
         """Angular momentum J B(p) p' about the centre of mass, in the body's axes, kg m^2/s."""
-        return jnp.stack([self.j, self.j_axis, self.j]) * (self.turning(p) @ rate)
+        return jnp.stack([self.j, self.j_axis, self.j]) * (self._turning(p) @ rate)
 
     def mass(self, q: jax.Array) -> jax.Array:
         return jax.vmap(lambda a: self.mass_product(q, a))(jnp.eye(7))
 
     def mass_product(self, q: jax.Array, a: jax.Array) -> jax.Array:
         p = q[3:]
-        return jnp.concatenate([self.m * a[:3], self.about_the_centre(p, a[3:]) @ self.turning(p)])
+        return jnp.concatenate(
+            [self.m * a[:3], self._about_the_centre(p, a[3:]) @ self._turning(p)]
+        )
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         # Of T = (B(p) p')^T J B(p) p'/2: T_p - d/dt T_p' + B^T J B p'' = -2 B(p')^T J B(p) p'.
         p, rate = q[3:], v[3:]
-        gyroscopic = -2 * self.about_the_centre(p, rate) @ self.turning(rate)
+        gyroscopic = -2 * self._about_the_centre(p, rate) @ self._turning(rate)
         return jnp.concatenate([jnp.stack([0.0, 0.0, -self.m * self.g]), gyroscopic])
 
     def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         x, p = q[:3], q[3:]
-        return jnp.concatenate([x - self.length * self.axis(p), 0.5 * (p @ p - 1.0)[None]])
+        return jnp.concatenate([x - self.length * self._axis(p), 0.5 * (p @ p - 1.0)[None]])
 
     def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         return 0.5 * (v @ self.mass_product(q, v)) + self.m * self.g * q[2]
@@ -93,8 +95,8 @@ class HeavyTop(MechatronicSystem):
         # About the vertical through the fixed point, and about the body's own axis.
         p, rate = q[3:], v[3:]
         upwards = 2 * (p[0] * rate[3] - rate[0] * p[3] + p[1] * rate[2] - p[2] * rate[1])
-        spin = (self.turning(p) @ rate)[1]
-        tilted = (self.j_axis - self.j) * spin * self.axis(p)[2]
+        spin = (self._turning(p) @ rate)[1]
+        tilted = (self.j_axis - self.j) * spin * self._axis(p)[2]
         moving = self.m * (q[0] * v[1] - q[1] * v[0])
         return jnp.stack([moving + self.j * upwards + tilted, self.j_axis * spin])
 

@@ -66,7 +66,7 @@ class QuarterCar(SemiActiveDamper):
         0.03, "m/s", "damper speed over which the skyhook switches", low=1e-9
     )
 
-    def road(self, t: jax.Array) -> jax.Array:
+    def _road(self, t: jax.Array) -> jax.Array:
         """Height of the road under the wheel in m, scalar; zero where the run starts."""
         way = self.speed * t
         waves = jnp.sin(2 * np.pi * _WAVES * way + _PHASES) @ (_WAVES[0] / _WAVES)
@@ -81,19 +81,19 @@ class QuarterCar(SemiActiveDamper):
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         spring = self.k * (q[1] - q[0])
-        tyre = self.k_tyre * (self.road(t) - q[1])
+        tyre = self.k_tyre * (self._road(t) - q[1])
         return jnp.stack([spring, tyre - spring])
 
     def state_rate(self, z: Variables) -> jax.Array:
         p_reb, p_comp, v_body = z.x
-        rates = self.pressure_rates(p_reb, p_comp, z.y[0], z.v[0] - z.v[1])
+        rates = self._pressure_rates(p_reb, p_comp, z.y[0], z.v[0] - z.v[1])
         return jnp.stack([*rates, z.a[0] - self.leak * v_body])
 
     def output(self, z: Variables) -> jax.Array:
         p_reb, p_comp, v_body = z.x
         direction = jnp.tanh((z.v[0] - z.v[1]) / self.v_switch)
-        current = self.limited_current(self.i_min + self.gain * v_body * direction)
-        return jnp.stack([current, self.damper_force(p_reb, p_comp)])
+        current = self._limited_current(self.i_min + self.gain * v_body * direction)
+        return jnp.stack([current, self._damper_force(p_reb, p_comp)])
 
     def actuation(self) -> np.ndarray:
         return np.array([[0.0, -1.0], [0.0, 1.0]])
@@ -131,16 +131,16 @@ class QuarterCarStop(QuarterCar):
     k_stop: float = parameter(2.4e5, "N/m", "stiffness of the stop", low=0.0)
     touches: float = held(0.0, "1", "1: the stop is pressed")
 
-    def room(self, q: jax.Array) -> jax.Array:
+    def _room(self, q: jax.Array) -> jax.Array:
         """Way to the stop in m, scalar; negative where it is pressed."""
         return self.travel + q[0] - q[1]
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        stop = -self.touches * self.k_stop * self.room(q)
+        stop = -self.touches * self.k_stop * self._room(q)
         return super().force(q, v, t) + jnp.stack([stop, -stop])
 
     def events(self, z: Variables) -> jax.Array:
-        return (jnp.where(self.touches > 0, -1.0, 1.0) * self.room(z.q))[None]
+        return (jnp.where(self.touches > 0, -1.0, 1.0) * self._room(z.q))[None]
 
     def jump(self, z: Variables, event: int) -> dict[str, float]:
         return {"touches": 1.0 - self.touches}

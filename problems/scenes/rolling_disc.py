@@ -40,7 +40,7 @@ class RollingDisc(MechatronicSystem):
     lean_rate0: float = parameter(0.2, "rad/s", "initial rate of the lean")
     spin0: float = parameter(2.0, "rad/s", "initial rate of the spin")
 
-    def kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
+    def _kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         dx, dy, turn, lean_rate, spin = v
         axial = spin + turn * jnp.sin(q[3])
         across = lean_rate**2 + (turn * jnp.cos(q[3])) ** 2
@@ -48,14 +48,14 @@ class RollingDisc(MechatronicSystem):
         inertia = self.m * self.r**2 / 4  # across the axis; twice as much about it
         return self.m / 2 * (dx**2 + dy**2 + rise**2) + inertia / 2 * (across + 2 * axial**2)
 
-    def potential_energy(self, q: jax.Array) -> jax.Array:
+    def _potential_energy(self, q: jax.Array) -> jax.Array:
         return self.m * self.g * self.r * jnp.cos(q[3])
 
     def mass(self, q: jax.Array) -> jax.Array:
-        return lagrange.mass(self.kinetic_energy, q)
+        return lagrange.mass(self._kinetic_energy, q)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        return lagrange.force(self.kinetic_energy, self.potential_energy, q, v)
+        return lagrange.force(self._kinetic_energy, self._potential_energy, q, v)
 
     def velocity_constraint(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         _, _, heading, lean, _ = q
@@ -65,7 +65,7 @@ class RollingDisc(MechatronicSystem):
         return jnp.stack([along, c * dy - s * dx + self.r * lean_rate * jnp.cos(lean)])
 
     def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return self.kinetic_energy(q, v) + self.potential_energy(q)
+        return self._kinetic_energy(q, v) + self._potential_energy(q)
 
     def initial_state(self) -> State:
         speed = self.r * (self.spin0 + self.turn0 * np.sin(self.lean0))

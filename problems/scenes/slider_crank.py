@@ -50,12 +50,12 @@ class _FreeCrank(MechatronicSystem):
                 f"l1={self.l1:g} m at th0={self.th0:g} rad; give l2 > l1 |sin(th0)|."
             )
 
-    def inertias(self) -> jax.Array:
+    def _inertias(self) -> jax.Array:
         """The diagonal mass matrix of the bodies in absolute coordinates, shape ``(7,)``."""
         m1, m2, m3 = self.m1, self.m2, self.m3
         return jnp.stack([m1, m1, m1 * self.l1**2 / 12, m2, m2, m2 * self.l2**2 / 12, m3])
 
-    def assembled(self, th: jax.Array | float, xp: ModuleType = np) -> jax.Array | np.ndarray:
+    def _assembled(self, th: jax.Array | float, xp: ModuleType = np) -> jax.Array | np.ndarray:
         """Absolute coordinates ``(7,)`` at the crank angle th, with the slider beyond the crank.
 
         The module ``xp`` is numpy, or jax.numpy for traced angles.
@@ -95,11 +95,11 @@ class SliderCrank(_FreeCrank):
     source = "Standard planar mechanism; data of the IVP test set's crank, rounded, rigid rod"
 
     def mass(self, q: jax.Array) -> jax.Array:
-        return jnp.diag(self.inertias())
+        return jnp.diag(self._inertias())
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         weights = jnp.array([0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
-        return -self.g * weights * self.inertias()
+        return -self.g * weights * self._inertias()
 
     def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         x1, y1, th, x2, y2, ph, x3 = q
@@ -110,10 +110,10 @@ class SliderCrank(_FreeCrank):
         )
 
     def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return 0.5 * (self.inertias() * v) @ v + self.g * (self.m1 * q[1] + self.m2 * q[4])
+        return 0.5 * (self._inertias() * v) @ v + self.g * (self.m1 * q[1] + self.m2 * q[4])
 
     def initial_state(self) -> State:
-        q = np.asarray(self.assembled(np.float64(self.th0)))
+        q = np.asarray(self._assembled(np.float64(self.th0)))
         w1, (c1, c2), (s1, s2) = self.w0, np.cos(q[[2, 5]]), np.sin(q[[2, 5]])
         w2 = -self.l1 * c1 * w1 / (self.l2 * c2)
         tip = self.l1 * w1 * np.array([-s1, c1])
@@ -169,28 +169,28 @@ class SliderCrankMinimal(_FreeCrank):
     coordinates = ("crank angle [rad]",)
     source = "Lagrange's equation of slider_crank"
 
-    def kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        _, rate = jax.jvp(lambda q: self.assembled(q[0], jnp), (q,), (v,))
-        return 0.5 * (self.inertias() * rate) @ rate
+    def _kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
+        _, rate = jax.jvp(lambda q: self._assembled(q[0], jnp), (q,), (v,))
+        return 0.5 * (self._inertias() * rate) @ rate
 
-    def potential_energy(self, q: jax.Array) -> jax.Array:
-        at = self.assembled(q[0], jnp)
+    def _potential_energy(self, q: jax.Array) -> jax.Array:
+        at = self._assembled(q[0], jnp)
         return self.g * (self.m1 * at[1] + self.m2 * at[4])
 
     def mass(self, q: jax.Array) -> jax.Array:
-        return lagrange.mass(self.kinetic_energy, q)
+        return lagrange.mass(self._kinetic_energy, q)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        return lagrange.force(self.kinetic_energy, self.potential_energy, q, v)
+        return lagrange.force(self._kinetic_energy, self._potential_energy, q, v)
 
     def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return self.kinetic_energy(q, v) + self.potential_energy(q)
+        return self._kinetic_energy(q, v) + self._potential_energy(q)
 
     def initial_state(self) -> State:
         return State(q=np.array([self.th0]), v=np.array([self.w0]))
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        at = np.asarray(self.assembled(np.float64(q[0])))
+        at = np.asarray(self._assembled(np.float64(q[0])))
         return _polylines(self.l1, 2 * at[:2], float(at[6]))
 
 

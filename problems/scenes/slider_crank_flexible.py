@@ -79,7 +79,7 @@ class SliderCrankFlexible(MechatronicSystem):
                 f"which turns all the way round."
             )
 
-    def kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
+    def _kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         w1, w2, slider, rates = v[0], v[1], v[2], v[3:]
         cos, sin, e = jnp.cos(q[0] - q[1]), jnp.sin(q[0] - q[1]), q[3:]
         m2 = self.density * self.width * self.height * self.l2
@@ -95,16 +95,16 @@ class SliderCrankFlexible(MechatronicSystem):
             + 0.5 * m2 * (rates @ _MASS @ rates)
         )
 
-    def potential_energy(self, q: jax.Array) -> jax.Array:
+    def _potential_energy(self, q: jax.Array) -> jax.Array:
         e, stiffness = q[3:], self.young * self.width * self.height / self.l2
         slender = (self.height / self.l2) ** 2
         return 0.5 * stiffness * (e @ (slender * _BEND + _STRETCH) @ e)
 
     def mass(self, q: jax.Array) -> jax.Array:
-        return lagrange.mass(self.kinetic_energy, q)
+        return lagrange.mass(self._kinetic_energy, q)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        return lagrange.force(self.kinetic_energy, self.potential_energy, q, v)
+        return lagrange.force(self._kinetic_energy, self._potential_energy, q, v)
 
     def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         length = self.l2 + q[6]
