@@ -231,10 +231,7 @@ def merge_(folders: tuple[Path, ...], out: Path) -> None:
     "--cost", metavar="|".join(COSTS), help="seconds if they scatter little, else operations."
 )
 @options.with_as_json
-@options.with_file("Page that ends in .html, or figure in .svg, .png, .pdf or .json (Vega-Lite).")
-def versus_(
-    first: str, second: str, folder: Path, as_json: bool, out: Path | None, **question: Any
-) -> None:
+def versus_(first: str, second: str, folder: Path, as_json: bool, **question: Any) -> None:
     """Compare integrators A and B at equal error.
 
     Costs at equal error are interpolated between the runs in FOLDER, scene by scene. An interval
@@ -245,7 +242,7 @@ def versus_(
     Examples:
       stepbench versus newmark ida
       stepbench versus my_method "generalized_alpha[rho_inf=0.8]" --group a,lam --target 1e-4
-      stepbench versus my_method ida stepbench-results --cost seconds -o versus.pdf
+      stepbench versus my_method ida stepbench-results --cost seconds
     """
     from bench.commands.terminal import show
 
@@ -255,5 +252,3 @@ def versus_(
         click.echo(msgspec.json.format(msgspec.json.encode(found.plain).decode(), indent=2))
     else:
         show(*found.sentences, found.table)
-    if out:
-        click.echo(f"Written: {found.write(out)}", err=as_json)
