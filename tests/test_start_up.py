@@ -6,7 +6,6 @@ import os
 import subprocess
 import sys
 
-import diffrax
 import jax
 import pytest
 from helpers import long
@@ -22,7 +21,6 @@ from integrators import Steps, Tolerances
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_step import AlphaStep
 from problems.runtime import SPARE_THREADS
-from problems.scenes.pendulum import Pendulum
 from problems.usage import cores
 
 
@@ -160,22 +158,6 @@ def test_an_amplification_matrix_traces_its_step_once():
     matrices(Watched(rho_inf=0.5), Oscillator(), [0.1, 1.0])
     assert len(calls) == 1
     matrices(Watched(rho_inf=0.8), Oscillator(), [0.2] * 100)
-    assert len(calls) == 1
-
-
-@pytest.mark.parametrize("kind", ["Kvaerno3", *long("KenCarp3")])
-def test_an_adaptive_program_traces_its_step_once(kind, monkeypatch):
-    calls, step = [], getattr(diffrax, kind).step
-
-    def watched(*arguments):
-        calls.append(1)
-        return step(*arguments)
-
-    class OfItsOwn(Pendulum):  # so that no program of another test is taken
-        pass
-
-    monkeypatch.setattr(getattr(diffrax, kind), "step", watched)
-    Registry().integrator(kind.lower()).prepare(OfItsOwn(), 0.5, Tolerances(1e-4, 1e-6))
     assert len(calls) == 1
 
 
