@@ -61,13 +61,13 @@ def test_the_achieved_error_follows_the_tolerance(scene, error_test):
         assert all(e[group] < 2 * tol for e, tol in zip(errors, TOLERANCES, strict=True)), group
 
 
-@pytest.mark.parametrize("rho_inf", [0.0, 0.5, 1.0])
-def test_it_does_so_with_any_damping(rho_inf):
-    method, scene = GeneralizedAlphaAdaptive(rho_inf=rho_inf), Pendulum()
-    tols = TOLERANCES[:4]
-    errors = [errors_of(run_of(method, scene, tol), scene) for tol in tols]
-    for group in errors[0]:
-        assert 0.85 < slope(tols, [e[group] for e in errors]) < 1.15, group
+def test_it_does_so_with_any_damping():
+    for rho_inf in [0.0, 0.5, 1.0]:
+        method, scene = GeneralizedAlphaAdaptive(rho_inf=rho_inf), Pendulum()
+        tols = TOLERANCES[:4]
+        errors = [errors_of(run_of(method, scene, tol), scene) for tol in tols]
+        for group in errors[0]:
+            assert 0.85 < slope(tols, [e[group] for e in errors]) < 1.15, group
 
 
 def local_errors(method, scene, ratios, h):
@@ -215,9 +215,8 @@ class Trouble(MechatronicSystem):
         return State(q=np.ones(1), v=np.ones(1))
 
 
-@pytest.mark.parametrize(
-    ("trouble", "options", "status", "words"),
-    [
+def test_trouble_is_a_status_with_a_time_and_a_cure():
+    for trouble, options, status, words in [
         (
             {"growth": 0.5},
             {"max_steps": 20},
@@ -227,14 +226,12 @@ class Trouble(MechatronicSystem):
         ({"nan_after": 1.0}, {}, "diverged", "Ended at t=1 s of 2 s: the equations are not finite"),
         ({"growth": 2.0}, {}, "diverged", "grew beyond all bounds"),
         ({"growth": 2.0}, {"max_steps": 3000}, "budget_exceeded", "a larger rtol or step"),
-    ],
-)
-def test_trouble_is_a_status_with_a_time_and_a_cure(trouble, options, status, words):
-    scene, rtol = Trouble(**trouble), 1e-12 if options.get("max_steps") == 3000 else 1e-4
-    run = GeneralizedAlphaAdaptive(**options).prepare(scene, 2.0, Tolerances(rtol)).measure()
-    assert (run.status, words in run.message) == (status, True), run.message
-    assert np.isfinite(run.q).all()
-    assert len(run.t) > 5
+    ]:
+        scene, rtol = Trouble(**trouble), 1e-12 if options.get("max_steps") == 3000 else 1e-4
+        run = GeneralizedAlphaAdaptive(**options).prepare(scene, 2.0, Tolerances(rtol)).measure()
+        assert (run.status, words in run.message) == (status, True), run.message
+        assert np.isfinite(run.q).all()
+        assert len(run.t) > 5
 
 
 def test_a_test_that_cannot_be_passed_ends_as_step_too_small():
@@ -274,18 +271,18 @@ def test_the_accelerations_scale_is_their_largest_value_so_far():
     assert steps["all"] < 2.2 * steps["states"]
 
 
-@pytest.mark.parametrize("rtol", [0.05, 1e-2, 1e-4])
-def test_an_old_tangent_from_within_a_wall_is_not_believed(rtol):
-    # A step far into the wall meets forces of e^300, and comes back to where they are none: what
-    # such a tangent makes of the residual there is as good as nothing, and no sign of a solution.
-    scene = SoftImpact(d=1e-4)
-    full, modified = (
-        run_of(GeneralizedAlphaAdaptive(newton=newton), scene, rtol)
-        for newton in ("full", "modified")
-    )
-    assert modified.work.steps == full.work.steps
-    assert modified.work.factorisations < full.work.factorisations
-    assert modified.q[-1] == pytest.approx(full.q[-1], rel=1e-6)
+def test_an_old_tangent_from_within_a_wall_is_not_believed():
+    for rtol in [0.05, 1e-2, 1e-4]:
+        # A step far into the wall meets forces of e^300, and comes back to where they are none:
+        # there such a tangent makes as good as nothing of the residual, and no solution.
+        scene = SoftImpact(d=1e-4)
+        full, modified = (
+            run_of(GeneralizedAlphaAdaptive(newton=newton), scene, rtol)
+            for newton in ("full", "modified")
+        )
+        assert modified.work.steps == full.work.steps
+        assert modified.work.factorisations < full.work.factorisations
+        assert modified.q[-1] == pytest.approx(full.q[-1], rel=1e-6)
 
 
 @pytest.mark.long

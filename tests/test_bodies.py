@@ -76,20 +76,20 @@ JOINTS = [
 ]
 
 
-@pytest.mark.parametrize(("joint", "motions", "freedoms"), JOINTS, ids=lambda x: type(x).__name__)
-def test_a_joint_allows_its_motions_and_no_other(joint, motions, freedoms):
-    somewhere = moved(turn(RANDOM.normal(size=3)), POINT, RANDOM.normal(size=3))
-    for motion in motions:
-        found = joint.residual(somewhere, after(motion, somewhere))
-        assert np.asarray(found) == pytest.approx(np.zeros(len(joint.rows)), abs=1e-14)
+def test_a_joint_allows_its_motions_and_no_other():
+    for joint, motions, freedoms in JOINTS:
+        somewhere = moved(turn(RANDOM.normal(size=3)), POINT, RANDOM.normal(size=3))
+        for motion in motions:
+            found = joint.residual(somewhere, after(motion, somewhere))
+            assert np.asarray(found) == pytest.approx(np.zeros(len(joint.rows)), abs=1e-14)
 
-    def residual(twist):
-        axes = jnp.cross(jnp.eye(3), twist[3:]) * -1 + jnp.eye(3)
-        one = Frame(0.0, somewhere.now, somewhere.axes)
-        return joint.residual(one, Frame(0.0, one.now + twist[:3] @ one.axes, axes @ one.axes))
+        def residual(twist):
+            axes = jnp.cross(jnp.eye(3), twist[3:]) * -1 + jnp.eye(3)
+            one = Frame(0.0, somewhere.now, somewhere.axes)
+            return joint.residual(one, Frame(0.0, one.now + twist[:3] @ one.axes, axes @ one.axes))
 
-    sizes = np.linalg.svd(np.asarray(jax.jacfwd(residual)(jnp.zeros(6))), compute_uv=False)
-    assert (sizes > 0.1).sum() == len(sizes) == len(joint.rows) == 6 - freedoms
+        sizes = np.linalg.svd(np.asarray(jax.jacfwd(residual)(jnp.zeros(6))), compute_uv=False)
+        assert (sizes > 0.1).sum() == len(sizes) == len(joint.rows) == 6 - freedoms
 
 
 # ---- a pendulum, and bodies that hold each other ---------------------------------------
@@ -305,9 +305,8 @@ def test_starts_that_cannot_be_are_refused():
         consistent_start(variant(joints=lambda self: (skew,)))
 
 
-@pytest.mark.parametrize(
-    ("blocks", "sentence"),
-    [
+def test_parts_that_do_not_fit_are_told_in_a_sentence():
+    for blocks, sentence in [
         (
             {"joints": lambda self: (Spherical(GROUND, "rood", POINT),)},
             r"Spherical has no body 'rood'; did you mean 'rod'\?",
@@ -315,11 +314,9 @@ def test_starts_that_cannot_be_are_refused():
         ({"joints": lambda self: ()}, "has no joints; write constraint = None"),
         ({"bodies": lambda self: PartsPendulum().bodies() * 2}, "two bodies have the name 'rod'"),
         ({"bodies": lambda self: (Body("rod", 0.0, (1, 1, 1)),)}, "is not positive"),
-    ],
-)
-def test_parts_that_do_not_fit_are_told_in_a_sentence(blocks, sentence):
-    with pytest.raises(SpecError, match=sentence):
-        consistent_start(variant(**blocks))
+    ]:
+        with pytest.raises(SpecError, match=sentence):
+            consistent_start(variant(**blocks))
 
 
 @dataclass(frozen=True)
@@ -341,13 +338,13 @@ class _Traced(_Thin):
         return (Body("turned", 1.0, (1.0, 1.0, 1.0), orientation=(self.turn, 0.0, 0.0)),)
 
 
-@pytest.mark.parametrize(
-    ("cls", "words"),
-    [(_Thin, "no body has the inertia of 'thin'"), (_Traced, "orientation of body 'turned'")],
-)
-def test_a_body_that_cannot_be_is_named(cls, words):
-    with pytest.raises(SpecError, match=words):
-        cls().initial_state()
+def test_a_body_that_cannot_be_is_named():
+    for cls, words in [
+        (_Thin, "no body has the inertia of 'thin'"),
+        (_Traced, "orientation of body 'turned'"),
+    ]:
+        with pytest.raises(SpecError, match=words):
+            cls().initial_state()
 
 
 def test_a_joint_without_a_direction_is_refused():

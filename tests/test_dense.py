@@ -13,11 +13,11 @@ RANDOM = np.random.default_rng(7)
 inverse, solve = jax.jit(small_matrices.inverse), jax.jit(small_matrices.solve)
 
 
-@pytest.mark.parametrize("n", [1, 2, 13, small_matrices.MOST])
-def test_the_inverse_is_that_of_lapack(n):
-    a = RANDOM.normal(size=(n, n))
-    wanted = np.linalg.inv(a)
-    assert np.abs(inverse(a) - wanted).max() < 1e-11 * np.abs(wanted).max()
+def test_the_inverse_is_that_of_lapack():
+    for n in [1, 2, 13, small_matrices.MOST]:
+        a = RANDOM.normal(size=(n, n))
+        wanted = np.linalg.inv(a)
+        assert np.abs(inverse(a) - wanted).max() < 1e-11 * np.abs(wanted).max()
 
 
 def test_pivots_are_looked_for_where_the_diagonal_is_zero():
@@ -35,58 +35,58 @@ def test_a_singular_matrix_has_no_finite_inverse():
     assert not np.isfinite(inverse(np.full((3, 3), np.nan))).any()
 
 
-@pytest.mark.parametrize(("rows", "n"), [(3, 1), (4, 13), (2, small_matrices.MOST + 1)])
-def test_the_product_with_a_vector(rows, n):
-    a, b = RANDOM.normal(size=(rows, n)), RANDOM.normal(size=n)
-    assert np.allclose(jax.jit(small_matrices.product)(a, b), a @ b, rtol=1e-13, atol=1e-14)
+def test_the_product_with_a_vector():
+    for rows, n in [(3, 1), (4, 13), (2, small_matrices.MOST + 1)]:
+        a, b = RANDOM.normal(size=(rows, n)), RANDOM.normal(size=n)
+        assert np.allclose(jax.jit(small_matrices.product)(a, b), a @ b, rtol=1e-13, atol=1e-14)
 
 
-@pytest.mark.parametrize(("n", "called"), [(5, False), (small_matrices.MOST + 1, True)])
-def test_lapack_is_called_for_large_matrices_alone(n, called):
-    assert ("lapack" in jax.jit(small_matrices.inverse).lower(jnp.eye(n)).as_text()) is called
+def test_lapack_is_called_for_large_matrices_alone():
+    for n, called in [(5, False), (small_matrices.MOST + 1, True)]:
+        assert ("lapack" in jax.jit(small_matrices.inverse).lower(jnp.eye(n)).as_text()) is called
 
 
-@pytest.mark.parametrize(("n", "called"), [(4, False), (small_matrices.MOST_OF_MANY + 1, True)])
-def test_large_matrices_in_a_batch_go_to_lapack(n, called):
-    many = RANDOM.normal(size=(6, n, n))
-    many[1, 0, 0] = 0.0
-    batched = jax.jit(jax.vmap(small_matrices.inverse))
-    assert ("lapack" in batched.lower(many).as_text()) is called
-    assert np.allclose(batched(many), np.linalg.inv(many))
+def test_large_matrices_in_a_batch_go_to_lapack():
+    for n, called in [(4, False), (small_matrices.MOST_OF_MANY + 1, True)]:
+        many = RANDOM.normal(size=(6, n, n))
+        many[1, 0, 0] = 0.0
+        batched = jax.jit(jax.vmap(small_matrices.inverse))
+        assert ("lapack" in batched.lower(many).as_text()) is called
+        assert np.allclose(batched(many), np.linalg.inv(many))
 
 
-@pytest.mark.parametrize("n", [1, 2, 7, *long(small_matrices.MOST_OF_MANY)])
-def test_many_systems_are_solved_side_by_side_with_pivots_of_their_own(n):
-    a = np.stack([np.eye(n)[RANDOM.permutation(n)] for _ in range(50)])
-    a += 1e-3 * RANDOM.normal(size=a.shape)
-    b = RANDOM.normal(size=(50, n))
-    together = jax.jit(jax.vmap(small_matrices.solve))
-    assert "lapack" not in together.lower(a, b).as_text()
-    wanted = np.linalg.solve(a, b[:, :, None])[:, :, 0]
-    assert np.abs(together(a, b) - wanted).max() < 1e-12
-    # A matrix of NaN or without a solution does not disturb the others.
-    a[0, 0, 0], a[1] = np.nan, 0.0
-    found = together(a, b)
-    assert np.abs(found[2:] - wanted[2:]).max() < 1e-12
-    assert not np.isfinite(found[0]).all()
-    assert not np.isfinite(found[1]).all()
+@pytest.mark.parametrize("cases", [(1, 2, 7), *long([small_matrices.MOST_OF_MANY])])
+def test_many_systems_are_solved_side_by_side_with_pivots_of_their_own(cases):
+    for n in cases:
+        a = np.stack([np.eye(n)[RANDOM.permutation(n)] for _ in range(50)])
+        a += 1e-3 * RANDOM.normal(size=a.shape)
+        b = RANDOM.normal(size=(50, n))
+        together = jax.jit(jax.vmap(small_matrices.solve))
+        assert "lapack" not in together.lower(a, b).as_text()
+        wanted = np.linalg.solve(a, b[:, :, None])[:, :, 0]
+        assert np.abs(together(a, b) - wanted).max() < 1e-12
+        # A matrix of NaN or without a solution does not disturb the others.
+        a[0, 0, 0], a[1] = np.nan, 0.0
+        found = together(a, b)
+        assert np.abs(found[2:] - wanted[2:]).max() < 1e-12
+        assert not np.isfinite(found[0]).all()
+        assert not np.isfinite(found[1]).all()
 
 
-@pytest.mark.parametrize(
-    ("formula", "a", "b"),
-    [
+def test_sums_give_what_products_gave():
+    for formula, a, b in [
         ("ij,jk->ik", (3, 4), (4, 5)),
         ("ji,jk->ki", (4, 3), (4, 5)),
         ("bij,bkj->bik", (2, 3, 4), (2, 5, 4)),
         ("ijk,jkl->il", (2, 3, 4), (3, 4, 5)),
         ("bij,cj->bic", (2, 3, 4), (5, 4)),
-    ],
-)
-def test_sums_give_what_products_gave(formula, a, b):
-    a, b = RANDOM.normal(size=a), RANDOM.normal(size=b)
-    rewritten = small_matrices.without_products(lambda a, b: jnp.einsum(formula, a, b))
-    assert "dot_general" not in str(jax.make_jaxpr(rewritten)(a, b))
-    assert np.allclose(jax.jit(rewritten)(a, b), np.einsum(formula, a, b), rtol=1e-14, atol=1e-14)
+    ]:
+        a, b = RANDOM.normal(size=a), RANDOM.normal(size=b)
+        rewritten = small_matrices.without_products(lambda a, b: jnp.einsum(formula, a, b))
+        assert "dot_general" not in str(jax.make_jaxpr(rewritten)(a, b))
+        assert np.allclose(
+            jax.jit(rewritten)(a, b), np.einsum(formula, a, b), rtol=1e-14, atol=1e-14
+        )
 
 
 def test_loops_branches_and_calls_are_rewritten():

@@ -35,27 +35,24 @@ def flights(scene, t):
         impacts.append(land)
 
 
-@pytest.mark.parametrize(
-    ("method", "resolution", "most"),
-    [
+def test_impacts_are_located_to_rounding():
+    for method, resolution, most in [
         (GeneralizedAlpha(), Steps(0.05), 1e-12),
         (GeneralizedAlpha(), Steps(0.3), 1e-12),  # steps longer than later flights
         (StormerVerlet(), Steps(0.05), 1e-12),
         (BDF2(), Steps(0.02), 1e-11),
         (IDA(), Tolerances(1e-8), 1e-8),
         (PHEM56(), Tolerances(1e-4), 1e-10),
-    ],
-)
-def test_impacts_are_located_to_rounding(method, resolution, most):
-    scene = BouncingBall()
-    q, v, impacts = flights(scene, 3.5)
-    found = run(method, scene, resolution, 3.5)
-    assert found.status == "ok"
-    assert len(found.events) == len(impacts) == 9
-    assert np.abs(found.events[:, 0] - impacts).max() < most
-    assert abs(found.q[-1, 0] - q) < 10 * most
-    assert abs(found.v[-1, 0] - v) < 100 * most
-    assert found.phase[-1] == 9
+    ]:
+        scene = BouncingBall()
+        q, v, impacts = flights(scene, 3.5)
+        found = run(method, scene, resolution, 3.5)
+        assert found.status == "ok"
+        assert len(found.events) == len(impacts) == 9
+        assert np.abs(found.events[:, 0] - impacts).max() < most
+        assert abs(found.q[-1, 0] - q) < 10 * most
+        assert abs(found.v[-1, 0] - v) < 100 * most
+        assert found.phase[-1] == 9
 
 
 def test_the_reference_knows_the_closed_form_of_the_ball():
@@ -121,26 +118,27 @@ def test_events_that_accumulate_end_the_run_with_a_sentence():
         Reference(scene, 1.0).error  # noqa: B018
 
 
-@pytest.mark.parametrize("method", [IDA(), CVODE()])
-def test_a_library_that_takes_other_steps_to_another_end_misses_no_event(method):
-    scene = BouncingBall(e=0.3)
-    end = np.sqrt(2 / scene.g) * (1 + scene.e) / (1 - scene.e)
-    found = run(method, scene, Tolerances(1e-3), 1.0)
-    assert found.status == "step_too_small"
-    assert found.message.startswith("Events do not end at t=")
-    assert found.t[-1] == pytest.approx(end, abs=0.01)
-    assert found.q.min() > -1e-12
+def test_a_library_that_takes_other_steps_to_another_end_misses_no_event():
+    for method in [IDA(), CVODE()]:
+        scene = BouncingBall(e=0.3)
+        end = np.sqrt(2 / scene.g) * (1 + scene.e) / (1 - scene.e)
+        found = run(method, scene, Tolerances(1e-3), 1.0)
+        assert found.status == "step_too_small"
+        assert found.message.startswith("Events do not end at t=")
+        assert found.t[-1] == pytest.approx(end, abs=0.01)
+        assert found.q.min() > -1e-12
 
 
-@pytest.mark.parametrize("until", [1.5, 1.7, 2.0, 3.0])
-def test_an_event_where_its_function_jumps_lies_before_the_jump(until):
-    def value(t):
-        return 1.0 - t + (2e-5 if t < 1.0 else -1e-5)
+def test_an_event_where_its_function_jumps_lies_before_the_jump():
+    for until in [1.5, 1.7, 2.0, 3.0]:
 
-    at = crossing(value, 0.0, until)
-    assert at is not None
-    assert at > 1.0 - 1e-14
-    assert value(at) > 0
+        def value(t):
+            return 1.0 - t + (2e-5 if t < 1.0 else -1e-5)
+
+        at = crossing(value, 0.0, until)
+        assert at is not None
+        assert at > 1.0 - 1e-14
+        assert value(at) > 0
 
 
 def test_an_event_without_time_left_for_its_step_is_one_of_those_that_do_not_end():
@@ -244,13 +242,13 @@ class _Swings(MechatronicSystem):
         return State(q=np.ones(1), v=np.zeros(1))
 
 
-@pytest.mark.parametrize(("parts", "seen"), [(1.5, 0), (2.5, 1)])
-def test_an_event_within_a_long_step_is_missed_where_its_cubic_stays_positive(parts, seen):
-    h = np.pi / parts  # a step about t = pi, of a method that is good enough for it
-    middle = 0.99 - np.cos(h / 2) - h / 4 * np.sin(h / 2)  # of the cubic; of the motion -0.01
-    assert (middle > 0) == (seen == 0)
-    scene = _Swings()
-    found = run(RadauIIA(steps="constant"), scene, Steps(h), np.ceil(parts) * h)
-    assert (found.status, len(found.events)) == ("ok", seen)
-    missed = event_errors(found, Reference(scene, np.ceil(parts) * h))
-    assert (missed["events"], missed["expected"]) == (seen, 1)  # the record tells it
+def test_an_event_within_a_long_step_is_missed_where_its_cubic_stays_positive():
+    for parts, seen in [(1.5, 0), (2.5, 1)]:
+        h = np.pi / parts  # a step about t = pi, of a method that is good enough for it
+        middle = 0.99 - np.cos(h / 2) - h / 4 * np.sin(h / 2)  # of the cubic; of the motion -0.01
+        assert (middle > 0) == (seen == 0)
+        scene = _Swings()
+        found = run(RadauIIA(steps="constant"), scene, Steps(h), np.ceil(parts) * h)
+        assert (found.status, len(found.events)) == ("ok", seen)
+        missed = event_errors(found, Reference(scene, np.ceil(parts) * h))
+        assert (missed["events"], missed["expected"]) == (seen, 1)  # the record tells it

@@ -55,27 +55,28 @@ def tangent(scene, formulation="index3"):
     return jax.jit(sampled)(scene.parameters(), numbers, scales), found[0]
 
 
-@pytest.mark.parametrize("formulation", ["index3", *long("stabilised_index2")])
 @on_scenes
-def test_no_entry_of_a_tangent_is_missed(scene, formulation):
-    values, entries = tangent(scene, formulation)
-    assert not (values != 0)[:, ~entries].any()
-    assert not entries.all() or len(entries) <= 3
+@pytest.mark.parametrize("cases", [("index3",), *long(["stabilised_index2"])])
+def test_no_entry_of_a_tangent_is_missed(scene, cases):
+    for formulation in cases:
+        values, entries = tangent(scene, formulation)
+        assert not (values != 0)[:, ~entries].any()
+        assert not entries.all() or len(entries) <= 3
 
 
 @pytest.mark.parametrize(
-    ("scene", "entries", "products", "work"),
+    "cases",
     [
-        (SliderCrank(), 37, 8, 85),
-        *long((HeavyTop(), 57, 8, 167), (Chain(links=8), 104, 6, 352)),
+        ((SliderCrank(), 37, 8, 85),),
+        *long([(HeavyTop(), 57, 8, 167), (Chain(links=8), 104, 6, 352)]),
     ],
-    ids=lambda value: getattr(value, "name", ""),
 )
-def test_an_elimination_is_a_small_part_of_that_of_a_full_matrix(scene, entries, products, work):
-    _, found = tangent(scene)
-    plan = planned(found)
-    assert plan is not None
-    assert (found.sum(), len(plan.seeds), plan.work) == (entries, products, work)
+def test_an_elimination_is_a_small_part_of_that_of_a_full_matrix(cases):
+    for scene, entries, products, work in cases:
+        _, found = tangent(scene)
+        plan = planned(found)
+        assert plan is not None
+        assert (found.sum(), len(plan.seeds), plan.work) == (entries, products, work)
 
 
 def unknown_steps(u):
@@ -124,16 +125,14 @@ def solved(a, b, plan):
 BORDERED = np.array([[True, False, True], [False, True, True], [True, True, False]])
 
 
-@pytest.mark.parametrize(
-    ("pivot", "falls_back"), [(2.0, False), (0.0, True), (1e-17, True), (1e-9, True)]
-)
-def test_a_pivot_that_vanishes_is_no_pivot(fallbacks, pivot, falls_back):
-    a = np.array([[pivot, 0.0, 1.0], [0.0, 3.0, 1.0], [1.0, 2.0, 0.0]])
-    b, plan = np.array([1.0, 2.0, 3.0]), planned(BORDERED)
-    x, repeated = solved(a, b, plan)
-    jax.effects_barrier()
-    assert x == pytest.approx(np.linalg.solve(a, b), rel=1e-14)
-    assert len(fallbacks) == repeated == falls_back
+def test_a_pivot_that_vanishes_is_no_pivot(fallbacks):
+    for pivot, falls_back in [(2.0, False), (0.0, True), (1e-17, True), (1e-9, True)]:
+        a = np.array([[pivot, 0.0, 1.0], [0.0, 3.0, 1.0], [1.0, 2.0, 0.0]])
+        b, plan = np.array([1.0, 2.0, 3.0]), planned(BORDERED)
+        x, repeated = solved(a, b, plan)
+        jax.effects_barrier()
+        assert x == pytest.approx(np.linalg.solve(a, b), rel=1e-14)
+        assert len(fallbacks) == repeated == falls_back
 
 
 def test_a_pivot_of_rounding_alone_is_none(fallbacks):

@@ -40,43 +40,40 @@ def run(method, scene, resolution, t_end=None):
     return method.prepare(scene, t_end or scene.interval[1], resolution).measure()
 
 
-@pytest.mark.parametrize("delay", [0, 1])
-def test_the_reference_of_a_sampled_loop_is_that_of_matrix_exponentials(delay):
-    scene = SampledPd(delay=delay)
-    end = Reference(scene, 5.0)(np.array([5.0]))
-    found = np.array([end["q"][0, 0], end["v"][0, 0]])
-    assert found == pytest.approx(by_matrix_exponentials(scene, 5.0), abs=1e-13)
-    if not delay:
-        assert found == pytest.approx([-0.0412160715525846, -0.133917365855531], abs=1e-13)
+def test_the_reference_of_a_sampled_loop_is_that_of_matrix_exponentials():
+    for delay in [0, 1]:
+        scene = SampledPd(delay=delay)
+        end = Reference(scene, 5.0)(np.array([5.0]))
+        found = np.array([end["q"][0, 0], end["v"][0, 0]])
+        assert found == pytest.approx(by_matrix_exponentials(scene, 5.0), abs=1e-13)
+        if not delay:
+            assert found == pytest.approx([-0.0412160715525846, -0.133917365855531], abs=1e-13)
 
 
-@pytest.mark.parametrize(
-    ("method", "resolutions", "order"),
-    [
+def test_fixed_steps_keep_their_order_through_samples():
+    for method, resolutions, order in [
         (GeneralizedAlpha(), [Steps(0.05), Steps(0.025), Steps(0.0125)], 2),
         (BDF2(), [Steps(0.05), Steps(0.025), Steps(0.0125)], 2),
-    ],
-)
-def test_fixed_steps_keep_their_order_through_samples(method, resolutions, order):
-    scene = SampledPd()
-    exact = by_matrix_exponentials(scene, 5.0)
-    errors = [abs(run(method, scene, h).q[-1, 0] - exact[0]) for h in resolutions]
-    slope = np.log2(errors[0] / errors[-1]) / 2
-    assert slope == pytest.approx(order, abs=0.25)
-    assert errors[-1] > 1e-9  # the digits are not those of the reference
+    ]:
+        scene = SampledPd()
+        exact = by_matrix_exponentials(scene, 5.0)
+        errors = [abs(run(method, scene, h).q[-1, 0] - exact[0]) for h in resolutions]
+        slope = np.log2(errors[0] / errors[-1]) / 2
+        assert slope == pytest.approx(order, abs=0.25)
+        assert errors[-1] > 1e-9  # the digits are not those of the reference
 
 
-@pytest.mark.parametrize("method", [PHEM56(), IDA()])
-def test_adaptive_methods_follow_their_tolerance_through_samples(method):
-    scene, exact = SampledPd(), by_matrix_exponentials(SampledPd(), 5.0)
-    for rtol, most in ((1e-5, 1e-3), (1e-9, 1e-7)):
-        found = run(method, scene, Tolerances(rtol))
-        assert found.status == "ok"
-        assert np.abs([found.q[-1, 0], found.v[-1, 0]] - exact).max() < most
-        for k in range(1, 50):  # a row at each sample, which belongs to the phase before
-            rows = np.flatnonzero(np.abs(found.t - 0.1 * k) < 1e-12)
-            assert len(rows) >= 1
-            assert found.phase[rows[0]] == k - 1
+def test_adaptive_methods_follow_their_tolerance_through_samples():
+    for method in [PHEM56(), IDA()]:
+        scene, exact = SampledPd(), by_matrix_exponentials(SampledPd(), 5.0)
+        for rtol, most in ((1e-5, 1e-3), (1e-9, 1e-7)):
+            found = run(method, scene, Tolerances(rtol))
+            assert found.status == "ok"
+            assert np.abs([found.q[-1, 0], found.v[-1, 0]] - exact).max() < most
+            for k in range(1, 50):  # a row at each sample, which belongs to the phase before
+                rows = np.flatnonzero(np.abs(found.t - 0.1 * k) < 1e-12)
+                assert len(rows) >= 1
+                assert found.phase[rows[0]] == k - 1
 
 
 def test_held_values_are_rows_and_have_errors():
@@ -117,10 +114,10 @@ def test_of_several_samples_in_a_step_the_last_one_counts():
     assert found.xd[2] == pytest.approx([-2 * q - v] * 2, abs=1e-14)
 
 
-@pytest.mark.parametrize("sampling", ["hit", "interpolate", "ignore"])
-def test_the_reference_hits_the_samples_whatever_runs_do(sampling):
-    end = Reference(SampledPd(sampling=sampling), 5.0)(np.array([5.0]))
-    assert end["q"][0, 0] == pytest.approx(-0.0412160715525846, abs=1e-13)
+def test_the_reference_hits_the_samples_whatever_runs_do():
+    for sampling in ["hit", "interpolate", "ignore"]:
+        end = Reference(SampledPd(sampling=sampling), 5.0)(np.array([5.0]))
+        assert end["q"][0, 0] == pytest.approx(-0.0412160715525846, abs=1e-13)
 
 
 def test_steps_over_samples_are_of_first_order():
@@ -222,9 +219,9 @@ def test_solve_prints_held_values_and_events():
     assert error["end"] == pytest.approx(0.0412160715525846 - 0.0123657925475071, rel=0.02)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
+@pytest.mark.usefixtures("without_processes")
+def test_bad_input_is_one_sentence():
+    for arguments, words in [
         (["sampled_pd[sample_time=0]", "bdf2"], "sample_time=0"),
         (["sampled_pd[sampling=often]", "bdf2"], "sampling=often is not allowed"),
         (["sampled_pd[sampling=interpolate]", "ida"], "only constant steps"),
@@ -236,11 +233,8 @@ def test_solve_prints_held_values_and_events():
             ["sampled_pd[sampling=ignore]", "bdf2", "--ensemble", "10", "--vary", "kp:1..2"],
             "jump at samples or events",  # it would leave the controller out
         ),
-    ],
-)
-@pytest.mark.usefixtures("without_processes")
-def test_bad_input_is_one_sentence(arguments, words):
-    answer = CliRunner().invoke(main, ["solve", *arguments])
-    assert answer.exit_code
-    assert words in answer.output
-    assert "Traceback" not in answer.output
+    ]:
+        answer = CliRunner().invoke(main, ["solve", *arguments])
+        assert answer.exit_code
+        assert words in answer.output
+        assert "Traceback" not in answer.output

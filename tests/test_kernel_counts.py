@@ -139,13 +139,14 @@ class Watched(Pendulum):
         return force(t, v, self.m * self.g)
 
 
-@pytest.mark.parametrize("newton", ["modified", *long("full")])
-def test_what_is_counted_is_what_was_done(newton):
-    run = prepared(Watched(), newton, steps=50)
-    work = run.measure().work
-    _, counts = run_counted(run.execute)
-    # Full Newton has the residual from the linearisation.
-    assert counts == (work.residuals if newton == "modified" else 0, work.jacobians)
+@pytest.mark.parametrize("cases", [("modified",), *long(["full"])])
+def test_what_is_counted_is_what_was_done(cases):
+    for newton in cases:
+        run = prepared(Watched(), newton, steps=50)
+        work = run.measure().work
+        _, counts = run_counted(run.execute)
+        # Full Newton has the residual from the linearisation.
+        assert counts == (work.residuals if newton == "modified" else 0, work.jacobians)
 
 
 def test_schemes_steps_and_parameters_compile_nothing_new():

@@ -139,15 +139,15 @@ def test_rows_of_large_scenes_are_taken_in_blocks_that_fit(monkeypatch):
 
 
 # ---- what does not fit -----------------------------------------------------------------
-@pytest.mark.parametrize("make", [np.zeros, jnp.zeros], ids=["numpy", "jax"])
-def test_memory_that_is_not_there_is_a_sentence(make):
-    with pytest.raises((MemoryError, RuntimeError)) as found:
-        make((10**7, 10**7))
-    sentence = why(found.value)
-    assert sentence.startswith("It asks for ")
-    assert "iB at once" in sentence
-    assert "sparse" in sentence
-    assert "Error" not in sentence
+def test_memory_that_is_not_there_is_a_sentence():
+    for make in [np.zeros, jnp.zeros]:
+        with pytest.raises((MemoryError, RuntimeError)) as found:
+            make((10**7, 10**7))
+        sentence = why(found.value)
+        assert sentence.startswith("It asks for ")
+        assert "iB at once" in sentence
+        assert "sparse" in sentence
+        assert "Error" not in sentence
 
 
 def test_other_errors_keep_their_words():

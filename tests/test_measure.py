@@ -219,34 +219,39 @@ def test_components_have_the_units_of_their_coordinates_by_time():
 
 
 @pytest.mark.parametrize(
-    ("method", "resolution"),
+    "cases",
     [
-        (GeneralizedAlpha(), Steps(2.0 / 1500)),
+        ((GeneralizedAlpha(), Steps(2.0 / 1500)),),
         *long(
-            (GeneralizedAlphaAdaptive(), Tolerances(3e-5)),
-            (Kvaerno3(), Tolerances(1e-9)),
-            (Radau(), Tolerances(1e-9)),
-            (IDA(), Tolerances(1e-9)),
+            [
+                (GeneralizedAlphaAdaptive(), Tolerances(3e-5)),
+                (Kvaerno3(), Tolerances(1e-9)),
+                (Radau(), Tolerances(1e-9)),
+                (IDA(), Tolerances(1e-9)),
+            ]
         ),
     ],
 )
-def test_errors_are_largest_over_all_steps_and_few_rows_are_stored(method, resolution):
-    scene = Pendulum()
-    run = method.prepare(scene, 2.0, resolution).measure()
-    assert run.work.steps == len(run.t) - 1 > 300
-    assert (np.diff(run.t) > 0).all()
-    stored = stored_rows(run)
-    assert len(stored.t) < 240
-    reference = Reference(scene, 2.0)
-    _, _, components, histories = relative_errors(run, reference)
-    worst = np.abs(run.a - reference(run.t)["a"]).max(axis=0) / np.abs(reference.largest["a"][0])
-    assert components["a"]["max"] == pytest.approx(worst, rel=1e-12)
-    run.notes |= histories
-    kept = stored_rows(run)
-    assert kept.t == stored.t
-    exact = [histories["error_a"][np.searchsorted(run.t, t)] for t in kept.t]
-    assert kept.notes["error_a"] == pytest.approx(exact, rel=5e-3)
-    assert max(len(f"{value:g}") for value in kept.notes["error_a"]) <= len("1.23e-05")
+def test_errors_are_largest_over_all_steps_and_few_rows_are_stored(cases):
+    for method, resolution in cases:
+        scene = Pendulum()
+        run = method.prepare(scene, 2.0, resolution).measure()
+        assert run.work.steps == len(run.t) - 1 > 300
+        assert (np.diff(run.t) > 0).all()
+        stored = stored_rows(run)
+        assert len(stored.t) < 240
+        reference = Reference(scene, 2.0)
+        _, _, components, histories = relative_errors(run, reference)
+        worst = np.abs(run.a - reference(run.t)["a"]).max(axis=0) / np.abs(
+            reference.largest["a"][0]
+        )
+        assert components["a"]["max"] == pytest.approx(worst, rel=1e-12)
+        run.notes |= histories
+        kept = stored_rows(run)
+        assert kept.t == stored.t
+        exact = [histories["error_a"][np.searchsorted(run.t, t)] for t in kept.t]
+        assert kept.notes["error_a"] == pytest.approx(exact, rel=5e-3)
+        assert max(len(f"{value:g}") for value in kept.notes["error_a"]) <= len("1.23e-05")
 
 
 def test_a_very_long_run_keeps_a_bounded_number_of_rows():

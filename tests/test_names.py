@@ -5,7 +5,6 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,9 +19,8 @@ ROOT = Path(__file__).parents[1]
 GGL = "formulation=stabilised_index2"
 
 
-@pytest.mark.parametrize(
-    ("label", "name"),
-    [
+def test_a_short_name_says_method_and_options():
+    for label, name in [
         ("generalized_alpha[rho_inf=0.8]", "gα 0.8"),
         (f"generalized_alpha[rho_inf=1.0,{GGL},newton=modified]", "gα 1 · GGL · modified"),
         (
@@ -38,10 +36,8 @@ GGL = "formulation=stabilised_index2"
         ("kvaerno5", "Kvaerno5"),
         ("my_method[order=3,new_rule=on]", "my_method · order 3 · new rule on"),
         ("no [specification", "no [specification"),
-    ],
-)
-def test_a_short_name_says_method_and_options(label, name):
-    assert short_name(label) == name
+    ]:
+        assert short_name(label) == name
 
 
 def test_what_a_family_has_in_common_is_left_out_and_what_tells_apart_stays():

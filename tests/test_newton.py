@@ -84,13 +84,13 @@ def alternating(size):
 
 
 # ---- contraction -------------------------------------------------------------------------
-@pytest.mark.parametrize(("tol", "iterations"), [(1e-12, 4), (1e-8, 3), (1e-5, 3), (1e-2, 2)])
-def test_it_ends_when_the_error_left_by_the_contraction_is_small(tol, iterations):
-    # Updates 0.083, 0.0025, 2.1e-6, 1.6e-12: the last leaves its size times the last quotient.
-    found = root_of_two(tol)
-    assert (found.report.solved, found.report.converged) == (True, True)
-    assert found.report.newton == iterations
-    assert abs(found.u[0] - math.sqrt(2)) < tol * math.sqrt(2)
+def test_it_ends_when_the_error_left_by_the_contraction_is_small():
+    for tol, iterations in [(1e-12, 4), (1e-8, 3), (1e-5, 3), (1e-2, 2)]:
+        # Updates 0.083, 0.0025, 2.1e-6, 1.6e-12: the last leaves its size times the last quotient.
+        found = root_of_two(tol)
+        assert (found.report.solved, found.report.converged) == (True, True)
+        assert found.report.newton == iterations
+        assert abs(found.u[0] - math.sqrt(2)) < tol * math.sqrt(2)
 
 
 def test_each_group_is_measured_by_its_own_size_now_or_before():
@@ -109,17 +109,17 @@ def test_each_group_is_measured_by_its_own_size_now_or_before():
     assert root_of_two(old=0.0).report.newton == 4
 
 
-@pytest.mark.parametrize(("solved_after", "iterations"), [(0, 0), (1, 1), (math.inf, 2)])
-def test_linear_equations_and_known_solutions_need_no_further_update(solved_after, iterations):
-    found = solve(
-        lambda u: 3 * u - 6,
-        lambda u: 3 + 0 * u,
-        2.0 if solved_after == 0 else 7.0,
-        solved_after=solved_after,
-    )
-    assert found.report.solved
-    assert found.report.newton == iterations
-    assert found.u[0] == pytest.approx(2.0, rel=1e-15)
+def test_linear_equations_and_known_solutions_need_no_further_update():
+    for solved_after, iterations in [(0, 0), (1, 1), (math.inf, 2)]:
+        found = solve(
+            lambda u: 3 * u - 6,
+            lambda u: 3 + 0 * u,
+            2.0 if solved_after == 0 else 7.0,
+            solved_after=solved_after,
+        )
+        assert found.report.solved
+        assert found.report.newton == iterations
+        assert found.u[0] == pytest.approx(2.0, rel=1e-15)
 
 
 def test_an_update_by_an_old_tangent_is_never_enough():
@@ -168,14 +168,16 @@ def test_an_update_far_beyond_the_unknowns_is_taken_back():
 
 
 # ---- round-off ---------------------------------------------------------------------------
-@pytest.mark.parametrize("kept", [None, 1.0])
-@pytest.mark.parametrize(("size", "solved"), [(1e-9, True), (1e-6, False)])
-def test_tiny_updates_that_no_longer_shrink_have_met_rounding(size, solved, kept):
-    found = solve(alternating(size), lambda u: 1 + 0 * u, 1 + 3 * size, kept=kept, tol=1e-14)
-    assert found.report.solved == solved
-    assert abs(found.u[0] - 1) <= 3 * size
-    assert found.report.newton == 2 or not solved or kept
-    assert kept is None or "t" in found.log  # an old tangent may be what does not shrink
+def test_tiny_updates_that_no_longer_shrink_have_met_rounding():
+    for kept in [None, 1.0]:
+        for size, solved in [(1e-9, True), (1e-6, False)]:
+            found = solve(
+                alternating(size), lambda u: 1 + 0 * u, 1 + 3 * size, kept=kept, tol=1e-14
+            )
+            assert found.report.solved == solved
+            assert abs(found.u[0] - 1) <= 3 * size
+            assert found.report.newton == 2 or not solved or kept
+            assert kept is None or "t" in found.log  # an old tangent may be what does not shrink
 
 
 def test_the_rounding_of_a_group_counts_eightfold_for_a_new_tangent():

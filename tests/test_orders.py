@@ -64,20 +64,17 @@ def test_points_near_the_error_of_the_reference_do_not_count():
     assert fit.window[1] ** 2 > 1e-4
 
 
-@pytest.mark.parametrize(
-    "errors",
-    [
+def test_fewer_than_three_points_determine_nothing():
+    for errors in [
         [1e-2, 1e-3] + [None] * 6,
         [1e-2, 1e-3] + [math.inf, math.nan] * 3,
         [1e-2, 1e-3] + [0.0] * 6,
         [None] * 8,
-    ],
-)
-def test_fewer_than_three_points_determine_nothing(errors):
-    fit = fit_order(STEPS, errors)
-    assert fit.order is None
-    assert fit.window is None
-    assert fit.verdict == "not determined"
+    ]:
+        fit = fit_order(STEPS, errors)
+        assert fit.order is None
+        assert fit.window is None
+        assert fit.verdict == "not determined"
 
 
 def test_errors_that_do_not_fall_are_called_so():
@@ -102,11 +99,11 @@ def test_a_long_rise_of_round_off_does_not_hide_the_order():
     assert fit.order is None or fit.order == pytest.approx(2.0, abs=0.25)
 
 
-@pytest.mark.parametrize("share", [1e-3, 3e-3])
-def test_an_order_that_is_still_falling_at_the_finest_step_is_not_claimed(share):
-    fit = fit_order(STEPS, [h**2 + share * h for h in STEPS])
-    assert fit.order is None
-    assert fit.verdict == "not determined"
+def test_an_order_that_is_still_falling_at_the_finest_step_is_not_claimed():
+    for share in [1e-3, 3e-3]:
+        fit = fit_order(STEPS, [h**2 + share * h for h in STEPS])
+        assert fit.order is None
+        assert fit.verdict == "not determined"
 
 
 def test_a_step_given_twice_is_one_point():
@@ -127,14 +124,14 @@ def vibration(step, rho=1.0):
     return {"q": 1e-4 * fast + step**2, "v": 0.25 * fast, "a": fast}
 
 
-@pytest.mark.parametrize("rho", [1.0, 0.5])
-def test_a_phase_that_no_step_resolves_determines_no_order_in_any_group(rho):
-    steps = [2e-4 * 2.0**-k for k in range(4)]
-    found = [vibration(h, rho) for h in steps]
-    errors = {group: [f[group] for f in found] for group in ("q", "v", "a")}
-    assert fit_order(steps, errors["a"]).verdict == "does not converge"  # of itself
-    for fit in fit_orders(steps, errors, dict.fromkeys(errors, 0.0)).values():
-        assert (fit.order, fit.verdict) == (None, "not determined")
+def test_a_phase_that_no_step_resolves_determines_no_order_in_any_group():
+    for rho in [1.0, 0.5]:
+        steps = [2e-4 * 2.0**-k for k in range(4)]
+        found = [vibration(h, rho) for h in steps]
+        errors = {group: [f[group] for f in found] for group in ("q", "v", "a")}
+        assert fit_order(steps, errors["a"]).verdict == "does not converge"  # of itself
+        for fit in fit_orders(steps, errors, dict.fromkeys(errors, 0.0)).values():
+            assert (fit.order, fit.verdict) == (None, "not determined")
 
 
 @given(st.floats(0.01, 100.0), st.floats(0.5, 5.0), st.permutations(range(8)))

@@ -31,15 +31,15 @@ from problems.witnesses import published_digits
 
 
 @pytest.mark.parametrize(
-    "scene",
+    "cases",
     [
-        *(IFToMMPendulum(), NFourBar(), FlyballGovernor()),
-        *long(PlanarTruck(), PlanarTruckJoint(), Andrews(), Bricard()),
+        (*(IFToMMPendulum(), NFourBar(), FlyballGovernor()),),
+        *long([PlanarTruck(), PlanarTruckJoint(), Andrews(), Bricard()]),
     ],
-    ids=str,
 )
-def test_references_have_the_published_digits(scene):
-    assert "published values agree" in check_published(scene)
+def test_references_have_the_published_digits(cases):
+    for scene in cases:
+        assert "published values agree" in check_published(scene)
 
 
 def test_published_digits_that_differ_are_a_fault():
@@ -53,36 +53,35 @@ def test_published_digits_that_differ_are_a_fault():
     assert "belong to its default parameters" in check_published(IFToMMPendulum(g=9.8))
 
 
-@pytest.mark.parametrize(
-    ("entry", "message"),
-    [
+def test_entries_that_are_none_are_refused():
+    for entry, message in [
         (Published("P", 1.0, (1.0,), 1e-6), "expected real numbers of shape"),
         (Published("Q", 1.0, (1.0, 0.0), 1e-6), "expected one of q, v, a, lam, P"),
         (Published("P", 1.0, (1.0, 0.0), 0.0), "expected a positive number"),
         ("P", "expected Published"),
-    ],
-)
-def test_entries_that_are_none_are_refused(entry, message):
-    @dataclass(frozen=True)
-    class Wrong(IFToMMPendulum):
-        name = "wrong"
-        published = (entry,)
+    ]:
 
-    scene, t = Wrong(), np.array([1.0])
-    with pytest.raises(checks.FalseAnswer, match=message):
-        published_digits(scene, t, reference(IFToMMPendulum(), 10.0)(t))
+        @dataclass(frozen=True)
+        class Wrong(IFToMMPendulum):
+            name = "wrong"
+            published = (entry,)
+
+        scene, t = Wrong(), np.array([1.0])
+        with pytest.raises(checks.FalseAnswer, match=message):
+            published_digits(scene, t, reference(IFToMMPendulum(), 10.0)(t))
 
 
-@pytest.mark.parametrize("scene", [PlanarTruck(), *long(PlanarTruckJoint())], ids=str)
-def test_all_springs_of_the_truck_are_in_equilibrium_at_its_start(scene):
-    q, v, _ = scene.initial_state()
-    residual = scene.force(q, v, 0.0)
-    if scene.sizes.nl:
-        pull = jax.vjp(lambda q: scene.constraint(q, 0.0), q)[1]
-        residual = residual - pull(np.array([0.0, -68056.2089]))[0]
-    assert np.abs(residual).max() < 1e-3  # of forces up to 3e5 N
-    stiffness = jax.jacfwd(lambda q: scene.force(q, v, 0.0))(q)
-    assert np.abs(stiffness - stiffness.T).max() < 1e-6 * np.abs(stiffness).max()
+@pytest.mark.parametrize("cases", [(PlanarTruck(),), *long([PlanarTruckJoint()])])
+def test_all_springs_of_the_truck_are_in_equilibrium_at_its_start(cases):
+    for scene in cases:
+        q, v, _ = scene.initial_state()
+        residual = scene.force(q, v, 0.0)
+        if scene.sizes.nl:
+            pull = jax.vjp(lambda q: scene.constraint(q, 0.0), q)[1]
+            residual = residual - pull(np.array([0.0, -68056.2089]))[0]
+        assert np.abs(residual).max() < 1e-3  # of forces up to 3e5 N
+        stiffness = jax.jacfwd(lambda q: scene.force(q, v, 0.0))(q)
+        assert np.abs(stiffness - stiffness.T).max() < 1e-6 * np.abs(stiffness).max()
 
 
 @pytest.mark.long

@@ -77,12 +77,10 @@ def test_momentum_energy_and_control_are_balanced():
     check_balances(QuarterCar())
 
 
-@pytest.mark.parametrize(
-    ("block", "what"), [(block, what) for block, names in MUTANTS.items() for what in names]
-)
-def test_a_flipped_sign_is_caught(block, what):
-    with pytest.raises(AssertionError):
-        check_balances(flipped(QuarterCar(), block, what))
+def test_a_flipped_sign_is_caught():
+    for block, what in [(block, what) for block, names in MUTANTS.items() for what in names]:
+        with pytest.raises(AssertionError):
+            check_balances(flipped(QuarterCar(), block, what))
 
 
 def test_it_starts_at_rest():

@@ -86,53 +86,59 @@ def ended(method, scene, h=0.01, t_end=None):
 
 
 @pytest.mark.parametrize(
-    "method",
+    "cases",
     [
-        "generalized_alpha",
+        ("generalized_alpha",),
         *long(
-            "generalized_alpha[newton=modified]",
-            "hht",
-            "newmark",
-            "bdf2",
-            "houbolt",
-            "bathe",
-            "wilson_theta",
-            "radau_iia[steps=constant]",
-            "hht_i3[steps=constant]",
-            "stormer_verlet",
-            "lobatto_iiia_iiib",
-            "ali3p",
+            [
+                "generalized_alpha[newton=modified]",
+                "hht",
+                "newmark",
+                "bdf2",
+                "houbolt",
+                "bathe",
+                "wilson_theta",
+                "radau_iia[steps=constant]",
+                "hht_i3[steps=constant]",
+                "stormer_verlet",
+                "lobatto_iiia_iiib",
+                "ali3p",
+            ]
         ),
     ],
 )
-def test_a_mass_comes_to_rest(method):
-    for scene in (Settling(), Settling(k=1e4, c=200.0), Settling(length=0.0, q0=0.1)):
-        run = ended(method, scene)
-        assert run.status == "ok", (scene, run.message)
-        assert run.q[-1, 0] == pytest.approx(scene.length - 9.81 / scene.k, rel=1e-12)
+def test_a_mass_comes_to_rest(cases):
+    for method in cases:
+        for scene in (Settling(), Settling(k=1e4, c=200.0), Settling(length=0.0, q0=0.1)):
+            run = ended(method, scene)
+            assert run.status == "ok", (scene, run.message)
+            assert run.q[-1, 0] == pytest.approx(scene.length - 9.81 / scene.k, rel=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("method", "scene"),
+    "cases",
     [
-        ("bdf2[formulation=stabilised_index2]", Tilted()),
+        (("bdf2[formulation=stabilised_index2]", Tilted()),),
         *long(
-            ("generalized_alpha[formulation=stabilised_index2]", Held()),
-            ("generalized_alpha", Held()),
-            ("bdf2[formulation=index2]", Tilted()),
-            ("radau_iia[steps=constant,formulation=index2]", Tilted()),
-            ("generalized_alpha[formulation=stabilised_index2]", Tilted(off=0.5)),
-            ("bdf2[formulation=stabilised_index2]", Tilted(off=0.5)),
-            ("bdf2[formulation=index2]", Tilted(off=0.5)),
-            ("radau_iia[steps=constant,formulation=index2]", Tilted(off=0.5)),
-            ("bdf2[newton=modified]", Held()),
+            [
+                ("generalized_alpha[formulation=stabilised_index2]", Held()),
+                ("generalized_alpha", Held()),
+                ("bdf2[formulation=index2]", Tilted()),
+                ("radau_iia[steps=constant,formulation=index2]", Tilted()),
+                ("generalized_alpha[formulation=stabilised_index2]", Tilted(off=0.5)),
+                ("bdf2[formulation=stabilised_index2]", Tilted(off=0.5)),
+                ("bdf2[formulation=index2]", Tilted(off=0.5)),
+                ("radau_iia[steps=constant,formulation=index2]", Tilted(off=0.5)),
+                ("bdf2[newton=modified]", Held()),
+            ]
         ),
     ],
 )
-def test_a_pendulum_rests_in_every_formulation(method, scene):
-    run = ended(method, scene)
-    assert run.status == "ok", run.message
-    assert run.lam[-1] == pytest.approx(9.81, rel=1e-5)  # index 2 drifts
+def test_a_pendulum_rests_in_every_formulation(cases):
+    for method, scene in cases:
+        run = ended(method, scene)
+        assert run.status == "ok", run.message
+        assert run.lam[-1] == pytest.approx(9.81, rel=1e-5)  # index 2 drifts
 
 
 @dataclass(frozen=True)
@@ -175,12 +181,13 @@ class Relay(MechatronicSystem):
 
 
 @pytest.mark.parametrize(
-    "method", ["generalized_alpha", *long("bdf2", "radau_iia[steps=constant]")]
+    "cases", [("generalized_alpha",), *long(["bdf2", "radau_iia[steps=constant]"])]
 )
-@pytest.mark.parametrize("jump", [1.0, 1e-3])
-def test_a_force_or_a_rate_that_jumps_is_no_rest_in_any_step(method, jump):
-    for h in (1e-2, 1e-5, 1e-8):
-        for scene in (Rough(jump, 2.345 * h * jump), Relay(jump, 2.345 * h * jump)):
-            run = ended(method, scene, h, 10 * h)
-            assert run.status == "newton_failed", (scene, h)
-            assert 1 <= run.work.steps <= 4
+def test_a_force_or_a_rate_that_jumps_is_no_rest_in_any_step(cases):
+    for method in cases:
+        for jump in [1.0, 1e-3]:
+            for h in (1e-2, 1e-5, 1e-8):
+                for scene in (Rough(jump, 2.345 * h * jump), Relay(jump, 2.345 * h * jump)):
+                    run = ended(method, scene, h, 10 * h)
+                    assert run.status == "newton_failed", (scene, h)
+                    assert 1 <= run.work.steps <= 4

@@ -68,17 +68,15 @@ FLIPS = {
 }
 
 
-@pytest.mark.parametrize("scene", [Oscillator(omega=3.0), Friction(mu=0.7), DrivenSprings(m2=2.0)])
-def test_the_equations_of_motion_are_newtons(scene):
-    CHECKS[type(scene)](Measured(scene, ("force",)))
+def test_the_equations_of_motion_are_newtons():
+    for scene in [Oscillator(omega=3.0), Friction(mu=0.7), DrivenSprings(m2=2.0)]:
+        CHECKS[type(scene)](Measured(scene, ("force",)))
 
 
-@pytest.mark.parametrize(
-    ("cls", "what"), [(cls, what) for cls, names in FLIPS.items() for what in names]
-)
-def test_a_flipped_sign_is_caught(cls, what):
-    with pytest.raises(AssertionError):
-        CHECKS[cls](Measured(cls(), ("force",)).with_error("force", what))
+def test_a_flipped_sign_is_caught():
+    for cls, what in [(cls, what) for cls, names in FLIPS.items() for what in names]:
+        with pytest.raises(AssertionError):
+            CHECKS[cls](Measured(cls(), ("force",)).with_error("force", what))
 
 
 def test_a_spring_that_pushes_is_caught():
@@ -88,29 +86,29 @@ def test_a_spring_that_pushes_is_caught():
 
 
 @pytest.mark.parametrize(
-    "scene",
+    "cases",
     [
-        *long(Oscillator(omega=2.0, q0=-0.3)),
-        DrivenSprings(k1=400.0, c1=3.0, k2=2.0, m1=0.5, m2=2.0),
-        *long(DrivenSprings(k1=900.0, c1=0.0, omega=5.0)),
+        (DrivenSprings(k1=400.0, c1=3.0, k2=2.0, m1=0.5, m2=2.0),),
+        *long([Oscillator(omega=2.0, q0=-0.3), DrivenSprings(k1=900.0, c1=0.0, omega=5.0)]),
     ],
-    ids=lambda scene: scene.spec,
 )
-def test_the_closed_form_is_the_integrated_one(scene):
-    class Integrated(type(scene)):
-        """The scene as if its solution were not known."""
+def test_the_closed_form_is_the_integrated_one(cases):
+    for scene in cases:
 
-        interval = (0.0, 4.0)
+        class Integrated(type(scene)):
+            """The scene as if its solution were not known."""
 
-        @classmethod
-        def has(cls, block):
-            return block != "exact" and super().has(block)
+            interval = (0.0, 4.0)
 
-    t = np.linspace(0.0, 4.0, 41)
-    closed, tight = scene.exact(t), Reference(Integrated(**scene.parameters()), 4.0)(t)
-    for group in "qva":
-        size = np.abs(tight[group]).max()
-        assert closed[group] == pytest.approx(tight[group], abs=1e-10 * size), group
+            @classmethod
+            def has(cls, block):
+                return block != "exact" and super().has(block)
+
+        t = np.linspace(0.0, 4.0, 41)
+        closed, tight = scene.exact(t), Reference(Integrated(**scene.parameters()), 4.0)(t)
+        for group in "qva":
+            size = np.abs(tight[group]).max()
+            assert closed[group] == pytest.approx(tight[group], abs=1e-10 * size), group
 
 
 def test_the_stiff_spring_is_rigid_after_milliseconds():
@@ -134,20 +132,19 @@ def test_dry_friction_takes_the_same_amplitude_at_every_turn():
 
 
 @pytest.mark.parametrize(
-    ("scene", "t_end", "coarsest"),
+    "cases",
     [
-        *long((Oscillator(), 5.0, 0.1)),
-        (Friction(eps=1.0), 5.0, 0.02),
-        *long((DrivenSprings(k1=100.0), 2.0, 4e-3)),
+        ((Friction(eps=1.0), 5.0, 0.02),),
+        *long([(Oscillator(), 5.0, 0.1), (DrivenSprings(k1=100.0), 2.0, 4e-3)]),
     ],
-    ids=lambda p: getattr(p, "name", ""),
 )
-def test_generalized_alpha_is_second_order(scene, t_end, coarsest):
-    steps = [coarsest * 2.0**-k for k in range(4)]
-    errors = [errors_at(CORRECTED, scene, t_end, h) for h in steps]
-    for group in "qva":
-        worst = [e[group].max() for e in errors]
-        assert slope(steps, worst) == pytest.approx(2.0, abs=0.2), group
+def test_generalized_alpha_is_second_order(cases):
+    for scene, t_end, coarsest in cases:
+        steps = [coarsest * 2.0**-k for k in range(4)]
+        errors = [errors_at(CORRECTED, scene, t_end, h) for h in steps]
+        for group in "qva":
+            worst = [e[group].max() for e in errors]
+            assert slope(steps, worst) == pytest.approx(2.0, abs=0.2), group
 
 
 def test_a_spoilt_pendulum_shares_its_multiplier_or_is_refused():
@@ -196,18 +193,15 @@ def largest_errors(method, scene, t_end, coarsest):
     return steps, {g: [e[g].max() for e in errors] for g in errors[0]}
 
 
-@pytest.mark.parametrize(
-    ("scene", "t_end", "coarsest"),
-    [SMOOTH[0], *long(*SMOOTH[1:3], *MORE)],
-    ids=lambda p: getattr(p, "name", ""),
-)
-def test_every_smooth_scene_shows_second_order_from_the_first_step(scene, t_end, coarsest):
-    steps, errors = largest_errors(METHOD, scene, t_end, coarsest)
-    for group, worst in errors.items():
-        if group in EXACT.get(type(scene), ()):
-            assert max(worst) < 1e-13
-        else:
-            assert slope(steps, worst) == pytest.approx(2.0, abs=0.2), group
+@pytest.mark.parametrize("cases", [(SMOOTH[0],), *long([*SMOOTH[1:3], *MORE])])
+def test_every_smooth_scene_shows_second_order_from_the_first_step(cases):
+    for scene, t_end, coarsest in cases:
+        steps, errors = largest_errors(METHOD, scene, t_end, coarsest)
+        for group, worst in errors.items():
+            if group in EXACT.get(type(scene), ()):
+                assert max(worst) < 1e-13
+            else:
+                assert slope(steps, worst) == pytest.approx(2.0, abs=0.2), group
 
 
 @pytest.mark.parametrize(

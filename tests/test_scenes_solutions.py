@@ -157,25 +157,22 @@ def test_the_stiff_bar_has_the_published_energy_and_period():
 
 
 # ---- closed forms ----------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("scene", "eps"),
-    [
+def test_velocity_and_acceleration_are_slopes_of_the_closed_form():
+    for scene, eps in [
         (SliderCrankDriven(), 1e-6),
         (SliderCrankDriven(l1=0.2, l2=0.21, omega=-40.0), 1e-6),
         (SliderCrankDriven(l1=0.15, l2=0.15), 1e-6),
         (StiffBar(), 1e-8),
         (StiffBar(length=1.0, ea=1e3, m=2.0, v0=3.0), 1e-5),
         (StiffBar(length=1.0, ea=1e3, m=2.0, v0=3.0, stretch=0.6), 1e-5),
-    ],
-)
-def test_velocity_and_acceleration_are_slopes_of_the_closed_form(scene, eps):
-    t = np.linspace(0.001, 0.04, 23)
-    z, before, after = scene.exact(t), scene.exact(t - eps), scene.exact(t + eps)
-    for value, rate in ("qv", "va"):
-        slope = (after[value] - before[value]) / (2 * eps)
-        size = np.abs(z[rate]).max()
-        assert slope == pytest.approx(z[rate], abs=1e-6 * size), rate
-        assert slope != pytest.approx(-z[rate], abs=1e-3 * size)
+    ]:
+        t = np.linspace(0.001, 0.04, 23)
+        z, before, after = scene.exact(t), scene.exact(t - eps), scene.exact(t + eps)
+        for value, rate in ("qv", "va"):
+            slope = (after[value] - before[value]) / (2 * eps)
+            size = np.abs(z[rate]).max()
+            assert slope == pytest.approx(z[rate], abs=1e-6 * size), rate
+            assert slope != pytest.approx(-z[rate], abs=1e-3 * size)
 
 
 def test_the_closed_stiff_bar_is_the_integrated_one():
@@ -348,10 +345,10 @@ def test_the_trapezoidal_rule_blows_up_on_the_stiff_bar():
     assert run.t[np.argmax(e / e[0] > 1.05)] == pytest.approx(4.58, abs=0.05)
 
 
-@pytest.mark.parametrize("rho_inf", [0.8, 0.9])
-def test_numerical_damping_runs_on_over_the_stiff_bar(rho_inf):
-    scene = StiffBar()
-    run = GeneralizedAlpha(rho_inf=rho_inf).prepare(scene, 10.0, Steps(0.01)).measure()
-    assert run.status == "ok"
-    e = compiled(scene).invariants["energy"](scene.parameters(), run.q, run.v)
-    assert e / e[0] == pytest.approx(1.0, abs=2e-3)
+def test_numerical_damping_runs_on_over_the_stiff_bar():
+    for rho_inf in [0.8, 0.9]:
+        scene = StiffBar()
+        run = GeneralizedAlpha(rho_inf=rho_inf).prepare(scene, 10.0, Steps(0.01)).measure()
+        assert run.status == "ok"
+        e = compiled(scene).invariants["energy"](scene.parameters(), run.q, run.v)
+        assert e / e[0] == pytest.approx(1.0, abs=2e-3)

@@ -68,15 +68,12 @@ def test_a_drawing_shows_where_the_bodies_are():
         assert lines[1][-1] == pytest.approx([q[slider], 0], abs=1e-10)
 
 
-@pytest.mark.parametrize(
-    ("cls", "options", "says"),
-    [
+def test_parameters_that_cannot_be_assembled_are_refused():
+    for cls, options, says in [
         (SliderCrank, {"l2": 0.09}, "does not reach the guide"),
         (SliderCrankDriven, {"l2": 0.1}, "does not reach the guide"),
         (SliderCrankFlexible, {"l2": 0.1}, "must be longer than the crank"),
         (CarAxis, {"r": 1.0}, "must be below the length"),
-    ],
-)
-def test_parameters_that_cannot_be_assembled_are_refused(cls, options, says):
-    with pytest.raises(SpecError, match=says):
-        cls(**options)
+    ]:
+        with pytest.raises(SpecError, match=says):
+            cls(**options)

@@ -41,17 +41,17 @@ def switched(p):
     return lambda u: jnp.where(p > 1, jnp.exp(u / 4), u * u * p) + signs * u[::-1] * p + u**3
 
 
-@pytest.mark.parametrize(("residual_of", "n"), [(bordered, 3), (switched, 3)])
-def test_updates_of_many_are_those_of_each(residual_of, n):
-    random = np.random.default_rng(1)
-    u, p = random.uniform(0.5, 1.5, (9, n)), random.uniform(0.5, 1.5, 9)
-    assert updates(residual_of, u, p) == pytest.approx(
-        np.array(wanted(residual_of, u, p)), rel=1e-12
-    )
-    program = jax.make_jaxpr(switched(jnp.asarray(1.0)))(jnp.ones(3))
-    order = linear_solvers._order(program, 3)
-    assert order is not None
-    assert linear_solvers._side_by_side(program, order) is not None
+def test_updates_of_many_are_those_of_each():
+    for residual_of, n in [(bordered, 3), (switched, 3)]:
+        random = np.random.default_rng(1)
+        u, p = random.uniform(0.5, 1.5, (9, n)), random.uniform(0.5, 1.5, 9)
+        assert updates(residual_of, u, p) == pytest.approx(
+            np.array(wanted(residual_of, u, p)), rel=1e-12
+        )
+        program = jax.make_jaxpr(switched(jnp.asarray(1.0)))(jnp.ones(3))
+        order = linear_solvers._order(program, 3)
+        assert order is not None
+        assert linear_solvers._side_by_side(program, order) is not None
 
 
 def test_a_gpu_solves_all_with_pivots_if_one_needs_them(monkeypatch):
@@ -119,20 +119,21 @@ def test_a_graph_of_every_operator_is_computed_side_by_side():
     assert found == pytest.approx(np.asarray(jax.jit(jax.vmap(function, 1, 1))(x)), rel=1e-14)
 
 
-@pytest.mark.parametrize("n", [1, 5, small_matrices.MOST_OF_MANY, small_matrices.MOST_OF_MANY + 1])
-@pytest.mark.parametrize("shared", [None, *long(0, 1)])
-def test_side_by_side_gives_what_each_gives(n, shared):
-    random = np.random.default_rng(n)
-    a, b = random.normal(size=(9, n, n)), random.normal(size=(9, n))
-    a[0, 0, 0] = float(n == 1)  # the diagonal is no pivot
-    a[1] = np.eye(n)[::-1]
-    parts = [part[2] if k == shared else part for k, part in enumerate((a, b))]
-    axes = [None if k == shared else 0 for k in range(2)]
-    many = np.asarray(jax.jit(jax.vmap(small_matrices.solve, in_axes=axes))(*parts))
-    for k, found in enumerate(many):
-        one = [part if j == shared else part[k] for j, part in enumerate(parts)]
-        wanted = np.linalg.solve(*one)
-        assert found == pytest.approx(wanted, rel=1e-9, abs=1e-9 * np.abs(wanted).max())
+@pytest.mark.parametrize("cases", [(None,), *long([0, 1])])
+def test_side_by_side_gives_what_each_gives(cases):
+    for n in [1, 5, small_matrices.MOST_OF_MANY, small_matrices.MOST_OF_MANY + 1]:
+        for shared in cases:
+            random = np.random.default_rng(n)
+            a, b = random.normal(size=(9, n, n)), random.normal(size=(9, n))
+            a[0, 0, 0] = float(n == 1)  # the diagonal is no pivot
+            a[1] = np.eye(n)[::-1]
+            parts = [part[2] if k == shared else part for k, part in enumerate((a, b))]
+            axes = [None if k == shared else 0 for k in range(2)]
+            many = np.asarray(jax.jit(jax.vmap(small_matrices.solve, in_axes=axes))(*parts))
+            for k, found in enumerate(many):
+                one = [part if j == shared else part[k] for j, part in enumerate(parts)]
+                wanted = np.linalg.solve(*one)
+                assert found == pytest.approx(wanted, rel=1e-9, abs=1e-9 * np.abs(wanted).max())
 
 
 def test_a_singular_one_does_not_spoil_the_others():

@@ -45,9 +45,8 @@ def test_the_printed_name_shows_what_matters():
     assert read(Pendulum, " pendulum[ th0 = 2 , g=1]") == Pendulum(th0=2.0, g=1.0)
 
 
-@pytest.mark.parametrize(
-    ("cls", "text", "words"),
-    [
+def test_a_wrong_option_is_named_with_what_is_allowed():
+    for cls, text, words in [
         (GeneralizedAlpha, "generalized_alpha[rho=1]", "rho_inf"),
         (GeneralizedAlpha, "generalized_alpha[rho_inf=1.5]", r"\[0.0, 1.0\]"),
         (GeneralizedAlpha, "generalized_alpha[rho_inf=nan]", "not a finite number"),
@@ -59,50 +58,45 @@ def test_the_printed_name_shows_what_matters():
         (HHT, "hht[alpha=0.4]", "outside"),
         (Pendulum, "pendulum[th0=nan]", "not a finite number"),
         (Pendulum, "pendulum]th0", "not of the form"),
-    ],
-)
-def test_a_wrong_option_is_named_with_what_is_allowed(cls, text, words):
-    with pytest.raises(SpecError, match=words):
-        read(cls, text)
+    ]:
+        with pytest.raises(SpecError, match=words):
+            read(cls, text)
 
 
-@pytest.mark.parametrize(
-    ("name", "wanted"), [("SpringMass", "spring_mass"), ("IDA", "ida"), ("KenCarp4", "ken_carp4")]
-)
-def test_class_names_become_plugin_names(name, wanted):
-    assert spec.snake_case(name) == wanted
+def test_class_names_become_plugin_names():
+    for name, wanted in [("SpringMass", "spring_mass"), ("IDA", "ida"), ("KenCarp4", "ken_carp4")]:
+        assert spec.snake_case(name) == wanted
 
 
-@pytest.mark.parametrize(
-    ("error", "words"),
-    [
+def test_a_class_that_refuses_its_values_is_one_sentence():
+    for error, words in [
         (ZeroDivisionError("so it\ngoes."), "moody cannot be made: ZeroDivisionError: so it goes."),
         (KeyError(), "moody cannot be made: KeyError: no message."),
         (SystemExit("enough"), "moody cannot be made: SystemExit: enough."),
         (SpecError("These two do not go together."), "These two do not go together."),
-    ],
-)
-def test_a_class_that_refuses_its_values_is_one_sentence(error, words):
-    @dataclass(frozen=True)
-    class Moody(HHT):
-        def __post_init__(self):
-            raise error
+    ]:
 
-    with pytest.raises(SpecError) as caught:
-        build(Moody, {}, "moody")
-    assert str(caught.value) == words
+        @dataclass(frozen=True)
+        class Moody(HHT):
+            def __post_init__(self):
+                raise error
+
+        with pytest.raises(SpecError) as caught:
+            build(Moody, {}, "moody")
+        assert str(caught.value) == words
 
 
-@pytest.mark.parametrize("kind", [np.float64, np.float32])
-def test_a_numpy_default_is_a_traced_parameter_like_any_float(kind):
-    @dataclass(frozen=True)
-    class Heavy(Pendulum):
-        load: float = parameter(kind(2.0), "kg", "load")
+def test_a_numpy_default_is_a_traced_parameter_like_any_float():
+    for kind in [np.float64, np.float32]:
 
-    assert type(Heavy().load) is float
-    assert Heavy().parameters()["load"] == 2.0
-    with pytest.raises(SpecError, match="not a finite number"):
-        build(Heavy, {"load": "nan"}, "heavy")
+        @dataclass(frozen=True)
+        class Heavy(Pendulum):
+            load: float = parameter(kind(2.0), "kg", "load")
+
+        assert type(Heavy().load) is float
+        assert Heavy().parameters()["load"] == 2.0
+        with pytest.raises(SpecError, match="not a finite number"):
+            build(Heavy, {"load": "nan"}, "heavy")
 
 
 def test_a_numpy_integer_default_is_a_structural_parameter():
@@ -140,9 +134,8 @@ def test_the_weights_follow_from_free_alphas_and_the_name_hides_what_decides_not
     assert shown.startswith("generalized_alpha[rho_inf=0.8,")  # it still decides alpha_f
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
+def test_contradicting_parameters_are_refused_in_one_sentence():
+    for options, words in [
         ("gamma=updated,theta=0.6", "theta=0.6 fixes a weight that gamma=updated changes"),
         ("gamma=guarded,theta=0.6", "leave one of them out"),
         ("rho_inf_x=0.5,delta_m=0.3,delta_f=0.4", "rho_inf_x=0.5 decides nothing"),
@@ -150,12 +143,10 @@ def test_the_weights_follow_from_free_alphas_and_the_name_hides_what_decides_not
         ("alpha_m=1", r"\[-3.0, 0.95\]"),
         ("gamma=4", r"\[0.0, 3.0\]"),
         ("gamma=nan", "known: fixed, guarded, updated"),
-    ],
-)
-def test_contradicting_parameters_are_refused_in_one_sentence(options, words):
-    with pytest.raises(SpecError, match=words) as caught:
-        read(GeneralizedAlpha, f"generalized_alpha[{options}]")
-    assert str(caught.value).count(". ") == 0
+    ]:
+        with pytest.raises(SpecError, match=words) as caught:
+            read(GeneralizedAlpha, f"generalized_alpha[{options}]")
+        assert str(caught.value).count(". ") == 0
 
 
 def test_claims_follow_the_free_parameters():

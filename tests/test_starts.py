@@ -117,18 +117,15 @@ def test_velocities_that_are_not_given_follow_from_the_constraints():
     assert turned[1] > 0.3
 
 
-@pytest.mark.parametrize(
-    ("spec", "words"),
-    [
+def test_a_start_that_does_not_exist_is_refused_in_a_sentence():
+    for spec, words in [
         ("pendulum[start.Z=1]", "no coordinate to start from 'Z'; known: X, X.v, Y, Y.v"),
         ("pendulum[start.X=5]", "no start near its own with X=5"),
         ("pendulum[start.X=nan]", "start.X=nan is not a finite number"),
         ("pendulum[start.X=one]", "start.X=one is not a float"),
-    ],
-)
-def test_a_start_that_does_not_exist_is_refused_in_a_sentence(spec, words):
-    with pytest.raises(SpecError, match=words):
-        REGISTRY.problem(spec)
+    ]:
+        with pytest.raises(SpecError, match=words):
+            REGISTRY.problem(spec)
 
 
 @dataclass(frozen=True)
@@ -156,9 +153,8 @@ class Poised(MechatronicSystem):
         return State(np.array([self.q0]), np.array([self.v0]), np.zeros(1))
 
 
-@pytest.mark.parametrize(
-    ("moves", "values"),
-    [
+def test_a_scene_rests_where_roundings_alone_move_it():
+    for moves, values in [
         (False, {}),
         (False, {"q0": 1e-12}),
         (False, {"held": 0.7, "q0": np.nextafter(0.7, 1)}),
@@ -167,12 +163,10 @@ class Poised(MechatronicSystem):
         (True, {"held": 0.7}),
         (True, {"push": 1e-6}),
         (True, {"drift": 1e-9}),
-    ],
-)
-def test_a_scene_rests_where_roundings_alone_move_it(moves, values):
-    missing = Reference(Poised(**values), 1.0).missing
-    assert ("rests at its start" in missing) is not moves
-    assert bool(missing) is not moves
+    ]:
+        missing = Reference(Poised(**values), 1.0).missing
+        assert ("rests at its start" in missing) is not moves
+        assert bool(missing) is not moves
 
 
 def test_a_scene_at_rest_is_checked_and_drawn_though_it_judges_no_run():

@@ -19,37 +19,36 @@ REGISTRY = Registry()
 
 
 # ---- constant steps and patterns -----------------------------------------------------------
-@pytest.mark.parametrize(
-    ("rho_inf", "rho_inf_x", "gamma", "theta"),
-    [
+def test_a_cut_restarts_only_the_weight_whose_limit_it_passes():
+    """Bruels & Arnold (2008), eqs (28)-(30), worked out by hand for h = 4/5 and h = 1/5."""
+    for rho_inf, rho_inf_x, gamma, theta in [
         # Smallest safe ratios of steps are alpha_m/(1 - alpha_m) and delta_m/(1 - delta_m):
         # 1/2 and 1/13 here, so that the cut to 1/4 restarts the motion alone,
         (0.8, 0.4, 3 / 5, 247 / 308),
         # and here below zero and 7/11, so that it restarts the controller alone.
         (0.4, 0.8, 124 / 119, 11 / 20),
-    ],
-)
-def test_a_cut_restarts_only_the_weight_whose_limit_it_passes(rho_inf, rho_inf_x, gamma, theta):
-    """Bruels & Arnold (2008), eqs (28)-(30), worked out by hand for h = 4/5 and h = 1/5."""
-    method = REGISTRY.integrator(
-        f"generalized_alpha[rho_inf={rho_inf},rho_inf_x={rho_inf_x},gamma=guarded]"
-    )
-    run = method.prepare(REGISTRY.problem("spring_mass"), 0.1, Steps(0.1, (0.8, 0.2))).measure()
-    assert run.status == "ok", run.message
-    assert run.notes["gamma"][2] == pytest.approx(gamma, rel=1e-12)
-    assert run.notes["theta"][2] == pytest.approx(theta, rel=1e-12)
+    ]:
+        method = REGISTRY.integrator(
+            f"generalized_alpha[rho_inf={rho_inf},rho_inf_x={rho_inf_x},gamma=guarded]"
+        )
+        run = method.prepare(REGISTRY.problem("spring_mass"), 0.1, Steps(0.1, (0.8, 0.2))).measure()
+        assert run.status == "ok", run.message
+        assert run.notes["gamma"][2] == pytest.approx(gamma, rel=1e-12)
+        assert run.notes["theta"][2] == pytest.approx(theta, rel=1e-12)
 
 
-@pytest.mark.parametrize("pattern", [(0.1,) * 10, (0.7, 0.1, 0.1, 0.1)])
-def test_patterns_end_at_exact_times_whatever_the_rounding_of_their_fractions(pattern):
-    assert np.cumsum(pattern)[-1] != 1.0
-    scene, macros, n = REGISTRY.problem("spring_mass"), 8, len(pattern)
-    run = REGISTRY.integrator("generalized_alpha").prepare(scene, 1.0, Steps(1 / macros, pattern))
-    found = run.measure()
-    assert found.status == "ok", found.message
-    assert found.t[-1] == 1.0
-    assert set(np.arange(1, macros + 1) / macros) <= set(found.t.tolist())
-    assert found.work.steps == macros * n
+def test_patterns_end_at_exact_times_whatever_the_rounding_of_their_fractions():
+    for pattern in [(0.1,) * 10, (0.7, 0.1, 0.1, 0.1)]:
+        assert np.cumsum(pattern)[-1] != 1.0
+        scene, macros, n = REGISTRY.problem("spring_mass"), 8, len(pattern)
+        run = REGISTRY.integrator("generalized_alpha").prepare(
+            scene, 1.0, Steps(1 / macros, pattern)
+        )
+        found = run.measure()
+        assert found.status == "ok", found.message
+        assert found.t[-1] == 1.0
+        assert set(np.arange(1, macros + 1) / macros) <= set(found.t.tolist())
+        assert found.work.steps == macros * n
 
 
 @dataclass(frozen=True)
@@ -136,9 +135,8 @@ def steps_of(scene, tolerances, **options):
     return run.notes["h"][1:], run.t[1:]
 
 
-@pytest.mark.parametrize(
-    ("values", "h"),
-    [
+def test_the_first_step_is_worked_out_from_the_next_terms_of_the_taylor_series():
+    for values, h in [
         # All by hand for rtol = atol = 1e-4: a group may err by 1e-4 (1 + its norm) sqrt(rtol).
         ({"j": 12.0, "v0": 1e4}, 0.01),  # q: jerk h^3/12 = 1e-6
         ({"j": 4.0, "q0": 1e4, "v0": 99.0}, 0.005),  # v: jerk h^2 = 1e-4
@@ -146,25 +144,24 @@ def steps_of(scene, tolerances, **options):
         ({"j": 1.0, "q0": 1e4, "a0": 990.0}, 0.01),
         ({"s": 0.25, "x0": 99.0}, 0.02),  # x: x'' h^2 = 1e-4
         ({"q0": 1.0}, 0.1),  # nothing moves: a hundredth of the interval
-    ],
-)
-def test_the_first_step_is_worked_out_from_the_next_terms_of_the_taylor_series(values, h):
-    sizes, _ = steps_of(Forced(**values), Tolerances(1e-4, 1e-4))
-    assert sizes[0] == pytest.approx(h, rel=1e-4)
+    ]:
+        sizes, _ = steps_of(Forced(**values), Tolerances(1e-4, 1e-4))
+        assert sizes[0] == pytest.approx(h, rel=1e-4)
 
 
-@pytest.mark.parametrize("system", [Forced, *long(Guided)])
-def test_steps_settle_where_the_controller_holds_the_error_of_a_or_lam(system):
+@pytest.mark.parametrize("cases", [(Forced,), *long([Guided])])
+def test_steps_settle_where_the_controller_holds_the_error_of_a_or_lam(cases):
     """With a'' (or lam'') = k a straight line over a step is off by h^2 k/8.
 
     The controller h+ = 0.9 h err^(-0.7/3) err_before^(0.4/3) rests at err = 0.9^10, and an error
     of order h^p counts as err^((p + 1)/p), p = 2, beside those of order h^(p + 1).
     """
-    k, rtol, atol = 1.0, 1e-6, 1e-2
-    scene = system(q0=1e8, v0=1e8, k=k)  # errors of q and v do not count beside so large values
-    sizes, t = steps_of(scene, Tolerances(rtol, atol), error_test="all")
-    allowed = atol + rtol * k * t**2 / 2
-    expected = np.sqrt(8 * 0.9 ** (10 * 2 / 3) * allowed / k)
-    settled = (t > 5.0) & (t < 9.0)
-    assert settled.sum() > 10
-    assert sizes[settled] == pytest.approx(expected[settled], rel=5e-3)
+    for system in cases:
+        k, rtol, atol = 1.0, 1e-6, 1e-2
+        scene = system(q0=1e8, v0=1e8, k=k)  # errors of q and v do not count beside so large values
+        sizes, t = steps_of(scene, Tolerances(rtol, atol), error_test="all")
+        allowed = atol + rtol * k * t**2 / 2
+        expected = np.sqrt(8 * 0.9 ** (10 * 2 / 3) * allowed / k)
+        settled = (t > 5.0) & (t < 9.0)
+        assert settled.sum() > 10
+        assert sizes[settled] == pytest.approx(expected[settled], rel=5e-3)

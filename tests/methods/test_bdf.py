@@ -161,13 +161,14 @@ def test_higher_orders_save_steps():
     assert steps[0] > 4 * steps[1] > 16 * steps[2]
 
 
-@pytest.mark.parametrize("formulation", ["stabilised_index2", *long("index3", "index2", "index1")])
-def test_the_constraints_of_the_formulation_hold(formulation):
-    run = BDFAdaptive(formulation=formulation).prepare(*SWING, Tolerances(1e-6)).measure()
-    positions = abs(0.5 * ((run.q**2).sum(axis=1) - 1)).max()
-    velocities = abs((run.q * run.v).sum(axis=1)).max()
-    assert (positions < 1e-13) == (formulation in ("index3", "stabilised_index2"))
-    assert (velocities < 1e-12) == (formulation in ("index2", "stabilised_index2"))
+@pytest.mark.parametrize("cases", [("stabilised_index2",), *long(["index3", "index2", "index1"])])
+def test_the_constraints_of_the_formulation_hold(cases):
+    for formulation in cases:
+        run = BDFAdaptive(formulation=formulation).prepare(*SWING, Tolerances(1e-6)).measure()
+        positions = abs(0.5 * ((run.q**2).sum(axis=1) - 1)).max()
+        velocities = abs((run.q * run.v).sum(axis=1)).max()
+        assert (positions < 1e-13) == (formulation in ("index3", "stabilised_index2"))
+        assert (velocities < 1e-12) == (formulation in ("index2", "stabilised_index2"))
 
 
 @pytest.mark.long

@@ -83,48 +83,40 @@ class Feedback(Coupled):
         return z.y - z.x
 
 
-@pytest.mark.parametrize(
-    ("scene", "follows"), [(Blocks(), True), (Leaking(), False), (Feedback(), True)]
-)
-def test_states_follow_accelerations_by_themselves_or_through_outputs(scene, follows):
-    assert states_follow_accelerations(scene) == follows
+def test_states_follow_accelerations_by_themselves_or_through_outputs():
+    for scene, follows in [(Blocks(), True), (Leaking(), False), (Feedback(), True)]:
+        assert states_follow_accelerations(scene) == follows
 
 
-@pytest.mark.parametrize(
-    ("scene", "velocities", "damping", "mass", "seen"),
-    [
+def test_a_dependence_is_found_in_the_program_not_in_values():
+    for scene, velocities, damping, mass, seen in [
         (Blocks(), True, False, False, "qx"),
         (Coupled(), True, True, True, "ay"),
         (Undamped(), False, False, False, "qx"),
         (DriftingDamper(), True, True, False, "qx"),
-    ],
-)
-def test_a_dependence_is_found_in_the_program_not_in_values(scene, velocities, damping, mass, seen):
-    assert force_takes_velocities(scene) == velocities
-    assert damping_varies(scene) == damping
-    assert mass_varies(scene) == mass
-    groups = ("q", "v", "a", "lam", "x", "y", "t")
-    assert [group for group in groups if output_takes(scene, group)] == list(seen)
-    assert output_takes(scene, "lam", seen[0])
+    ]:
+        assert force_takes_velocities(scene) == velocities
+        assert damping_varies(scene) == damping
+        assert mass_varies(scene) == mass
+        groups = ("q", "v", "a", "lam", "x", "y", "t")
+        assert [group for group in groups if output_takes(scene, group)] == list(seen)
+        assert output_takes(scene, "lam", seen[0])
 
 
 REGISTRY = Registry()
 
 
-@pytest.mark.parametrize(
-    ("spec", "said"),
-    [
+def test_an_option_without_effect_is_refused_with_what_it_needs():
+    for spec, said in [
         ("rodas5p[alpha=5]", "alpha=5.0 decides nothing without constraints=baumgarte"),
         ("dopri8[constraints=projected,beta=5]", "beta=5.0 decides nothing without constraints="),
         ("hht_i3[steps=constant,control=chrono]", "control=chrono decides nothing without steps="),
         ("phem56[steps=constant,max_steps=5]", "max_steps=5 decides nothing without steps="),
         ("radau_iia[steps=constant,error_test=all]", "error_test=all decides nothing without"),
         ("rattle[multiplier=one_sided,values=equations]", "one_sided decides nothing without val"),
-    ],
-)
-def test_an_option_without_effect_is_refused_with_what_it_needs(spec, said):
-    with pytest.raises(SpecError, match=said):
-        REGISTRY.integrator(spec)
+    ]:
+        with pytest.raises(SpecError, match=said):
+            REGISTRY.integrator(spec)
 
 
 def test_defaults_may_be_given_and_options_with_an_effect_keep_their_names():

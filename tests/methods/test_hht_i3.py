@@ -21,13 +21,14 @@ from problems.scenes.slider_crank import SliderCrankMinimal
 from problems.spec import SpecError
 
 
-@pytest.mark.parametrize(("mixed", "order"), [("accelerations", 2), *long(("forces", 1))])
-def test_forces_of_both_ends_cost_an_order_where_the_mass_varies(mixed, order):
-    method, crank = HHTI3(steps="constant", mixed=mixed), (SliderCrankMinimal(), 1.0)
-    # Errors of the second-order form still fall faster at these steps.
-    assert order - 0.1 < orders(method, 400, crank)["q"].order_at_end < order + 0.6
-    assert method.claims(SliderCrankMinimal())["q"] == method.claims(HeavyTop())["q"] == order
-    assert method.claims(Pendulum())["q"] == 2
+@pytest.mark.parametrize("cases", [(("accelerations", 2),), *long([("forces", 1)])])
+def test_forces_of_both_ends_cost_an_order_where_the_mass_varies(cases):
+    for mixed, order in cases:
+        method, crank = HHTI3(steps="constant", mixed=mixed), (SliderCrankMinimal(), 1.0)
+        # Errors of the second-order form still fall faster at these steps.
+        assert order - 0.1 < orders(method, 400, crank)["q"].order_at_end < order + 0.6
+        assert method.claims(SliderCrankMinimal())["q"] == method.claims(HeavyTop())["q"] == order
+        assert method.claims(Pendulum())["q"] == 2
 
 
 @pytest.mark.long

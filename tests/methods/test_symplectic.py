@@ -82,24 +82,27 @@ def change_of_form(method: Integrator, scene: MechatronicSystem, h: float) -> fl
 
 
 @pytest.mark.parametrize(
-    ("method", "scene"),
+    "cases",
     [
-        (RATTLE(), Pendulum()),
+        ((RATTLE(), Pendulum()),),
         *long(
-            (StormerVerlet(), SOFT_BAR),
-            (RATTLE(), TWO_RODS[0]),
-            (VariationalMidpoint(), TurningMass()),
-            (RATTLE(), SOFT_BAR),
-            (SHAKE(), SOFT_BAR),
-            (VariationalMidpoint(), SOFT_BAR),
-            (VariationalMidpoint(), TWO_RODS[0]),
-            (LobattoPair(), SOFT_BAR),
-            (LobattoPair(), TWO_RODS[0]),
+            [
+                (StormerVerlet(), SOFT_BAR),
+                (RATTLE(), TWO_RODS[0]),
+                (VariationalMidpoint(), TurningMass()),
+                (RATTLE(), SOFT_BAR),
+                (SHAKE(), SOFT_BAR),
+                (VariationalMidpoint(), SOFT_BAR),
+                (VariationalMidpoint(), TWO_RODS[0]),
+                (LobattoPair(), SOFT_BAR),
+                (LobattoPair(), TWO_RODS[0]),
+            ]
         ),
     ],
 )
-def test_a_step_keeps_the_symplectic_form(method, scene):
-    assert change_of_form(method, scene, 0.05) < 1e-13
+def test_a_step_keeps_the_symplectic_form(cases):
+    for method, scene in cases:
+        assert change_of_form(method, scene, 0.05) < 1e-13
 
 
 @pytest.mark.long
