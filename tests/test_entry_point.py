@@ -108,26 +108,20 @@ def offered(*words: str) -> dict[str, str | None]:
     }
 
 
-@pytest.mark.parametrize(
-    "line",
-    [("solve",), ("order",), ("map",), ("show",), ("run", "-p"), ("list",)],
-)
-def test_scenes_are_offered(line):
-    assert set(offered(*line, "slider")) == {
-        name for name in Registry(packages=()).problems if name.startswith("slider")
-    }
+def test_scenes_are_offered():
+    for line in [("solve",), ("order",), ("map",), ("show",), ("run", "-p"), ("list",)]:
+        assert set(offered(*line, "slider")) == {
+            name for name in Registry(packages=()).problems if name.startswith("slider")
+        }
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
+def test_integrators_are_offered():
+    for line in [
         *(("solve", "pendulum"), ("order", "pendulum"), ("map", "pendulum"), ("stability",)),
         *(("run", "-i"), ("run", "--mine"), ("atlas", "-i"), ("report", "x", "-i")),
         *(("check",), ("list", "pendulum")),
-    ],
-)
-def test_integrators_are_offered(line):
-    assert set(offered(*line, "hht")) == {"hht", "hht_classical", "hht_i3"}
+    ]:
+        assert set(offered(*line, "hht")) == {"hht", "hht_classical", "hht_i3"}
 
 
 def test_options_are_offered_in_brackets():
@@ -150,10 +144,10 @@ def test_suites_experiments_and_parameters_are_offered():
     assert "--mine" in offered("run", "--m")
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_each_shell_can_be_told_to_complete(stepbench, shell):
-    text = stepbench("--help").stdout
-    assert f"_STEPBENCH_COMPLETE={shell}_source stepbench" in text
+def test_each_shell_can_be_told_to_complete(stepbench):
+    for shell in ["bash", "zsh", "fish"]:
+        text = stepbench("--help").stdout
+        assert f"_STEPBENCH_COMPLETE={shell}_source stepbench" in text
 
 
 def test_a_completion_loads_no_heavy_library():

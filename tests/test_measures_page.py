@@ -122,27 +122,21 @@ def test_csv_has_the_columns_in_order_of_appearance():
     assert csv_text([{"a": 1, "b": 2}], ["b", "a"]) == "b,a\n2,1\n"
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
+def test_an_error_is_read_as_group_and_norm():
+    for text, expected in [
         ("a:rms", ("a", "rms")),
         (" a : end ", ("a", "end")),
         ("a", ("a", "max")),
         ("|q|", ("|q|", "max")),
-    ],
-)
-def test_an_error_is_read_as_group_and_norm(text, expected):
-    assert group_and_norm(text, ["q", "a"]) == expected
+    ]:
+        assert group_and_norm(text, ["q", "a"]) == expected
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
+def test_an_error_that_is_not_known_is_named():
+    for text, words in [
         ("x:max", "no error of 'x'; known: a, q"),
         ("|a:max", "no error of"),
         ("a:mx", "no norm 'mx'; did you mean 'max'"),
-    ],
-)
-def test_an_error_that_is_not_known_is_named(text, words):
-    with pytest.raises(SpecError, match=words):
-        group_and_norm(text, ["q", "a"])
+    ]:
+        with pytest.raises(SpecError, match=words):
+            group_and_norm(text, ["q", "a"])

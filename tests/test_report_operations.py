@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import altair
-import pytest
 from planted import planted
 
 from bench.results.flat_rows import flatten
@@ -97,11 +96,11 @@ def test_of_many_runs_the_finest_of_each_integrator_is_drawn():
     assert "h=0.01:" not in chart["datasets"]["bills"]
 
 
-@pytest.mark.parametrize("table", [runs_table, summary_table])
-def test_tables_have_the_sum(table):
-    made = table(series_of([run("one", 0.01, 2.0)]))
-    row = dict(zip(made.head, made.rows[0], strict=True))
-    assert row["operations"] == "100000"
+def test_tables_have_the_sum():
+    for table in [runs_table, summary_table]:
+        made = table(series_of([run("one", 0.01, 2.0)]))
+        row = dict(zip(made.head, made.rows[0], strict=True))
+        assert row["operations"] == "100000"
 
 
 def test_flat_rows_have_the_sum_and_every_part():

@@ -47,40 +47,37 @@ def test_only_the_plugins_that_are_asked_for_are_imported():
     assert (done.stdout.strip(), done.stderr) == ("problems.scenes.pendulum", "")
 
 
-@pytest.mark.parametrize(("own", "after"), [("", "1"), ("77", "77")])
-def test_only_a_process_that_takes_times_has_one_thread(own, after):
-    # With one, runs that are called from several threads would wait for each other.
-    code = (
-        "import os; from problems import runtime; print(os.environ['NPROC']); "
-        "runtime.use_threads(1); print(os.environ['NPROC'])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=without_threads() | ({"NPROC": own} if own else {}),
-        capture_output=True,
-        text=True,
-    )
-    assert done.stdout.split() == [own or str(cores() + SPARE_THREADS), after]
+def test_only_a_process_that_takes_times_has_one_thread():
+    for own, after in [("", "1"), ("77", "77")]:
+        # With one, runs that are called from several threads would wait for each other.
+        code = (
+            "import os; from problems import runtime; print(os.environ['NPROC']); "
+            "runtime.use_threads(1); print(os.environ['NPROC'])"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            env=without_threads() | ({"NPROC": own} if own else {}),
+            capture_output=True,
+            text=True,
+        )
+        assert done.stdout.split() == [own or str(cores() + SPARE_THREADS), after]
 
 
-@pytest.mark.parametrize(
-    ("before", "own", "callers"),
-    [
+def test_no_more_threads_call_programs_than_xla_has_to_spare():
+    for before, own, callers in [
         ("", "", cores()),
         ("import jax", "", max(1, cores() - SPARE_THREADS)),
         ("", "3", 3 - SPARE_THREADS),
         ("", "1", 1),
-    ],
-)
-def test_no_more_threads_call_programs_than_xla_has_to_spare(before, own, callers):
-    code = f"{before}\nfrom problems import runtime; print(runtime.most_callers())"
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=without_threads() | ({"NPROC": own} if own else {}),
-        capture_output=True,
-        text=True,
-    )
-    assert done.stdout.split() == [str(callers)]
+    ]:
+        code = f"{before}\nfrom problems import runtime; print(runtime.most_callers())"
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            env=without_threads() | ({"NPROC": own} if own else {}),
+            capture_output=True,
+            text=True,
+        )
+        assert done.stdout.split() == [str(callers)]
 
 
 @pytest.mark.long

@@ -33,9 +33,8 @@ def runs(name, *errors, scene="s", **changes):
     ]
 
 
-@pytest.mark.parametrize(
-    ("changes", "wrong"),
-    [
+def test_a_run_is_wrong_that_ends_well_with_a_large_error():
+    for changes, wrong in [
         ({}, True),
         ({"errors": {"a": {"max": WRONG}}}, False),
         ({"errors": {"a": {"max": None}}}, False),
@@ -44,12 +43,10 @@ def runs(name, *errors, scene="s", **changes):
         ({"reference_error": {"a": {"max": 0.3 / TRUST}}}, False),  # cannot be judged
         ({"reference_error": {"a": {"max": 0.1 / TRUST}}}, True),
         ({"message": "It may be wrong."}, True),
-    ],
-)
-def test_a_run_is_wrong_that_ends_well_with_a_large_error(changes, wrong):
-    run = planted("s", "m", {}, h=0.1, **{"errors": {"a": {"max": 0.2}}, **changes})
-    assert run.wrong("a") == wrong
-    assert any("Errors above" in note for note in run.notes) == (wrong or run.wrong("q"))
+    ]:
+        run = planted("s", "m", {}, h=0.1, **{"errors": {"a": {"max": 0.2}}, **changes})
+        assert run.wrong("a") == wrong
+        assert any("Errors above" in note for note in run.notes) == (wrong or run.wrong("q"))
 
 
 def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
@@ -83,9 +80,8 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
     ]
 
 
-@pytest.mark.parametrize(
-    ("group", "error", "changes", "scene", "why"),
-    [
+def test_the_cause_follows_from_the_symptoms():
+    for group, error, changes, scene, why in [
         ("a", 9.0, {}, FAST, STIFF),
         ("a", 9.0, {"work": {"steps": 32}}, FAST, ""),
         ("a", 9.0, {"work": {"steps": 31}}, FAST, STIFF),
@@ -95,16 +91,14 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
         ("a", 9.0, {"formulation": "index3"}, None, UNDAMPED),
         ("a", 9.0, {"formulation": "index3", "controls": "tolerance", "rtol": 1e-3}, None, ""),
         ("a", 9.0, {"pattern": (0.3, 0.7)}, None, "variable_steps"),
-    ],
-)
-def test_the_cause_follows_from_the_symptoms(group, error, changes, scene, why):
-    made = [planted("s", "m", {}, h=h, **{"work": {"steps": 10}, **changes}) for h in STEPS]
-    for run in made:
-        run.errors = {**{g: {"max": error} for g in group.split(",")}, "q": {"max": run.h**2}}
-    (s,) = series_of(made)
-    assert wrong_runs(s, group, s.finest, scene) == why
-    s.finest.errors["q"]["max"] = 0.2  # the motion itself is wrong
-    assert wrong_runs(s, group, s.finest, scene) == ""
+    ]:
+        made = [planted("s", "m", {}, h=h, **{"work": {"steps": 10}, **changes}) for h in STEPS]
+        for run in made:
+            run.errors = {**{g: {"max": error} for g in group.split(",")}, "q": {"max": run.h**2}}
+        (s,) = series_of(made)
+        assert wrong_runs(s, group, s.finest, scene) == why
+        s.finest.errors["q"]["max"] = 0.2  # the motion itself is wrong
+        assert wrong_runs(s, group, s.finest, scene) == ""
 
 
 def test_on_one_scene_its_name_is_left_out():
