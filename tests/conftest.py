@@ -143,6 +143,44 @@ def refused(stepbench):
     return call
 
 
+@pytest.fixture(scope="session")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run folder of one of everything with its pages, to be read alone."""
+    from planted import everything, plant
+
+    from reports.pages.html_report import write_html_report
+
+    folder = plant(tmp_path_factory.mktemp("site"), everything())
+    write_html_report(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def _chromium(tmp_path_factory: pytest.TempPathFactory):
+    from chromium import CHROMIUM, DRIVER, chromium
+
+    if not (CHROMIUM and DRIVER):
+        pytest.skip("Chromium and its driver are not installed")
+    # Block all requests except those for files and for data in the page.
+    flags = "disable-background-networking", "host-resolver-rules=MAP * ~NOTFOUND"
+    kept = {"download.default_directory": str(tmp_path_factory.mktemp("downloads"))}
+    with chromium(*flags, logs=("browser", "performance"), **kept) as driver:
+        driver.downloads = Path(kept["download.default_directory"])
+        yield driver
+
+
+@pytest.fixture
+def browser(_chromium):
+    """A new tab of the one browser of all tests, which knows no question and has no complaint."""
+    first = _chromium.current_window_handle
+    _chromium.switch_to.new_window("tab")
+    for log in ("browser", "performance"):
+        _chromium.get_log(log)
+    yield _chromium
+    _chromium.close()
+    _chromium.switch_to.window(first)
+
+
 @pytest.fixture
 def without_processes(monkeypatch):
     """Do jobs of commands in this process, and take no times; where no process is the point."""

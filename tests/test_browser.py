@@ -6,37 +6,18 @@ import csv
 import shutil
 
 import pytest
-from chromium import chromium, in_chromium, waited
-from planted import everything, plant
+from chromium import waited
 
 from bench.results.store import Store
 from reports.formatting import cost_text, number, times
 from reports.pages.html_report import write_html_report
 
-pytestmark = in_chromium
 EXPLORER = "scene-2-1-work_precision"
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    path = plant(tmp_path_factory.mktemp("planted"), everything())
-    write_html_report(path)
-    return path
-
-
-@pytest.fixture(scope="module")
-def downloads(tmp_path_factory):
-    return tmp_path_factory.mktemp("downloads")
-
-
-@pytest.fixture(scope="module")
-def browser(folder, downloads):
-    # Block all requests except those for files and for data in the page.
-    flags = "disable-background-networking", "host-resolver-rules=MAP * ~NOTFOUND"
-    kept = {"download.default_directory": str(downloads)}
-    with chromium(*flags, logs=("browser", "performance"), **kept) as driver:
-        driver.get(scene_page(folder))
-        yield driver
+@pytest.fixture(autouse=True)
+def _on_a_scene(browser, site):
+    browser.get(scene_page(site))
 
 
 def scene_page(folder):
@@ -129,8 +110,8 @@ const [name, done] = arguments;
 """
 
 
-def wanted(folder, group, norm, cost):
-    with Store(folder) as store:
+def wanted(site, group, norm, cost):
+    with Store(site) as store:
         records = [r for r in store.records().values() if r.problem == "pendulum"]
     return sorted(
         [r.integrator, float(r.work[cost]), float(f"{r.errors[group][norm]:.5g}")]
@@ -139,20 +120,20 @@ def wanted(folder, group, norm, cost):
     )
 
 
-def test_the_menus_show_the_errors_and_costs_of_the_store(browser, folder):
+def test_the_menus_show_the_errors_and_costs_of_the_store(browser, site):
     choose(browser, EXPLORER, "group", "multiplier λ")
     choose(browser, EXPLORER, "norm", "largest over time")
     choose(browser, EXPLORER, "cost", "residual evaluations")
-    expected = wanted(folder, "lam", "max", "residuals")
+    expected = wanted(site, "lam", "max", "residuals")
     waited(lambda: sorted(shown(browser, EXPLORER)) == expected)
     choose(browser, EXPLORER, "cost", "steps")
     choose(browser, EXPLORER, "group", "position q")
-    expected = wanted(folder, "q", "max", "steps")
+    expected = wanted(site, "q", "max", "steps")
     waited(lambda: sorted(shown(browser, EXPLORER)) == expected)
     assert "relative error in position q" in chart(browser, EXPLORER).text
 
 
-def test_a_point_tells_its_numbers(browser, folder):
+def test_a_point_tells_its_numbers(browser, site):
     from selenium.webdriver.common.action_chains import ActionChains
     from selenium.webdriver.common.by import By
 
@@ -160,7 +141,7 @@ def test_a_point_tells_its_numbers(browser, folder):
     points = place.find_elements(By.CSS_SELECTOR, "g.mark-symbol.role-mark path")
     ActionChains(browser).move_to_element(points[0]).perform()
     text = waited(lambda: browser.find_element(By.ID, "vg-tooltip-element").text)
-    with Store(folder) as store:
+    with Store(site) as store:
         records = [r for r in store.records().values() if r.problem == "pendulum"]
     assert any(r.integrator in text and r.resolution in text for r in records)
 
@@ -183,7 +164,7 @@ def test_a_click_on_the_legend_isolates_a_method(browser):
     assert min(opacities()) < 0.1
 
 
-def test_the_data_of_a_chart_can_be_taken_along(browser, folder, downloads):
+def test_the_data_of_a_chart_can_be_taken_along(browser, site):
     from selenium.webdriver.common.by import By
 
     place = chart(browser, EXPLORER)
@@ -193,10 +174,10 @@ def test_the_data_of_a_chart_can_be_taken_along(browser, folder, downloads):
         if a.text == "runs.csv"
     ]
     browser.execute_script("arguments[0].click()", link)
-    file = downloads / "runs.csv"
+    file = browser.downloads / "runs.csv"
     waited(file.exists)
     rows = list(csv.DictReader(file.open()))
-    with Store(folder) as store:
+    with Store(site) as store:
         records = [r for r in store.records().values() if r.problem == "pendulum"]
     good = [r for r in records if r.status == "ok"]
     assert len(rows) == len(good)
@@ -206,13 +187,13 @@ def test_the_data_of_a_chart_can_be_taken_along(browser, folder, downloads):
     }
 
 
-def pages(folder):
-    return [folder / "report.html", *sorted((folder / "report").glob("*.html"))]
+def pages(site):
+    return [site / "report.html", *sorted((site / "report").glob("*.html"))]
 
 
-def test_nothing_is_asked_of_the_network_and_nothing_is_complained_of(browser, folder):
+def test_nothing_is_asked_of_the_network_and_nothing_is_complained_of(browser, site):
     browser.get_log("browser")
-    for page in pages(folder):
+    for page in pages(site):
         browser.get(page.as_uri())
         names = browser.execute_script(
             "return [...document.querySelectorAll('[data-chart]')].map(n => n.dataset.chart)"
@@ -233,8 +214,7 @@ def test_nothing_is_asked_of_the_network_and_nothing_is_complained_of(browser, f
     assert asked == []
 
 
-def test_charts_far_below_wait_until_they_come_near(browser, folder):
-    browser.get(scene_page(folder))
+def test_charts_far_below_wait_until_they_come_near(browser, site):
     drawn = (
         "return [...document.querySelectorAll('[data-chart]')]"
         ".map(n => Boolean(document.getElementById(n.dataset.chart).dataset.drawn))"
@@ -245,8 +225,8 @@ def test_charts_far_below_wait_until_they_come_near(browser, folder):
     assert all(browser.execute_script(drawn))
 
 
-def test_a_script_that_is_not_the_page_s_own_does_not_run(browser, folder):
-    browser.get((folder / "report.html").as_uri())
+def test_a_script_that_is_not_the_page_s_own_does_not_run(browser, site):
+    browser.get((site / "report.html").as_uri())
     browser.get_log("browser")
     browser.execute_script(
         """
@@ -261,13 +241,13 @@ def test_a_script_that_is_not_the_page_s_own_does_not_run(browser, folder):
     assert "Content Security Policy" in said[0]["message"]
 
 
-def test_a_scene_answers_the_question_in_words_and_in_its_table(browser, folder):
+def test_a_scene_answers_the_question_in_words_and_in_its_table(browser, site):
     from selenium.webdriver.common.by import By
     from selenium.webdriver.common.keys import Keys
     from selenium.webdriver.support.ui import Select
 
-    browser.get(scene_page(folder) + "#group=q&target=1e-2&cost=residuals&scenes=all")
-    with Store(folder) as store:
+    browser.get(scene_page(site) + "#group=q&target=1e-2&cost=residuals&scenes=all")
+    with Store(site) as store:
         records = [r for r in store.records().values() if r.problem == "pendulum"]
     for group, target in (("q", "1e-2"), ("v", "1e-3")):
         Select(browser.find_element(By.NAME, "group")).select_by_value(group)
@@ -287,10 +267,10 @@ def test_a_scene_answers_the_question_in_words_and_in_its_table(browser, folder)
     assert browser.get_log("browser") == []
 
 
-def test_one_file_shows_every_page(browser, folder, tmp_path):
+def test_one_file_shows_every_page(browser, site, tmp_path):
     from selenium.webdriver.common.by import By
 
-    shutil.copytree(folder, tmp_path / "one", ignore=shutil.ignore_patterns("report*"))
+    shutil.copytree(site, tmp_path / "one", ignore=shutil.ignore_patterns("report*"))
     browser.get(write_html_report(tmp_path / "one", single_file=True).as_uri())
     browser.find_element(By.LINK_TEXT, "pendulum").click()
     assert browser.find_element(By.CSS_SELECTOR, "#scene-pendulum h1").is_displayed()
@@ -300,11 +280,10 @@ def test_one_file_shows_every_page(browser, folder, tmp_path):
     assert browser.get_log("browser") == []
 
 
-def test_tabs_follow_the_arrow_keys_and_links_open_them(browser, folder):
+def test_tabs_follow_the_arrow_keys_and_links_open_them(browser, site):
     from selenium.webdriver.common.by import By
     from selenium.webdriver.common.keys import Keys
 
-    browser.get(scene_page(folder))
     shown = "return [...document.querySelectorAll('.tab')].filter(t => !t.hidden).map(t => t.id)"
     assert browser.execute_script(shown) == ["scene-2-cost"]
     browser.find_element(By.ID, "scene-2-cost-tab").send_keys(Keys.ARROW_LEFT)
@@ -319,8 +298,7 @@ def test_tabs_follow_the_arrow_keys_and_links_open_them(browser, folder):
     assert browser.execute_script(shown) == ["scene-2-runs"]
 
 
-def test_tabs_stand_under_the_verdict_and_the_legend_beside_the_lines(browser, folder):
-    browser.get(scene_page(folder))
+def test_tabs_stand_under_the_verdict_and_the_legend_beside_the_lines(browser, site):
     verdict, bar = browser.execute_script(
         """
         const box = (name) => document.querySelector(name).getBoundingClientRect();
@@ -351,8 +329,7 @@ def test_tabs_stand_under_the_verdict_and_the_legend_beside_the_lines(browser, f
     assert lines <= legend
 
 
-def test_contents_are_filtered(browser, folder):
-    browser.get(scene_page(folder))
+def test_contents_are_filtered(browser, site):
     links = """
     const all = [...document.querySelectorAll("nav.side li")];
     return all.filter((node) => node.offsetParent).map((node) => node.textContent);
@@ -366,8 +343,7 @@ def test_contents_are_filtered(browser, folder):
     assert browser.execute_script(links) == before
 
 
-def test_paper_has_all_tabs_all_rows_and_no_folds(browser, folder):
-    browser.get(scene_page(folder))
+def test_paper_has_all_tabs_all_rows_and_no_folds(browser, site):
     seen = """
     const folds = "main details:not([open], .chart *)";
     const own = (name) => [...document.querySelectorAll(name)].filter((n) => n.offsetParent).length;

@@ -7,21 +7,12 @@ import math
 import re
 
 import pytest
-from planted import everything, plant
 
 from reports.pages.columns import column
-from reports.pages.html_report import write_html_report
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    path = plant(tmp_path_factory.mktemp("planted"), everything())
-    write_html_report(path)
-    return path
-
-
-def test_the_policy_allows_no_script_but_the_page_s_own(folder):
-    text = (folder / "report.html").read_text(encoding="utf-8")
+def test_the_policy_allows_no_script_but_the_page_s_own(site):
+    text = (site / "report.html").read_text(encoding="utf-8")
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text).group(1)
     (scripts,) = [part for part in policy.split("; ") if part.startswith("script-src")]
     assert "unsafe" not in scripts
@@ -47,11 +38,11 @@ def test_a_column_keeps_its_numbers_and_those_that_are_missing():
         assert read is None or read == pytest.approx(value, rel=1.2e-5)
 
 
-def test_the_page_holds_the_first_question_and_the_file_beside_it_all(folder):
-    text = (folder / "report.html").read_text(encoding="utf-8")
+def test_the_page_holds_the_first_question_and_the_file_beside_it_all(site):
+    text = (site / "report.html").read_text(encoding="utf-8")
     first = json.loads(re.search(r'id="stepbench-data"[^>]*>(.*?)</script>', text, re.S).group(1))
     assert list(first["answers"]) == ["a|max|operations", "a|max|seconds"]
-    (data,) = (folder / "report").glob("data*.js")  # the one that the page names
+    (data,) = (site / "report").glob("data*.js")  # the one that the page names
     assert f'data-more="report/{data.name}"' in text
     rest = data.read_text(encoding="utf-8")
     more = json.loads(rest.removeprefix("stepbench.more(").rstrip().removesuffix(");"))

@@ -4,42 +4,26 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 
-import pytest
-from chromium import chromium, in_chromium
 from planted import everything, plant, planted
 from test_front_page import choose, visit
 
 from reports.pages.html_report import write_html_report
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    path = plant(tmp_path_factory.mktemp("planted"), everything())
-    write_html_report(path)
-    return path
-
-
-@pytest.fixture(scope="module")
-def page():
-    with chromium() as driver:
-        yield driver
-
-
-@in_chromium
-def test_cards_stand_in_rows_and_names_beside_rings(page, folder):
-    visit(page, folder)
-    tops = page.execute_script(
+def test_cards_stand_in_rows_and_names_beside_rings(browser, site):
+    visit(browser, site)
+    tops = browser.execute_script(
         "return ['.opening > .card', '#panels > .panel'].map((cards) =>"
         " [...document.querySelectorAll(cards)].map((card) => card.getBoundingClientRect().top))"
     )
     assert [len(set(own)) for own in tops] == [1, 1]
     assert min(map(len, tops)) > 1
-    heat, card = page.execute_script(
+    heat, card = browser.execute_script(
         "const heat = document.getElementById('heat');"
         "return [heat, heat.parentNode].map((node) => node.getBoundingClientRect().width)"
     )
     assert card - 40 < heat < card
-    near = page.execute_script(
+    near = browser.execute_script(
         """
         const plots = [...document.querySelectorAll("#panels .plot")];
         return plots.flatMap((plot) => [...plot.querySelectorAll(".name")].flatMap((name) => {
@@ -57,24 +41,23 @@ def test_cards_stand_in_rows_and_names_beside_rings(page, folder):
 
 
 @contextmanager
-def screen(page, width, height):
+def screen(browser, width, height):
     """A screen of this size, in pixels of CSS."""
     size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
-    page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     try:
         yield
     finally:
-        page.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
-@in_chromium
-def test_the_first_row_of_charts_is_in_sight_four_in_a_row(page, tmp_path):
+def test_the_first_row_of_charts_is_in_sight_four_in_a_row(browser, tmp_path):
     scenes = ("duffing", "oscillator", "friction")
     more = [planted(scene, "poor", {"a": (1.0, 1)}, h=0.1) for scene in scenes]
     write_html_report(plant(tmp_path, everything() + more))
-    with screen(page, 1400, 900):
-        visit(page, tmp_path)
-        tops = page.execute_script(
+    with screen(browser, 1400, 900):
+        visit(browser, tmp_path)
+        tops = browser.execute_script(
             "return [...document.querySelectorAll('#panels > .panel')].map("
             "(panel) => panel.getBoundingClientRect().top)"
         )
@@ -83,11 +66,10 @@ def test_the_first_row_of_charts_is_in_sight_four_in_a_row(page, tmp_path):
     assert 0 < tops[0] < 450 < tops[4]
 
 
-@in_chromium
-def test_on_a_phone_the_bar_stays_in_sight_and_nothing_is_cut(page, folder):
-    with screen(page, 420, 900):
-        visit(page, folder)
-        top, bottom, wide, room = page.execute_script(
+def test_on_a_phone_the_bar_stays_in_sight_and_nothing_is_cut(browser, site):
+    with screen(browser, 420, 900):
+        visit(browser, site)
+        top, bottom, wide, room = browser.execute_script(
             """
             document.getElementById("heat-head").scrollIntoView();
             const bar = document.getElementById("question"), box = bar.getBoundingClientRect();
@@ -116,89 +98,86 @@ return [...document.querySelectorAll("#panels .curve, #profile .curve")].map(
 """
 
 
-def hidden_methods(page):
+def hidden_methods(browser):
     """Labels of the methods of which no chart has a curve, if all charts agree."""
-    curves = {tuple(pair) for pair in page.execute_script(HIDDEN)}
+    curves = {tuple(pair) for pair in browser.execute_script(HIDDEN)}
     assert len(curves) == len(dict(curves))
     return {label for label, off in curves if off}
 
 
-@in_chromium
-def test_a_legend_hides_and_shows_methods_in_all_charts(page, folder):
+def test_a_legend_hides_and_shows_methods_in_all_charts(browser, site):
     from selenium.webdriver.common.action_chains import ActionChains
     from selenium.webdriver.common.keys import Keys
 
-    visit(page, folder)
-    labels = page.execute_script("return stepbench.data.methods.map((m) => m.label)")
-    assert hidden_methods(page) == set()
-    *_, one, two = page.find_elements("css selector", ".chooser .switch:has(.badge)")
+    visit(browser, site)
+    labels = browser.execute_script("return stepbench.data.methods.map((m) => m.label)")
+    assert hidden_methods(browser) == set()
+    *_, one, two = browser.find_elements("css selector", ".chooser .switch:has(.badge)")
     first, second = (labels[int(node.get_attribute("data-method"))] for node in (one, two))
-    everything = page.find_element("css selector", ".chooser .switch")
+    everything = browser.find_element("css selector", ".chooser .switch")
     one.click()
-    assert hidden_methods(page) == {first}
+    assert hidden_methods(browser) == {first}
     assert one.get_attribute("aria-pressed") == "false"
-    choose(page, "target", "1e-2")  # the next question keeps it
-    assert hidden_methods(page) == {first}
+    choose(browser, "target", "1e-2")  # the next question keeps it
+    assert hidden_methods(browser) == {first}
     one.send_keys(Keys.ENTER)
-    assert hidden_methods(page) == set()
-    ActionChains(page).double_click(two).perform()
-    assert hidden_methods(page) == set(labels) - {second}
+    assert hidden_methods(browser) == set()
+    ActionChains(browser).double_click(two).perform()
+    assert hidden_methods(browser) == set(labels) - {second}
     everything.send_keys(Keys.SPACE)
-    assert hidden_methods(page) == set()
+    assert hidden_methods(browser) == set()
     one.send_keys(Keys.SHIFT, Keys.ENTER)
-    assert hidden_methods(page) == set(labels) - {first}
+    assert hidden_methods(browser) == set(labels) - {first}
     # Neither pointer nor keys find hidden runs.
     own = f".plot:has(.curve[data-method='{labels.index(first)}'])"
-    plot = page.find_element("css selector", own)
+    plot = browser.find_element("css selector", own)
     for key in (Keys.ARROW_RIGHT, Keys.ARROW_RIGHT, Keys.ARROW_DOWN, Keys.ARROW_LEFT):
         plot.send_keys(key)
-        tip = page.find_element("css selector", ".tip strong").get_attribute("textContent")
+        tip = browser.find_element("css selector", ".tip strong").get_attribute("textContent")
         assert tip.strip() == first
-    assert "target=1e-2&" in page.current_url
-    assert all(f"={label}" not in page.current_url for label in labels)
-    assert page.get_log("browser") == []
+    assert "target=1e-2&" in browser.current_url
+    assert all(f"={label}" not in browser.current_url for label in labels)
+    assert browser.get_log("browser") == []
 
 
-@in_chromium
-def test_the_legend_of_a_large_chart_hides_methods_too(page, folder):
+def test_the_legend_of_a_large_chart_hides_methods_too(browser, site):
     from selenium.webdriver.common.keys import Keys
 
-    page.get("about:blank")
-    page.get((folder / "report" / "scene-pendulum.html").as_uri())
+    browser.get("about:blank")
+    browser.get((site / "report" / "scene-pendulum.html").as_uri())
     off = "return [...document.querySelectorAll('.curve.off')].map((c) => c.dataset.method)"
-    entry = page.find_element("css selector", ".legend .entry")
+    entry = browser.find_element("css selector", ".legend .entry")
     own = entry.get_attribute("data-method")
-    curves = page.execute_script("return document.querySelectorAll('.plot.large .curve').length")
-    assert page.execute_script(off) == []
+    curves = browser.execute_script("return document.querySelectorAll('.plot.large .curve').length")
+    assert browser.execute_script(off) == []
     entry.send_keys(Keys.ENTER)
-    assert page.execute_script(off) == [own]
-    assert page.execute_script("return document.activeElement.dataset.method") == own
+    assert browser.execute_script(off) == [own]
+    assert browser.execute_script("return document.activeElement.dataset.method") == own
     entry.click()
-    assert page.execute_script(off) == []
+    assert browser.execute_script(off) == []
     entry.send_keys(Keys.SHIFT, Keys.ENTER)
-    assert len(page.execute_script(off)) == curves - 1
-    assert own not in page.execute_script(off)
+    assert len(browser.execute_script(off)) == curves - 1
+    assert own not in browser.execute_script(off)
 
 
-@in_chromium
-def test_a_panel_becomes_large_in_its_place_and_escape_closes_it(page, folder):
+def test_a_panel_becomes_large_in_its_place_and_escape_closes_it(browser, site):
     from selenium.webdriver.common.keys import Keys
 
-    visit(page, folder)
+    visit(browser, site)
     wide = (
         "return [...document.querySelectorAll('.panel svg.plot')].map((plot) => plot.clientWidth)"
     )
-    before = page.execute_script(wide)
-    one, two = page.find_elements("css selector", "button.enlarge")
+    before = browser.execute_script(wide)
+    one, two = browser.find_elements("css selector", "button.enlarge")
     large = "return [...document.querySelectorAll('.plot.large')].map((plot) => plot.ariaLabel)"
     for button, name in ((one, "spring mass"), (two, "pendulum")):
         button.click()
-        (said,) = page.execute_script(large)
+        (said,) = browser.execute_script(large)
         assert said.startswith(f"{name}: error in")
         assert button.get_attribute("aria-expanded") == "true"
-        assert max(page.execute_script(wide)) > 1.5 * max(before)
-    page.switch_to.active_element.send_keys(Keys.ESCAPE)
-    assert page.execute_script(large) == []
-    assert page.execute_script(wide) == before
-    assert two == page.switch_to.active_element
-    assert page.get_log("browser") == []
+        assert max(browser.execute_script(wide)) > 1.5 * max(before)
+    browser.switch_to.active_element.send_keys(Keys.ESCAPE)
+    assert browser.execute_script(large) == []
+    assert browser.execute_script(wide) == before
+    assert two == browser.switch_to.active_element
+    assert browser.get_log("browser") == []

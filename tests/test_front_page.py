@@ -6,24 +6,11 @@ import math
 import re
 
 import pytest
-from chromium import chromium, in_chromium, waited
+from chromium import waited
 from planted import everything, plant, planted
 
 from bench.results.store import Store
 from reports.pages.html_report import write_html_report
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    path = plant(tmp_path_factory.mktemp("planted"), everything())
-    write_html_report(path)
-    return path
-
-
-@pytest.fixture(scope="module")
-def page():
-    with chromium() as driver:
-        yield driver
 
 
 def visit(page, folder, fragment=""):
@@ -99,38 +86,36 @@ def expected(folder, group, target, cost):
     return found
 
 
-@in_chromium
-def test_the_bar_drives_words_charts_and_heat_table_together(page, folder):
-    visit(page, folder)
-    before = shown(page)
+def test_the_bar_drives_words_charts_and_heat_table_together(browser, site):
+    visit(browser, site)
+    before = shown(browser)
     assert "acceleration of at most 1e-4" in before["title"]
     for group, target, cost in (("q", "1e-3", "residuals"), ("a", "1e-2", "operations")):
-        choose(page, "group", group)
-        choose(page, "target", target)
-        choose(page, "cost", cost)
-        now = shown(page)
+        choose(browser, "group", group)
+        choose(browser, "target", target)
+        choose(browser, "cost", cost)
+        now = shown(browser)
         word = {"q": "position", "a": "acceleration"}[group]
         for text in (now["title"], now["heat"], *now["charts"], now["answer"]):
             assert word in text
             assert target in text or "Error: of the worst" in text
         assert f"group={group}&target={target}&cost={cost}" in now["address"]
         assert now["answer"] != before["answer"]
-        cells = heat_cells(page)
-        wanted = expected(folder, group, float(target), cost)
+        cells = heat_cells(browser)
+        wanted = expected(site, group, float(target), cost)
         assert cells.keys() == wanted.keys()
         for place, (state, text) in wanted.items():
             assert state in cells[place][0], place
             assert text == cells[place][1], place
-    assert page.get_log("browser") == []
+    assert browser.get_log("browser") == []
 
 
-@in_chromium
-def test_runs_without_a_place_on_the_axes_stand_in_bands(page, tmp_path):
+def test_runs_without_a_place_on_the_axes_stand_in_bands(browser, tmp_path):
     wild = [planted("spring_mass", "wild", {"a": (1e6, 1), "q": (1, 1)}, h=h) for h in (0.1, 1e-5)]
     lost = planted("spring_mass", "lost", {}, h=0.1, status="newton_failed", work={})
     write_html_report(plant(tmp_path, [*everything(), *wild, lost]))
-    visit(page, tmp_path, "#group=a&target=1e-4&cost=operations&scenes=all")
-    charts = page.execute_script(
+    visit(browser, tmp_path, "#group=a&target=1e-4&cost=operations&scenes=all")
+    charts = browser.execute_script(
         """
         const own = [...document.querySelectorAll(".panel:not([hidden]) svg.plot")];
         return own.map((chart) => {
@@ -148,31 +133,29 @@ def test_runs_without_a_place_on_the_axes_stand_in_bands(page, tmp_path):
         assert max(chart["failed"]) <= max(chart["bands"]) <= min(chart["lines"])
 
 
-@in_chromium
-def test_a_scene_without_the_quantity_is_not_counted_and_says_so(page, folder):
-    visit(page, folder, "#group=lam&target=1e-4&cost=operations&scenes=all")
-    assert "reached, of 1 scene" in shown(page)["standings"]
-    cells = heat_cells(page)
+def test_a_scene_without_the_quantity_is_not_counted_and_says_so(browser, site):
+    visit(browser, site, "#group=lam&target=1e-4&cost=operations&scenes=all")
+    assert "reached, of 1 scene" in shown(browser)["standings"]
+    cells = heat_cells(browser)
     assert cells["good[rho_inf=0.8]", "spring_mass"] == (["unjudged", "start"], "·")
     assert cells["ringing[rho_inf=1]", "spring_mass"][0][0] == "untried"
-    labels = page.execute_script(
+    labels = browser.execute_script(
         'return [...document.querySelectorAll("#heat .unjudged a")].map((a) => a.ariaLabel);'
     )
     assert labels
     assert all(": No run on this scene has an error in multiplier" in s for s in labels)
-    assert "Tied: counts that differ by at most 10 %, or" in shown(page)["answer"]
+    assert "Tied: counts that differ by at most 10 %, or" in shown(browser)["answer"]
 
 
-@in_chromium
-def test_a_scene_that_cannot_be_judged_says_why(page, folder):
+def test_a_scene_that_cannot_be_judged_says_why(browser, site):
     for group, words in (
         ("lam", "No run on this scene has an error in multiplier λ."),
         ("a", ""),
     ):
-        address = (folder / "report" / "scene-spring_mass.html").as_uri()
-        page.get("about:blank")
-        page.get(f"{address}#group={group}&target=1e-4&cost=operations")
-        said, hidden, untold = page.execute_script(
+        address = (site / "report" / "scene-spring_mass.html").as_uri()
+        browser.get("about:blank")
+        browser.get(f"{address}#group={group}&target=1e-4&cost=operations")
+        said, hidden, untold = browser.execute_script(
             """
             const table = document.querySelector("[data-methods]");
             const command = document.querySelector("[data-try]");
@@ -186,36 +169,34 @@ def test_a_scene_that_cannot_be_judged_says_why(page, folder):
         )
 
 
-@in_chromium
-def test_the_address_restores_the_view_and_a_method_is_put_in_front(page, folder):
+def test_the_address_restores_the_view_and_a_method_is_put_in_front(browser, site):
     fragment = "#group=lam&target=1e-2&cost=residuals&scenes=all&highlight=adaptive"
-    visit(page, folder, fragment)
-    chosen = page.execute_script(
+    visit(browser, site, fragment)
+    chosen = browser.execute_script(
         "return [...document.getElementById('question').elements].filter(e => e.name)"
         ".map(e => [e.name, e.value])"
     )
     assert chosen.pop(2) == ["norm", "max"]  # the usual one is not told
     assert fragment == "#" + "&".join(f"{name}={value}" for name, value in chosen)
     count = "return document.querySelectorAll(arguments[0]).length"
-    assert page.execute_script(count, ".panel svg.field .curve.mine") == 1
-    link = page.execute_script("return document.querySelector('.panel h3 a').href")
+    assert browser.execute_script(count, ".panel svg.field .curve.mine") == 1
+    link = browser.execute_script("return document.querySelector('.panel h3 a').href")
     assert link.endswith("report/scene-spring_mass.html" + fragment)
     # What the address does not know is the first question's.
-    visit(page, folder, "#group=nonsense&target=1e-2")
-    assert page.execute_script("return stepbench.question.group") == "a"
+    visit(browser, site, "#group=nonsense&target=1e-2")
+    assert browser.execute_script("return stepbench.question.group") == "a"
 
 
-@in_chromium
-def test_keys_walk_through_the_runs_and_say_the_numbers_of_the_store(page, folder):
+def test_keys_walk_through_the_runs_and_say_the_numbers_of_the_store(browser, site):
     from selenium.webdriver.common.keys import Keys
 
-    visit(page, folder)
-    plot = page.find_elements("css selector", ".panel svg.plot")[1]
-    page.execute_script("arguments[0].focus()", plot)
-    with Store(folder) as store:
+    visit(browser, site)
+    plot = browser.find_elements("css selector", ".panel svg.plot")[1]
+    browser.execute_script("arguments[0].focus()", plot)
+    with Store(site) as store:
         records = [r for r in store.records().values() if r.problem == "pendulum"]
     plot.send_keys(Keys.ARROW_RIGHT)
-    told = page.execute_script(
+    told = browser.execute_script(
         """
         const [plot, n] = arguments, told = [];
         for (let k = 0; k < n; k++) {
@@ -241,19 +222,18 @@ def test_keys_walk_through_the_runs_and_say_the_numbers_of_the_store(page, folde
         value = float(number) * (1000 if prefix else 1)
         assert value == pytest.approx(sum(r.operations.values()), rel=0.01)
     plot.send_keys(Keys.ENTER)
-    waited(lambda: "scene-pendulum.html#group=a" in page.current_url)
-    assert page.get_log("browser") == []
+    waited(lambda: "scene-pendulum.html#group=a" in browser.current_url)
+    assert browser.get_log("browser") == []
 
 
-@in_chromium
-def test_a_run_of_cost_zero_is_drawn_and_told(page, tmp_path):
+def test_a_run_of_cost_zero_is_drawn_and_told(browser, tmp_path):
     records = [r for r in everything() if r.problem == "spring_mass"]
     for record in records:
         record.work["residuals"] *= record.integrator == "poor"
     write_html_report(plant(tmp_path, records))
-    visit(page, tmp_path, "#group=q&target=1e-2&cost=residuals")
-    cells = {label: text for (label, _), (_, text) in heat_cells(page).items()}
-    told = page.execute_script(
+    visit(browser, tmp_path, "#group=q&target=1e-2&cost=residuals")
+    cells = {label: text for (label, _), (_, text) in heat_cells(browser).items()}
+    told = browser.execute_script(
         """
         const chart = document.querySelector(".panel svg.plot"), told = [];
         for (const key of [..."123456"]) {
@@ -265,36 +245,34 @@ def test_a_run_of_cost_zero_is_drawn_and_told(page, tmp_path):
     )
     assert cells == {"good[rho_inf=0.8]": "1.0", "poor": "∞"}
     assert {lines[3] for lines in told} == {"0 evaluations"}
-    axis = page.find_elements("css selector", ".panel:not([hidden]) svg.plot .axis text")
+    axis = browser.find_elements("css selector", ".panel:not([hidden]) svg.plot .axis text")
     assert "0" not in [text.get_attribute("textContent") for text in axis]  # it holds the others
     scene = (tmp_path / "report" / "scene-spring_mass.html").as_uri()
-    page.get(f"{scene}#group=q&target=1e-2&cost=residuals")
-    rows = page.execute_script(
+    browser.get(f"{scene}#group=q&target=1e-2&cost=residuals")
+    rows = browser.execute_script(
         "return [...document.querySelectorAll('[data-methods] tbody tr')].map("
         "(row) => [...row.querySelectorAll('td')].slice(0, 2).map((cell) => cell.textContent))"
     )
     assert rows == [["0", "1 ×"], ["480", "∞ ×"]]  # noqa: RUF001
-    assert page.get_log("browser") == []
+    assert browser.get_log("browser") == []
 
 
 @pytest.mark.long
-@in_chromium
-def test_a_chosen_set_of_scenes_is_shown_alone(page, folder):
-    visit(page, folder)
-    page.execute_script(
+def test_a_chosen_set_of_scenes_is_shown_alone(browser, site):
+    visit(browser, site)
+    browser.execute_script(
         "stepbench.data.filters.push({ id: 'one', name: 'one', scenes: [1] });"
         "document.getElementById('question').elements.scenes.add(new Option('one', 'one'));"
     )
-    choose(page, "scenes", "one")
-    assert len(shown(page)["charts"]) == 1
-    assert {scene for _, scene in heat_cells(page)} == {"pendulum"}
+    choose(browser, "scenes", "one")
+    assert len(shown(browser)["charts"]) == 1
+    assert {scene for _, scene in heat_cells(browser)} == {"pendulum"}
 
 
 @pytest.mark.long
-@in_chromium
-def test_a_large_chart_names_every_curve_and_no_names_overlap(page, folder):
-    visit(page, folder)
-    boxes = page.execute_script(
+def test_a_large_chart_names_every_curve_and_no_names_overlap(browser, site):
+    visit(browser, site)
+    boxes = browser.execute_script(
         """
         const place = document.createElement("div");
         place.style.width = "900px";
@@ -306,7 +284,7 @@ def test_a_large_chart_names_every_curve_and_no_names_overlap(page, folder):
         });
         """
     )
-    with Store(folder) as store:
+    with Store(site) as store:
         able = {r.integrator for r in store.records().values() if r.problem == "pendulum"}
     assert len(boxes) == len(able) - 1  # one method has failed runs only
     for k, (_, left, top, right, bottom) in enumerate(boxes):
@@ -314,33 +292,31 @@ def test_a_large_chart_names_every_curve_and_no_names_overlap(page, folder):
             assert right <= left2 or right2 <= left or bottom <= top2 + 2 or bottom2 <= top + 2
 
 
-@in_chromium
-def test_tables_sort_and_filter(page, folder):
-    page.get((folder / "report" / "scene-pendulum.html").as_uri())
+def test_tables_sort_and_filter(browser, site):
+    browser.get((site / "report" / "scene-pendulum.html").as_uri())
     table = (
         "const t = [...document.querySelectorAll('table.sortable')]"
         ".find(t => t.tBodies[0].rows.length > 12);"
     )
     column_of = table + "return [...t.tBodies[0].rows].map(r => r.cells[0].textContent)"
-    page.execute_script(table + "t.tHead.querySelector('button').click()")
-    names = page.execute_script(column_of)
+    browser.execute_script(table + "t.tHead.querySelector('button').click()")
+    names = browser.execute_script(column_of)
     assert names == sorted(names, key=str.lower)
     sorted_by = table + "return t.tHead.rows[0].cells[0].getAttribute('aria-sort')"
-    assert page.execute_script(sorted_by) == "ascending"
+    assert browser.execute_script(sorted_by) == "ascending"
     visible = table + "return [...t.tBodies[0].rows].filter(r => !r.hidden).length"
-    assert page.execute_script(visible) == 12  # a long table begins folded
-    page.execute_script(
+    assert browser.execute_script(visible) == 12  # a long table begins folded
+    browser.execute_script(
         table + "const i = t.closest('.wide').previousElementSibling; i.value = 'fragile';"
         "i.dispatchEvent(new Event('input'))"
     )
-    assert page.execute_script(visible) == 2
-    assert page.get_log("browser") == []
+    assert browser.execute_script(visible) == 2
+    assert browser.get_log("browser") == []
 
 
-@in_chromium
-def test_what_is_in_sight_is_drawn_first_and_nothing_is_left_out(page, folder):
-    visit(page, folder)
-    drawn = page.execute_script("""
+def test_what_is_in_sight_is_drawn_first_and_nothing_is_left_out(browser, site):
+    visit(browser, site)
+    drawn = browser.execute_script("""
         window.drawn = [];
         const place = document.createElement("div"), slow = document.createElement("div");
         place.style.marginTop = "30000px";
@@ -357,5 +333,5 @@ def test_what_is_in_sight_is_drawn_first_and_nothing_is_left_out(page, folder):
         return [first, [...drawn]];
     """)
     assert drawn == [["near"], ["near", "near", "far"]]
-    page.execute_script("drawn.length = 0; stepbench.ask({ target: '1e-2' });")
-    waited(lambda: page.execute_script("return drawn.length") == 2)
+    browser.execute_script("drawn.length = 0; stepbench.ask({ target: '1e-2' });")
+    waited(lambda: browser.execute_script("return drawn.length") == 2)

@@ -18,7 +18,6 @@ from planted import (
     ATTACK,
     STEPS,
     Document,
-    everything,
     plant,
     planted,
     some,
@@ -44,11 +43,9 @@ from reports.text.run_tables import summary_table
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = plant(tmp_path_factory.mktemp("planted"), everything())
-    write_html_report(path)
-    write_markdown_report(path)
-    return path
+def folder(site: Path) -> Path:
+    write_markdown_report(site)
+    return site
 
 
 @pytest.fixture(scope="module")
