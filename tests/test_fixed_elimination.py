@@ -127,6 +127,7 @@ BORDERED = np.array([[True, False, True], [False, True, True], [True, True, Fals
 
 def test_a_pivot_that_vanishes_is_no_pivot(fallbacks):
     for pivot, falls_back in [(2.0, False), (0.0, True), (1e-17, True), (1e-9, True)]:
+        fallbacks.clear()
         a = np.array([[pivot, 0.0, 1.0], [0.0, 3.0, 1.0], [1.0, 2.0, 0.0]])
         b, plan = np.array([1.0, 2.0, 3.0]), planned(BORDERED)
         x, repeated = solved(a, b, plan)
