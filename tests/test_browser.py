@@ -159,6 +159,8 @@ def test_a_click_on_the_legend_isolates_a_method(browser):
 
     assert opacities() == {1.0}
     label = place.find_element(By.CSS_SELECTOR, "g.role-legend-label text")
+    # Below the bar that stays in sight.
+    browser.execute_script("arguments[0].scrollIntoView({ block: 'center' })", label)
     label.click()
     waited(lambda: len(opacities()) == 2)
     assert min(opacities()) < 0.1
