@@ -131,19 +131,16 @@ def error_of_the_centre(method, scene, h):
 @pytest.mark.parametrize(
     "cases",
     [
-        (((0.9, {1e-3: 4.076e-4, 5e-4: 1.0172e-4, 2.5e-4: 2.543e-5}),),),
-        *long([[(0.5, {1e-3: 5.044e-4, 5e-4: 1.264e-4, 2.5e-4: 3.165e-5})]]),
+        ((0.9, {1e-3: 4.076e-4, 5e-4: 1.0172e-4, 2.5e-4: 2.543e-5}),),
+        *long([(0.5, {1e-3: 5.044e-4, 5e-4: 1.264e-4, 2.5e-4: 3.165e-5})]),
     ],
 )
 def test_errors_on_the_direct_product_are_those_of_another_program(cases):
     """The largest component at t = 0.1 s, from the consistent start."""
-    for cases in cases:
-        for rho, wanted in cases:
-            for h, error in wanted.items():
-                found = np.abs(
-                    error_of_the_centre(GeneralizedAlphaLie(rho_inf=rho), R3_SO3, h)
-                ).max()
-                assert found == pytest.approx(error, rel=1e-3)
+    for rho, wanted in cases:
+        for h, error in wanted.items():
+            found = np.abs(error_of_the_centre(GeneralizedAlphaLie(rho_inf=rho), R3_SO3, h)).max()
+            assert found == pytest.approx(error, rel=1e-3)
 
 
 @pytest.mark.long
@@ -183,37 +180,33 @@ def test_the_joint_and_the_norm_of_the_quaternion_are_kept_to_rounding():
 @pytest.mark.parametrize(
     "cases",
     [
-        (((GeneralizedAlphaLie(rho_inf=0.8), R3_SO3, 1), (BLieDF(), R3_SO3, 1)),),
+        ((GeneralizedAlphaLie(rho_inf=0.8), R3_SO3, 1), (BLieDF(), R3_SO3, 1)),
         *long(
             [
-                [
-                    (GeneralizedAlphaLie(rho_inf=0.8), SE3, 2),
-                    (GeneralizedAlphaLie(rho_inf=0.8), SO3, None),
-                    (GeneralizedAlphaLie(rho_inf=0.8, start="corrected"), R3_SO3, 1),
-                    (GeneralizedAlphaLie(rho_inf=0.8, formulation="stabilised_index2"), R3_SO3, 1),
-                    (BLieDF(), SE3, 2),
-                    (BLieDF(), SO3, None),
-                    (BLieDF(formulation="index2"), R3_SO3, 1),
-                ]
+                (GeneralizedAlphaLie(rho_inf=0.8), SE3, 2),
+                (GeneralizedAlphaLie(rho_inf=0.8), SO3, None),
+                (GeneralizedAlphaLie(rho_inf=0.8, start="corrected"), R3_SO3, 1),
+                (GeneralizedAlphaLie(rho_inf=0.8, formulation="stabilised_index2"), R3_SO3, 1),
+                (BLieDF(), SE3, 2),
+                (BLieDF(), SO3, None),
+                (BLieDF(formulation="index2"), R3_SO3, 1),
             ]
         ),
     ],
 )
 def test_all_groups_are_of_order_two_after_the_start(cases):
     """Of multipliers on the direct product, the largest error is that of the start."""
-    for cases in cases:
-        for method, scene, of_start in cases:
-            steps = [5e-4, 2.5e-4, 1.25e-4]
-            tables = [
-                relative_errors(run_of(method, scene, h), reference(scene, T_END)).errors
-                for h in steps
-            ]
-            for group in ("q", "v", "a", "lam")[: 4 if scene.sizes.nl else 3]:
-                settled = slope(steps, [table[group]["settled"] for table in tables])
-                assert settled == pytest.approx(2.0, abs=0.1), group
-            if of_start:
-                largest = slope(steps, [table["lam"]["max"] for table in tables])
-                assert largest == pytest.approx(of_start, abs=0.2)
+    for method, scene, of_start in cases:
+        steps = [5e-4, 2.5e-4, 1.25e-4]
+        tables = [
+            relative_errors(run_of(method, scene, h), reference(scene, T_END)).errors for h in steps
+        ]
+        for group in ("q", "v", "a", "lam")[: 4 if scene.sizes.nl else 3]:
+            settled = slope(steps, [table[group]["settled"] for table in tables])
+            assert settled == pytest.approx(2.0, abs=0.1), group
+        if of_start:
+            largest = slope(steps, [table["lam"]["max"] for table in tables])
+            assert largest == pytest.approx(of_start, abs=0.2)
 
 
 @pytest.mark.long
@@ -239,15 +232,14 @@ def test_steps_of_bliedf_are_the_published_formulas():
     assert rate[:5] @ np.asarray(scene.mass(run.q[0])) == pytest.approx(force, abs=1e-6)
 
 
-@pytest.mark.parametrize("cases", [((Pendulum(),),), *long([[DoublePendulumControlled()]])])
+@pytest.mark.parametrize("cases", [(Pendulum(),), *long([DoublePendulumControlled()])])
 def test_bliedf_is_bdf2_where_coordinates_move_by_sums(cases):
-    for cases in cases:
-        for scene in cases:
-            steps, end = Steps(0.01, (0.3, 0.7)), scene.interval[0] + 0.5
-            one, two = (m.prepare(scene, end, steps).measure() for m in (BDF2(), BLieDF()))
-            for group in ("q", "v", "x", "lam"):
-                wanted = getattr(one, group)
-                assert getattr(two, group) == pytest.approx(wanted, rel=1e-6, abs=1e-8), group
+    for scene in cases:
+        steps, end = Steps(0.01, (0.3, 0.7)), scene.interval[0] + 0.5
+        one, two = (m.prepare(scene, end, steps).measure() for m in (BDF2(), BLieDF()))
+        for group in ("q", "v", "x", "lam"):
+            wanted = getattr(one, group)
+            assert getattr(two, group) == pytest.approx(wanted, rel=1e-6, abs=1e-8), group
 
 
 def test_generalized_alpha_lie_is_generalized_alpha_on_groups_and_refuses_the_rest():

@@ -143,22 +143,21 @@ def test_what_a_scene_states_as_redundant_leaves_the_explicit_equations_regular(
 
 
 @pytest.mark.parametrize(
-    "cases", [((ALI3P(),),), *long([[Dopri8(), Dopri8(constraints="projected"), Radau()]])]
+    "cases", [(ALI3P(),), *long([Dopri8(), Dopri8(constraints="projected"), Radau()])]
 )
 def test_methods_that_take_redundant_constraints_are_as_accurate_as_without_them(cases):
-    for cases in cases:
-        for method in cases:
-            at = Steps(0.01) if method.controls == "step" else Tolerances(1e-6)
-            one, two = (method.prepare(s, 1.35, at).measure() for s in (Pendulum(), Stated()))
-            assert one.status == two.status == "ok", two.message
-            # Each by its own rows: another rounding moves the steps of an adaptive method.
-            (a, lam), (other_a, other_lam) = (
-                (abs(r.a - exact["a"]).max(), abs(r.lam.sum(axis=1) - exact["lam"][:, 0]).max())
-                for r in (one, two)
-                for exact in (Pendulum().exact(r.t),)
-            )
-            assert other_a < 1.05 * a + 1e-10
-            assert other_lam < 1.05 * lam + 1e-10
+    for method in cases:
+        at = Steps(0.01) if method.controls == "step" else Tolerances(1e-6)
+        one, two = (method.prepare(s, 1.35, at).measure() for s in (Pendulum(), Stated()))
+        assert one.status == two.status == "ok", two.message
+        # Each by its own rows: another rounding moves the steps of an adaptive method.
+        (a, lam), (other_a, other_lam) = (
+            (abs(r.a - exact["a"]).max(), abs(r.lam.sum(axis=1) - exact["lam"][:, 0]).max())
+            for r in (one, two)
+            for exact in (Pendulum().exact(r.t),)
+        )
+        assert other_a < 1.05 * a + 1e-10
+        assert other_lam < 1.05 * lam + 1e-10
 
 
 def test_methods_that_need_unique_multipliers_refuse_redundant_constraints():
