@@ -45,9 +45,9 @@ _EACH = {name: operator.cost for name, operator in OPERATORS.items()} | {
     "square": 1,
     **dict.fromkeys(("rsqrt", "logistic", "erf", "erfc"), ELEMENTARY),
     **dict.fromkeys(MOVES.keys() - {"scatter"}, 0),
-    **dict.fromkeys(("constant", "iota", "convert", "bitcast_convert", "reduce_precision"), 0),
+    **dict.fromkeys(("constant", "iota", "convert", "bitcast_convert"), 0),
     **dict.fromkeys(("compare", "clamp", "sort", "round_nearest_afz", "AllocateBuffer"), 0),
-    **dict.fromkeys(("optimization_barrier", "complex"), 0),
+    **dict.fromkeys(("optimization_barrier", "complex", "real", "imag"), 0),
 }
 
 

@@ -12,6 +12,7 @@ from integrators.programs import Step
 def on_numbers(step: Step, *given: np.ndarray) -> list[np.ndarray] | None:
     """The results of a step on numbers of any type; None if it has no rule here."""
     if step.name == "sort" and step.operation == "compare" and given[0].ndim == 1:
+        # Of the rows that a factorisation exchanges.
         order = np.argsort(given[0], kind="stable")
         return (
             [x[order] for x in given] if "LT" in str(step.bodies[0].steps[0].attributes) else None
@@ -31,12 +32,6 @@ def _on_numbers(step: Step, *given: np.ndarray) -> np.ndarray | None:
         return MOVES[name](step, *given)
     if name == "convert":
         return _converted(given[0], made.dtype)
-    if name == "bitcast_convert":
-        return np.ascontiguousarray(given[0]).view(made.dtype).reshape(made.shape)
-    if name == "fft":
-        transform = getattr(np.fft, step.attributes["fft_type"].split()[-1][:-1].lower() + "n")
-        lengths = step.numbers("fft_length")
-        return transform(given[0], lengths, range(-len(lengths), 0))
     if name == "divide" and made.dtype.kind in "iu":
         return (given[0] - np.fmod(*given)) // given[1]
     by = operator(step)

@@ -24,7 +24,7 @@ class Operator(NamedTuple):
     Attributes
     ----------
     c
-        How C writes it; empty if it has no form in C.
+        How C writes it.
     numpy
         The function of arrays.
     cost
@@ -37,16 +37,6 @@ class Operator(NamedTuple):
     numpy: Callable[..., Any]
     cost: int = 0
     kind: str = "f"
-
-
-def _erf_inv(x: np.ndarray) -> np.ndarray:
-    from scipy.special import erfinv
-
-    return erfinv(x)
-
-
-def _shift_right_logical(x: np.ndarray, by: np.ndarray) -> np.ndarray:
-    return x.view(f"u{x.itemsize}") >> by.view(f"u{x.itemsize}")
 
 
 #: Functions that C and NumPy call alike, where StableHLO has other names.
@@ -83,7 +73,6 @@ OPERATORS = {
     },
     "power": Operator("pow({}, {})", np.power, ELEMENTARY),
     "atan2": Operator("atan2({}, {})", np.arctan2, ELEMENTARY),
-    "erf_inv": Operator("", _erf_inv, ELEMENTARY),
     "negate": Operator("-{}", np.negative),
     "abs": Operator("fabs({})", np.abs),
     "maximum": Operator(_LARGER, np.maximum),
@@ -105,12 +94,6 @@ OPERATORS = {
     "select": Operator("{} ? {} : {}", np.where),
     TO_FLOAT: Operator("(double){}", np.float64),
     TO_COUNT: Operator("(double){}", np.int64, kind="i"),
-    # Random numbers need these, of constants alone.
-    "real": Operator("", np.real),
-    "imag": Operator("", np.imag),
-    "shift_left": Operator("", np.left_shift),
-    "shift_right_arithmetic": Operator("", np.right_shift),
-    "shift_right_logical": Operator("", _shift_right_logical),
 }
 
 

@@ -21,7 +21,7 @@ from integrators.lowering.elimination import eliminate
 from integrators.lowering.graph import Graph, LoweredFunction, NotLowered, WhileLoop
 from integrators.lowering.known import on_numbers
 from integrators.lowering.moves import INDICES, MOVES
-from integrators.lowering.operators import OPERATORS, operator
+from integrators.lowering.operators import operator
 from integrators.lowering.rules import RULES
 from integrators.programs import Body, Follower, Step, Type, program
 from problems.runtime import jax
@@ -134,8 +134,7 @@ class _Follower(Follower[_Value]):
         nodes = [self.nodes(value) for value in given]
         if not _types(step) <= _TYPES:
             raise NotLowered
-        by = operator(step)
-        if by and OPERATORS[by].c:
+        if by := operator(step):
             return [self._graph.each(by, *nodes)]
         if "getrf" in name:
             return self._factors(step, *nodes)

@@ -42,12 +42,6 @@ def _convert(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
     raise NotLowered("whole numbers depend on the state")
 
 
-def _reduce_precision(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
-    if [*step.numbers("exponent_bits"), *step.numbers("mantissa_bits")] != [11, 52]:
-        raise NotLowered("it rounds to fewer digits")
-    return x
-
-
 def _folded(graph: Graph, step: Step, rows: np.ndarray, first: np.ndarray) -> np.ndarray:
     """Fold the last axis away by the operation of a step, from the first entry to the last."""
     by = step.operation
@@ -114,7 +108,6 @@ RULES: dict[str, Callable[..., np.ndarray]] = {
     "dot_general": _dot_general,
     "logistic": _logistic,
     "reduce": _reduce,
-    "reduce_precision": _reduce_precision,
     "reduce_window": _reduce_window,
     "rsqrt": lambda graph, step, x: graph.each("divide", graph.one, graph.each("sqrt", x)),
     "square": lambda graph, step, x: graph.each("multiply", x, x),
