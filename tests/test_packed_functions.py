@@ -53,6 +53,15 @@ def test_two_of_one_program_keep_their_numbers_apart():
     assert one(0.0, s, nothing).tolist() == [1.0, 2.0]
 
 
+def test_a_program_that_runs_after_its_call_sees_the_arguments_of_this_call():
+    packed, given = PackedFunction(lambda t, s: t * s, None, 2), []
+    packed.program = given.append
+    later = packed.bind()
+    later(2.0, np.ones(2))
+    later(3.0, np.ones(2))
+    assert [numbers[0] for numbers in given] == [2.0, 3.0]
+
+
 def test_no_kind_of_number_compiles_it_again():
     packed = PackedFunction(weighted, 2, None, 2, 2)
     call, s = packed.bind(np.ones(2)), np.ones(2)

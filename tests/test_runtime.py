@@ -6,15 +6,12 @@ import os
 import sys
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import long
 
 from bench.running.progress import Progress
 from integrators import Integrator, Steps, Tolerances
-from integrators.adapters import packed_functions
-from integrators.adapters.packed_functions import PackedFunction
 from integrators.adapters.scipy_ode import BDF
 from integrators.contract import Trajectory
 from integrators.methods.generalized_alpha import GeneralizedAlpha
@@ -77,7 +74,6 @@ def test_a_cache_that_cannot_be_used_is_named_and_left(monkeypatch, caplog, tmp_
 def test_this_release_drops_nothing():
     runtime.jax.devices()
     assert not jax.config.read("jax_cpu_enable_async_dispatch")
-    assert packed_functions.memory_is_shared()
     assert klu.works()
 
 
@@ -88,31 +84,12 @@ def solved(method: Integrator, resolution: Steps | Tolerances) -> Trajectory:
 @pytest.fixture
 def _forgotten():
     """Nothing that was tried out is remembered, before and after."""
-    tried = runtime.slower, packed_functions.memory_is_shared, klu.works, sparsity._asdex
+    tried = runtime.slower, klu.works, sparsity._asdex
     for remembered in tried:
         remembered.cache_clear()
     yield
     for remembered in tried:
         remembered.cache_clear()
-
-
-@pytest.mark.usefixtures("_forgotten")
-@pytest.mark.parametrize("drop", ["no sharing", "an error"])
-def test_where_jax_copies_arguments_are_handed_over_anew(monkeypatch, caplog, drop):
-    if drop == "no sharing":
-        monkeypatch.setattr(jax.dlpack, "from_dlpack", lambda x, copy: jnp.array(x, copy=True))
-    else:
-        monkeypatch.setattr(jax.dlpack, "from_dlpack", None)
-    call = PackedFunction(lambda t, s: t * s, None, 2).bind()
-    assert [np.asarray(call(t, np.ones(2))).tolist() for t in (2.0, 3.0)] == [[2.0] * 2, [3.0] * 2]
-    assert "JAX copies their arguments" in caplog.text
-    # Not even a program that runs after its call returned sees the next arguments.
-    function, given = PackedFunction(lambda t, s: t * s, None, 2), []
-    function.program = given.append
-    later = function.bind()
-    later(2.0, np.ones(2))
-    later(3.0, np.ones(2))
-    assert [numbers[0] for numbers in given] == [2.0, 3.0]
 
 
 @pytest.mark.usefixtures("_forgotten")

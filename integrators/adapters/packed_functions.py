@@ -18,7 +18,7 @@ from integrators.lowering.graph import NotLowered
 from integrators.lowering.native import load_c
 from integrators.lowering.programs import lowered
 from integrators.program_costs import Cost, costs_of
-from problems.runtime import Float, Int, jax, slower
+from problems.runtime import Float, Int, jax
 
 #: C and JAX may differ by so much of the largest entry, and of that of the equation: both round.
 _ROUNDING, _ROUNDING_OF_A_ROW = 1e-12, 1e-9
@@ -28,9 +28,7 @@ class PackedFunction:
     """A function of numbers and vectors, compiled once, and called with NumPy arrays.
 
     JAX takes a microsecond to convert each array that it is given. Here all arguments are copied
-    side by side into one array that JAX has been given before. A program has read this array when
-    it returns, as programs run in the calling thread (see `problems.runtime`). Where JAX was in use
-    before us and they do not, wait for the result before the next call. Results are new arrays.
+    side by side into one new array. Results are new arrays, too.
 
     Parameters
     ----------
@@ -64,21 +62,21 @@ class PackedFunction:
         return costs_of(self.program, jax.ShapeDtypeStruct((self.size,), float))
 
     def bind(self, *first: np.ndarray) -> Callable[..., Any]:
-        """Return the function of the remaining arguments, for one thread: it has its own memory."""
+        """Return the function of the remaining arguments."""
         memory, places = self._memory(*first)
-        program, shared = self.program, memory_is_shared()
-        numbers = jax.dlpack.from_dlpack(memory, copy=False) if shared else None
+        program = self.program
 
         def call(*arguments: Any) -> Any:
+            numbers = memory.copy()  # a program may read it after its call has returned
             # A strict zip would take as long as all the copying.
             for place, value in zip(places, arguments):  # noqa: B905
-                memory[place] = value
-            return program(numbers if shared else memory.copy())
+                numbers[place] = value
+            return program(numbers)
 
         return call
 
     def bind_c(self, *first: np.ndarray) -> Callable[..., np.ndarray]:
-        """Return the function in C, as `bind` returns that of JAX.
+        """Return the function in C, as `bind` returns that of JAX, but for one thread.
 
         Raises
         ------
@@ -102,7 +100,7 @@ class PackedFunction:
 
     def _memory(self, *first: np.ndarray) -> tuple[np.ndarray, list]:
         """Memory for all arguments that holds the first ones, and the places of the others."""
-        memory = _aligned(self.size)
+        memory = np.zeros(self.size)
         for place, value in zip(self.places, first, strict=False):
             memory[place] = value
         return memory, self.places[len(first) :]
@@ -119,31 +117,6 @@ def in_c(packed: PackedFunction) -> Any:
         return NotLowered(str(reason))  # without what the first one holds in memory
     function.restype, function.argtypes = None, [c_void_p, c_void_p]
     return function, program.results.shape
-
-
-@cache
-def memory_is_shared() -> bool:
-    """Whether JAX reads the memory of a NumPy array anew in each call, found by trying it."""
-    memory, found = _aligned(1), []
-    read = jax.jit(lambda numbers: 2 * numbers[0])
-    try:
-        numbers = jax.dlpack.from_dlpack(memory, copy=False)
-        for value in (1.0, 2.0):
-            memory[0] = value
-            found.append(float(read(numbers)))
-    except Exception:  # of whatever kind: the memory can be copied
-        found.clear()
-    if found == [2.0, 4.0]:
-        return True
-    slower("Solvers that call equations one by one take longer: JAX copies their arguments.")
-    return False
-
-
-def _aligned(n: int) -> np.ndarray:
-    """Memory for n floats that XLA uses without a copy: it begins at a multiple of 64 bytes."""
-    room = np.zeros(n + 8)
-    first = -room.ctypes.data % 64 // 8
-    return room[first : first + n]
 
 
 def same_to_rounding(

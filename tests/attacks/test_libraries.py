@@ -31,10 +31,6 @@ print(json.dumps(found))
 """
 DROPS = {
     "joined loops": ("runtime.joins_loops = lambda: False", ""),
-    "shared memory": (
-        "import jax, numpy\njax.dlpack.from_dlpack = lambda x, copy: jax.numpy.array(x, copy=True)",
-        "JAX copies their arguments",
-    ),
     "names of programs": (
         "import jax.extend.core as core\ndel core.Literal",
         "cannot be rewritten",
