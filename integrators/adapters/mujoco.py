@@ -35,8 +35,9 @@ class Mujoco(Integrator):
     equations of motion there, as for an ODE method; these were compared with MuJoCo's when the file
     was loaded. Without damping in the scene implicitfast steps as euler does.
 
-    ``residuals`` are evaluations of forward dynamics and ``newton`` the iterations of the solver
-    of equalities; MuJoCo counts both. It tells no iterations of RK4's inner stages: None.
+    ``residuals`` are evaluations of forward dynamics, four in a step of RK4 and one in others, and
+    ``newton`` the iterations of the solver of equalities, which MuJoCo counts. It tells no
+    iterations of RK4's inner stages: None.
     """
 
     family: ClassVar[str] = "engine"
@@ -138,7 +139,7 @@ class _MujocoRun(PreparedRun):
         inner = self._kind == "rk4" and data.nefc > 0
         work = Work(
             steps=failed - 1 if failed else self._steps,
-            residuals=data.timer[mujoco.mjtTimer.mjTIMER_FORWARD].number,
+            residuals=(failed or self._steps) * (4 if self._kind == "rk4" else 1),
             newton=None if inner else iterations,
         )
         run = trajectory_from_states(self._scene, self._t[at], q, v, np.zeros((len(at), 0)))
