@@ -6,7 +6,7 @@ import json
 import math
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,16 +15,15 @@ import msgspec
 
 from bench.commands import completion, options
 from bench.commands.pages import write_reports
-from bench.commands.ratings import RULES, demands_on, rate, rating_of, suite_of
 from bench.guard.interrupts import remark
 from bench.guard.limits import Limits
 from bench.plugins.facts import SceneFacts
 from bench.plugins.registry import SUFFIXES
-from bench.results.demands import Demand, demand
+from bench.results.demands import ENERGY, POINTS, Demand, demand, overviews
 from bench.results.store import Store
 from bench.running.inventory import Inventory
-from bench.running.plan import Cell
-from bench.running.profiles import is_suite
+from bench.running.plan import Cell, Suite, make_suite
+from bench.running.profiles import ProfileFile, StudyFile, is_suite, read_profile
 from bench.running.race import Race
 from bench.running.rating import Candidate, Search
 from bench.running.runner import Runner
@@ -32,6 +31,9 @@ from bench.running.verdict import FORMS, MOST_ASKED, MOST_TIMED, SPREAD, TIE, Ve
 from problems.spec import SpecError, split_spec
 from problems.whole_files import put
 
+#: Demands of the rules by name; those of "work-precision" are asked for. "iftomm" has the low and
+#: the high precision of the library's specifications.
+RULES = {"work-precision": ("a:1e-3",), "iftomm": (f"{POINTS}:1e-1", f"{POINTS}:1e-3")}
 #: File of a recommendation in its folder.
 FILE = "recommendation.json"
 #: Parts of the budget after which the search, that among other forms of the best, that for the
@@ -62,7 +64,9 @@ _PARTS = {"seconds": (0.45, 0.57, 0.66, 0.9), "operations": (0.6, 0.75, 0.85, 0.
 @click.option(
     "--cost",
     type=click.Choice(["seconds", "operations"]),
-    help="Cost by which all integrators are ranked; seconds if not given.",
+    default="seconds",
+    show_default=True,
+    help="Cost by which integrators are ranked.",
 )
 @options.with_given_budget(
     "Time in s for all runs together; where integrators are named, processor time after which a "
@@ -75,7 +79,6 @@ _PARTS = {"seconds": (0.45, 0.57, 0.66, 0.9), "operations": (0.6, 0.75, 0.85, 0.
 @options.with_folder("stepbench-recommendation", "Folder of the results.")
 @options.with_fresh
 @options.with_jobs("Worker processes; timing is done by one at a time.")
-@click.option("--markdown", is_flag=True, help="Print machine and times in Markdown.")
 @options.with_plugins
 @options.with_as_json
 def recommend_(
@@ -83,14 +86,13 @@ def recommend_(
     methods: tuple[str, ...],
     errors: tuple[str, ...],
     rule: str,
-    cost: str | None,
+    cost: str,
     budget: float,
     t_end: float | None,
     settings: dict[str, str],
     out: Path,
     fresh: bool,
     jobs: int,
-    markdown: bool,
     plugins: tuple[str, ...],
     as_json: bool,
 ) -> None:
@@ -104,8 +106,7 @@ def recommend_(
     Of each INTEGRATOR that is named, or that a SUITE has for its scenes, the largest step or
     tolerance is found that meets every error: each search is a bisection that follows the
     convergence of its own errors. The rule iftomm is that of the IFToMM benchmark library; on a
-    scene without named points it limits the change of energy. Beside rating.json are the named
-    points of the best runs as texts.
+    scene without named points it limits the change of energy.
 
     \b
     Examples:
@@ -120,140 +121,132 @@ def recommend_(
     own = [name] if name.endswith((".py", *SUFFIXES)) else []
     registry = options.usable_registry([*plugins, *own])
     name = _scene_in(registry, name) if own else name
-    common = {
-        "t_end": t_end, "out": out, "fresh": fresh, "jobs": jobs, "budget": budget,
-        "as_json": as_json,
-    }  # fmt: skip
-    if methods or is_suite(name):
-        options.refuse("ranks all integrators of one scene; name none.", cost=cost)
-        more = {"rule": rule, "errors": errors, "settings": settings, "markdown": markdown}
-        rate(registry, name, methods, **common, **more)
-        return
-    options.refuse("is for a table of named integrators; name some.", markdown=markdown)
-    scene, said = registry.problem(name, **settings), []
-    demands = demands_on(scene, errors, rule, said)
-    if not demands:
-        raise SpecError(" ".join(said))
-    if len(demands) > 1:
-        raise SpecError(
-            f"All integrators are ranked by one error, and {len(demands)} are asked for; give one "
-            "by --error, or name integrators."
-        )
-    _race(registry, scene, demands, cost or "seconds", **common)
-
-
-def _race(
-    registry: Inventory,
-    scene: SceneFacts,
-    demands: list[Demand],
-    cost: str,
-    *,
-    t_end: float | None,
-    out: Path,
-    fresh: bool,
-    jobs: int,
-    budget: float,
-    as_json: bool,
-) -> None:
-    """Find the cheapest of all integrators on a scene within a budget of time in s."""
+    out_of_all = not (methods or is_suite(name))
+    tried = methods
+    if out_of_all:
+        name = registry.problem(name, **settings).spec
+        tried, settings = tuple(_methods(registry, registry.problem(name))), {}
+    suite = _suite_of(registry, name, tried, t_end, settings, budget)
+    places = dict.fromkeys((c.problem, c.t_end) for c in suite.cells.values())
+    remarks: list[str] = []
+    every, races = [], []
     start = time.monotonic()
-    suite = suite_of(registry, scene.spec, _methods(registry, scene), t_end, {}, budget)
-    title = f"Recommendation for {scene.spec}: {demands[0]}"
-    suite = replace(suite, plan=msgspec.structs.replace(suite.plan, title=title))
-    end = next(iter(suite.cells.values())).t_end
-    methods = dict.fromkeys(cell.integrator for cell in suite.cells.values())
-    refused = registry.refusals(scene.spec, [*methods])
-    every = [
-        Candidate(scene, registry.integrator(m), end, demands, refused=refused.get(m, ""))
-        for m in methods
-    ]
-    if len(refused) == len(methods):
-        raise SpecError(f"No integrator takes {scene.spec}: {next(iter(refused.values()))}")
-    margin = SPREAD if cost == "seconds" else TIE
-    search_end, forms_end, next_end, over = (start + part * budget for part in _PARTS[cost])
-    race = Race(candidates := _in_turns(every), margin, search_end)
-    verdict, told = Verdict(race, cost), None
+    margin = (SPREAD if cost == "seconds" else TIE) if out_of_all else math.inf
+    search_end, forms_end, next_end, over = (
+        start + part * budget if out_of_all else math.inf for part in _PARTS[cost]
+    )
+    for spec, end in places:
+        scene = registry.problem(spec)
+        demands = _demands_on(scene, errors, rule, remarks)
+        if out_of_all and len(demands) > 1:
+            raise SpecError(
+                f"All integrators are ranked by one error, and {len(demands)} are asked for; give "
+                "one by --error, or name integrators."
+            )
+        own = dict.fromkeys(
+            c.integrator for c in suite.cells.values() if (c.problem, c.t_end) == (spec, end)
+        )
+        refused = registry.refusals(spec, [*own]) if demands else {}
+        candidates = [
+            Candidate(scene, registry.integrator(m), end, demands, refused=refused.get(m, ""))
+            for m in own
+        ]
+        every += candidates if demands else []
+        races += [Race(_in_turns(candidates), margin, search_end, asked) for asked in demands]
+    if not every:
+        raise SpecError(" ".join(remarks))
+    for sentence in remarks:
+        click.echo(sentence, err=True)
+    if all(c.refused for c in every):
+        raise SpecError(f"No integrator takes {name}: {every[0].refused}")
+    title = ", ".join(dict.fromkeys(str(race.asked) for race in races))
+    plan = msgspec.structs.replace(suite.plan, title=f"Recommendation for {name}: {title}")
+    suite = replace(suite, plan=plan)
+    verdicts = [Verdict(race, cost) for race in races]
+    until = next_end  # processes are ended with all that they do then
     from bench.commands.terminal import RunProgress, show
 
-    until = next_end  # processes are ended with all that they do then
-
-    def report() -> None:
+    def report(store: Store) -> None:
         """Write and show what was found."""
         found = {
             "cost": cost,
-            "sentences": verdict.sentences(),
-            "ratings": [rating_of(c, demands[0]) for c in verdict.order],
-            "runs": sum(len(c.runs) for c in candidates),
+            "machine": msgspec.to_builtins(store.environments()),
+            "sentences": [text for verdict in verdicts for text in verdict.sentences()],
+            "ratings": [rating for verdict in verdicts for rating in verdict.ratings()],
+            "runs": sum(len(c.runs) for c in every),
         }
         put(out / FILE, text := json.dumps(found, indent=2))
         if as_json:
             click.echo(text)
             return
-        show(verdict.table())
-        for sentence in verdict.sentences():
-            click.echo(sentence)
-        write_reports(out)
+        for verdict in verdicts:
+            show(verdict.table(), *verdict.sentences())
+        show(*(overviews(store.plan(), store.records()) if len(places) > 1 else []))
 
-    try:
-        with (
-            RunProgress(lines=False) as progress,
-            Runner(
-                jobs, Limits(budget / 4, suite.memory_gib), progress,
-                lambda: time.monotonic() < until,
-            ) as runner,
-            Store(out, create=True, fresh=fresh) as store,
-        ):  # fmt: skip
-            search = Search(candidates, suite, store, registry, runner)
-            stored = "Finished runs are stored; the same command goes on."
-            remark(stored)
-            count = f"{len(candidates)} methods and forms on {scene.spec}"
-            progress.note(f"{count}, within {budget:g} s:")
+    with (
+        RunProgress(lines=False) as progress,
+        Runner(
+            jobs, Limits(budget / (4 if out_of_all else 1), suite.memory_gib), progress,
+            lambda: time.monotonic() < until,
+        ) as runner,
+        Store(out, create=True, fresh=fresh) as store,
+    ):  # fmt: skip
+        search = Search(every, suite, store, registry, runner)
+        remark(stored := "Finished runs are stored; the same command goes on.")
+        count = f"{len(every)} methods and forms on {name}"
+        progress.note(f"{count}{f', within {budget:g} s' if out_of_all else ''}:")
+        leaders: dict[int, Candidate] = {}
+        asked: list[Candidate] = []
 
-            def tell() -> None:
-                nonlocal told
-                if order := verdict.order:
+        def tell() -> None:
+            for k, verdict in enumerate(verdicts):
+                if (order := verdict.order) and order[0] is not leaders.get(k):
+                    leaders[k] = order[0]
                     remark(f"So far: {verdict.first} {stored}")
-                    if order[0] is not told:
-                        progress.note(f"{time.monotonic() - start:.0f} s: {verdict.first}")
-                    told = order[0]
+                    progress.note(f"{time.monotonic() - start:.0f} s: {verdict.first}")
 
-            harder = demand(f"{demands[0].text.rpartition(':')[0]}:{demands[0].limit / 10:g}")
-            asked: list[Candidate] = []
-
-            def choose() -> list[Cell]:
-                """Runs of the race, of other forms of the best, and of winners for the next
-                digit."""
+        def choose() -> list[Cell]:
+            """Runs of the races; of all integrators also those of other forms of the best, and of
+            the winners for the next digit."""
+            cells = [cell for race in races for cell in race.next()]
+            if cells or not out_of_all:
+                return cells
+            (race,), (verdict,) = races, verdicts
+            if not asked and time.monotonic() < forms_end:
+                race.end = forms_end
+                for leader in verdict.leading if race.leader else ():
+                    forms = _other_forms(registry, leader, every)
+                    every[:0] = forms
+                    race.candidates[:0] = forms
                 if cells := race.next():
                     return cells
-                if not asked and time.monotonic() < forms_end:
-                    race.end = forms_end
-                    for leader in verdict.leading if race.leader else ():
-                        candidates[:0] = _other_forms(registry, leader, candidates)
-                    if cells := race.next():
-                        return cells
-                if not asked:
-                    asked.extend(verdict.order[:MOST_ASKED])
-                    for candidate in asked:
-                        candidate.demands = [*demands, harder]
-                return Race(asked, math.inf, next_end, harder).next() if asked else []
+            harder = demand(f"{race.asked.text.rpartition(':')[0]}:{race.asked.limit / 10:g}")
+            if not asked:
+                asked.extend(verdict.order[:MOST_ASKED])
+                for candidate in asked:
+                    candidate.demands = [race.asked, harder]
+            return Race(asked, math.inf, next_end, harder).next() if asked else []
 
+        try:
             runner.draft = True
             search.run(choose, tell)
             runner.end_workers()
             runner.draft, until = False, over
-            if asked:
-                verdict.harder = harder
-                tied = [r for c in verdict.order[:MOST_TIMED] if (r := c.best(demands[0]))]
-                search.take_times(tied)
-    finally:  # what was found before an error is not lost by it
-        if any(c.runs for c in candidates):
-            report()
-    if not any(c.runs for c in candidates):
+            for candidate in asked:
+                verdicts[0].harder = candidate.demands[-1]
+            most = MOST_TIMED if out_of_all else None
+            search.take_times(v.best(c) for v in verdicts for c in v.order[:most])
+        finally:  # what was found before an error is not lost by it
+            if any(c.runs for c in every):
+                report(store)
+    if not any(c.runs for c in every):
         raise click.ClickException(
             f"{budget:g} s were over before the first run had ended; give a larger --budget."
         )
-    if not verdict.order:
-        raise click.ClickException(f"No integrator reaches {demands[0]} on {scene.spec}.")
+    if not as_json:
+        write_reports(out)
+    if not any(verdict.order for verdict in verdicts):
+        raise click.ClickException(f"No integrator reaches {title} on {name}.")
 
 
 def _scene_in(registry: Inventory, file: str) -> str:
@@ -310,3 +303,39 @@ def _in_turns(candidates: Sequence[Candidate]) -> list[Candidate]:
         keys.append((turns[c.method.family], k))
         turns[c.method.family] += 1
     return [strongest[k] for _, k in sorted(keys)]
+
+
+def _suite_of(
+    registry: Inventory,
+    name: str,
+    methods: Sequence[str],
+    t_end: float | None,
+    settings: Mapping[str, str],
+    budget: float,
+) -> Suite:
+    """Return the suite of a scene or of a suite's name, whose cells name scenes and methods."""
+    if is_suite(name):
+        if settings or t_end is not None:
+            raise SpecError("--set and --t-end belong to one scene; a suite has its own.")
+        return make_suite(*read_profile(name), registry, (), methods, budget)
+    scene = registry.problem(name, **settings)
+    study = StudyFile(problems=[scene.spec], integrators=list(methods), t_end=t_end)
+    return make_suite("rating", ProfileFile(study=[study], budget_s=budget), registry)
+
+
+def _demands_on(
+    scene: SceneFacts, errors: Sequence[str], rule: str, said: list[str]
+) -> list[Demand]:
+    """Return what is demanded on a scene; sentences on what it lacks go to ``said``."""
+    texts = list(errors or RULES[rule])
+    if not (errors or scene.points) and rule == "iftomm":
+        texts = [text.replace(POINTS, ENERGY) for text in texts]
+        said.append(f"{scene.spec} names no points: its change of energy is judged.")
+    for what, there, lack in (
+        (POINTS, scene.points, "names no points"),
+        (ENERGY, scene.energy, "states no energy"),
+    ):
+        lost = [] if there else [text for text in texts if text.startswith(f"{what}:")]
+        texts = [text for text in texts if text not in lost]
+        said += [f"{scene.spec} {lack}: it is not judged by {' and '.join(lost)}."] if lost else []
+    return [demand(text) for text in texts]

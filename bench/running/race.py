@@ -24,7 +24,7 @@ class Race:
     candidates
         Candidates of one scene, with the same first demand, in the order of their beginning.
     margin
-        Quotient of operations up to which a dearer candidate stays.
+        Quotient of operations up to which a dearer candidate stays; infinite: all stay.
     end
         Time of `time.monotonic` in s at which no further run begins.
     asked
@@ -70,7 +70,7 @@ class Race:
             if (cost := run.cost("operations")) and 0 < self.asked.of(run) < math.inf
         ]
         best = candidate.best(self.asked)
-        if not known or (best and candidate.next() is None):
+        if not known or (best and candidate.next(self.asked) is None):
             return self.operations(candidate)
         power = self.STEPS if candidate.method.controls == "step" else self.TOLERANCES
         if best:  # its first step may be much too fine
@@ -102,6 +102,6 @@ class Race:
             return []
         stay = [c for c in self.candidates if not (self.is_dropped(c) or self.is_settled(c))]
         begun = sorted((c for c in stay if c.runs), key=self.promised)
-        first = [cell for c in stay if not c.runs and (cell := c.next())]
-        more = islice((cell for c in begun if (cell := c.next())), self.TOGETHER)
+        first = [cell for c in stay if not c.runs and (cell := c.next(self.asked))]
+        more = islice((cell for c in begun if (cell := c.next(self.asked))), self.TOGETHER)
         return [*first[: self.FIRST], *more][: self.TOGETHER]

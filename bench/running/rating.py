@@ -1,4 +1,4 @@
-"""Rate methods on scenes: the cheapest resolution that meets a rule, by runs in a store."""
+"""Methods on scenes, and the search for their coarsest resolutions that meet demands."""
 
 from __future__ import annotations
 
@@ -40,18 +40,15 @@ class Candidate:
         told = (r.message for r in self.runs.values() if r.status == UNSUPPORTED)
         return self.refused or next(told, "")
 
-    def next(self) -> Cell | None:
-        """Return the cell to try next for any of the demands."""
-        if self.refusal:
-            return None
+    def next(self, asked: Demand) -> Cell | None:
+        """Return the cell to try next for a demand."""
         sizes = Sizes.of(self.scene, self.method, self.t_end)
-        for asked in self.demands:
-            size = sizes.next(self.errors(asked), asked.limit)
-            if size is not None:
-                resolution = sizes.resolution(size)
-                cell = Cell(self.scene.spec, self.method.spec, self.t_end, resolution)
-                return self.cells.setdefault(size, cell)
-        return None
+        size = None if self.refusal else sizes.next(self.errors(asked), asked.limit)
+        if size is None:
+            return None
+        resolution = sizes.resolution(size)
+        cell = Cell(self.scene.spec, self.method.spec, self.t_end, resolution)
+        return self.cells.setdefault(size, cell)
 
     def take(self, records: Mapping[str, Record]) -> None:
         """Take the records of all cells that have one."""
@@ -68,6 +65,8 @@ class Candidate:
     @property
     def obstacle(self) -> str:
         """The reason why finer sizes do not help: the end of the finest run."""
+        if self.refusal:
+            return f"{UNSUPPORTED}: {self.refusal}"
         finest = self.runs[min(self.runs)]
         if finest.status == "ok":
             return f"Errors do not fall below that; the finest run had {finest.resolution}."
@@ -104,18 +103,14 @@ class Search:
     registry: Inventory
     runner: Runner
 
-    def run(
-        self,
-        choose: Callable[[], list[Cell]] | None = None,
-        after_run: Callable[[], None] = lambda: None,
-    ) -> None:
+    def run(self, choose: Callable[[], list[Cell]], after_run: Callable[[], None]) -> None:
         """Search until no cells are left to run.
 
         Parameters
         ----------
         choose
             Chooses the cells that are worth a run now, the best first (see
-            `bench.running.race.Race`); by default the next one of each candidate.
+            `bench.running.race.Race`).
         after_run
             Called when candidates have got new runs.
 
@@ -126,13 +121,10 @@ class Search:
         """
         self._refuse_rest()
 
-        def of_all() -> list[Cell]:
-            return [cell for c in self.candidates if (cell := c.next())]
-
         def further() -> list[Cell]:
             self._take()
             after_run()
-            while cells := (choose or of_all)():
+            while cells := choose():
                 suite = self._restricted(cells)
                 if missing := missing_cells(suite, self.store, self.registry):
                     self.store.keep(suite.plan)

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from bench.results.demands import NOT_MET, Demand
 from bench.results.records import Record
@@ -99,17 +100,57 @@ class Verdict:
         return [first, *self._next_digit(order), self._others()]
 
     def table(self) -> Table:
-        """Return the table of the cheapest candidates, or of those that come nearest."""
+        """Return the table of the cheapest candidates, then of those that do not reach it if all
+        stay in the race, or if nobody does."""
+        short = [] if self.order and self.race.margin < math.inf else self._by_error()
+        missed = [c for c in short if not c.best(self.asked)]
+        missed = missed if self.race.margin == math.inf else missed[:MOST_TIMED]
         rows = []
-        for c in self.order or self._by_error()[:MOST_TIMED]:
+        for c in (*self.order, *missed):
             run = c.best(self.asked) or c.nearest(self.asked)
-            figures = run.h or run.rtol, self.asked.error(run), run.seconds, run.cost("operations")
-            rows.append([run.integrator, *map(number, figures), self._next_cost(c), _failure(c)])
-        costs = "time [s]", "operations", "next digit"
-        head = ["integrator", "h [s] or rtol", "error", *costs, "fails"]
-        note = "fails: the smallest step or tolerance at which a run did not reach the end."
+            time = number(run.seconds) if c.best(self.asked) else NOT_MET
+            figures = run.h or run.rtol, run.cost("operations"), self.asked.error(run)
+            more = map(number, (run.energy_drift, run.constraint.get("position")))
+            told = self._next_cost(c), _failure(c)
+            rows.append([run.integrator, *map(number, figures), time, *more, *told])
+        head = ["integrator", "h [s] or rtol", "operations", "error", "time [s]", "energy", "Φ"]
+        why = [f"{c.method.spec}: {c.obstacle}" for c in missed]
+        why.append("fails: the smallest step or tolerance at which a run did not reach the end.")
         title = f"{self.race.candidates[0].scene.spec}: {self.asked}"
-        return Table(title, head, rows, note=note)
+        return Table(title, [*head, "next digit", "fails"], rows, note="\n".join(why))
+
+    def ratings(self) -> list[dict[str, Any]]:
+        """Return a rating of each candidate of the table, and of those that are refused if all
+        stay in the race, for a file that can be sent."""
+        if self.race.margin < math.inf:
+            return [self._rating(c) for c in self.order]
+        return [self._rating(c) for c in self.race.candidates]
+
+    def _rating(self, candidate: Candidate) -> dict[str, Any]:
+        best = candidate.best(self.asked)
+        run = best or (candidate.nearest(self.asked) if candidate.runs else None)
+        return {
+            "problem": candidate.scene.spec,
+            "integrator": candidate.method.spec,
+            "demand": str(self.asked),
+            "met": best is not None,
+            "obstacle": "" if best else candidate.obstacle,
+            "runs": len(candidate.runs),
+        } | (
+            {}
+            if run is None
+            else {
+                "formulation": run.formulation,
+                "resolution": run.resolution,
+                "error": self.asked.error(run),
+                "seconds": run.seconds,
+                "run_s": run.run_s,
+                "operations": run.cost("operations"),
+                "work": run.work,
+                "energy_drift": run.energy_drift,
+                "constraint": run.constraint,
+            }
+        )
 
     # ---- parts -------------------------------------------------------------------------
     def _costs(self, run: Record) -> str:
@@ -159,7 +200,8 @@ class Verdict:
         counts = Counter(map(self._fate, every))
         told = ", ".join(f"{count} {fate}" for fate, count in counts.items())
         runs = sum(len(c.runs) for c in every if not c.refusal)
-        return f"Of {len(every)} methods and forms: {told}; {runs} runs. {self._forms()}"
+        forms = self._forms() if self.race.margin < math.inf else ""
+        return f"Of {len(every)} methods and forms: {told}; {runs} runs. {forms}".strip()
 
     def _forms(self) -> str:
         """A sentence on the forms that were tried, and on those that were not."""
@@ -183,7 +225,7 @@ class Verdict:
             return "reached it"
         if self.race.is_dropped(c):
             return "dropped as dearer"
-        return "unfinished" if c.next() else "never reached it"
+        return "unfinished" if c.next(self.asked) else "never reached it"
 
 
 def _failure(candidate: Candidate) -> str:
