@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers import long
 
+from bench.check.blocks import alike
 from bench.check.checker import CHECKS, Checker, examine
 from bench.check.verdicts import FAILED, NOT_APPLICABLE, PASSED
 from bench.guard import limits
@@ -111,6 +112,14 @@ def test_a_wrong_scene_is_told_what_to_mend(registry):
         ("idle", "description", "The parameter c has no unit"),
     ]
     assert told(registry, "problems", faults) == []
+
+
+def test_what_acts_late_acts_and_what_cancels_may_round(registry):
+    assert examine(registry, "problems", "late", "parameters").verdict == PASSED
+    stiff = np.array([[1e-4], [1e11]])  # a sum of forces of 1e11 N, near balance and beside it
+    assert alike(stiff, stiff + 1e-4)
+    assert not alike(stiff, stiff + 1e4)
+    assert not alike(stiff / 1e11, stiff / 1e11 + 1e-8)
 
 
 @pytest.mark.parametrize("command", [("solve", "pendulum"), *long((("stability",),))])
