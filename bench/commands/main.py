@@ -15,7 +15,6 @@ from bench.commands import (
     listing,
     orders,
     plugins,
-    realtime,
     recommendations,
     results,
     single_runs,
@@ -36,7 +35,6 @@ _MODULES = (
     recommendations,
     results,
     studies,
-    realtime,
     sweeps,
 )
 #: The answer to commands of the release before, by name; for one release.

@@ -1,4 +1,4 @@
-"""The commands of studies beside the suites: `drift`, `stability` and `atlas`.
+"""The commands of studies beside the suites: `drift`, `realtime`, `stability` and `atlas`.
 
 A job of a worker gives the data of a study, from which a table and a page are made.
 """
@@ -6,7 +6,10 @@ A job of a worker gives the data of a study, from which a table and a page are m
 from __future__ import annotations
 
 import json
+import math
+import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +26,8 @@ from problems.spec import SpecError
 
 #: Most steps of a long run that can be asked for.
 _MOST_STEPS = 10**9
+#: Largest limit of iterations that can be asked for.
+_MOST_ITERATIONS = 1000
 _SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
 with_names = click.argument(
     "names", nargs=-1, required=True, metavar="INTEGRATOR...", shell_complete=completion.integrators
@@ -49,6 +54,12 @@ def once_each(registry: Inventory, names: Sequence[str]) -> list[MethodFacts]:
         if method in methods[:k]:
             raise SpecError(f"{method.spec} is named twice.")
     return methods
+
+
+def _fail(faults: Sequence[str]) -> None:
+    """Tell what failed, each once, and end with exit code 1."""
+    if faults:
+        raise click.ClickException(" ".join(dict.fromkeys(faults)))
 
 
 def print_json(value: Any) -> None:
@@ -131,8 +142,97 @@ def drift(
                 said = "The report of this folder has it as a chapter after `stepbench report`."
                 click.echo(said, err=bool(form))
     faults += [f"{r.integrator}: {r.status}: {r.message}" for r in results if r.status != "ok"]
-    if faults:
-        raise click.ClickException(" ".join(faults))
+    _fail(faults)
+
+
+# ---- runs at a fixed rate ----------------------------------------------------------------
+def _rate(context: click.Context, parameter: click.Parameter, text: str) -> float:
+    """Read "1kHz", "500Hz" or "1000" as a number of Hz."""
+    match = re.fullmatch(r"([+\d.e-]+) ?(?:(k?)hz)?", text, re.IGNORECASE)
+    with suppress(ValueError):
+        rate = float(match[1]) * (1000.0 if match[2] else 1.0) if match else 0.0
+        if 0 < rate < math.inf:
+            return rate
+    raise click.BadParameter(
+        f"{text!r} is no rate; give a positive one such as 1kHz, 500Hz or 1000."
+    )
+
+
+@click.command()
+@click.argument("problem", metavar="SCENE", shell_complete=completion.scenes)
+@with_names
+@options.with_set
+@click.option(
+    "--rate", required=True, callback=_rate, help="Steps per second: 1kHz, 500Hz or 1000."
+)
+@click.option(
+    "--iterations",
+    type=click.IntRange(1, _MOST_ITERATIONS),
+    help="Most iterations in each call of Newton's method; 1 and unlimited side by side if not "
+    "given.",
+)
+@click.option(
+    "--duration", type=float, help="Length of the run in s; the scene's interval if not given."
+)
+@options.with_budget
+@options.with_plugins
+@options.with_as_json
+def realtime(
+    problem: str,
+    names: tuple[str, ...],
+    settings: dict[str, str],
+    rate: float,
+    iterations: int | None,
+    duration: float | None,
+    budget: float,
+    plugins: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Run methods with a fixed budget per step, as in real time.
+
+    Each step of 1/RATE takes at most so many iterations of Newton's method and goes on, converged
+    or not; explicit and linearly implicit methods have none. The host calls one compiled step for
+    each tick. The tables have the time per step, the steps that took longer than 1/RATE, and errors
+    and residuals of the same run.
+
+    \b
+    Examples:
+      stepbench realtime slider_crank linearly_implicit_euler generalized_alpha --rate 1kHz
+      stepbench realtime quarter_car bdf2 --rate 500Hz --iterations 2
+      stepbench realtime pendulum half_explicit_euler stormer_verlet --rate 1000 --duration 1 --json
+    """
+    registry = options.usable_registry(plugins)
+    scene, methods = registry.problem(problem, **settings), once_each(registry, names)
+    length = scene.interval[1] - scene.interval[0]
+    duration = length if duration is None else duration
+    from bench.commands.terminal import show
+    from bench.results.realtime import MOST_STEPS, realtime_sentence, realtime_tables
+    from bench.running.realtime import realtime_job
+
+    if not 0 < duration <= length * (1 + 1e-9):
+        raise SpecError(
+            f"The duration {duration:g} s is not allowed; give a positive one of at most "
+            f"{length:g} s, the interval of {scene.spec}, where the reference is known."
+        )
+    steps = math.floor(min(duration * rate * (1 + 1e-9), 2.0 * MOST_STEPS))
+    if not 2 <= steps <= MOST_STEPS:
+        raise SpecError(
+            f"{rate:g} Hz over {duration:g} s is not allowed; give a rate and a duration that make "
+            f"from 2 to {MOST_STEPS} steps."
+        )
+
+    def measured(method: MethodFacts) -> Any:
+        sources, task = scene.sources | method.sources, (scene.spec, method.spec, rate, steps)
+        return options.guarded(method.spec, realtime_job, sources, budget, *task, iterations)
+
+    answers, faults = of_each(methods, measured)
+    runs = [run for answer in answers for run in answer]
+    if runs and as_json:
+        print_json({"runs": runs, "summary": realtime_sentence(runs)})
+    elif runs:
+        show(*realtime_tables(runs), realtime_sentence(runs))
+    faults += [f"{run.name}: {run.status}: {run.message}" for run in runs if run.status != "ok"]
+    _fail(faults)
 
 
 # ---- stability ---------------------------------------------------------------------------
@@ -213,8 +313,7 @@ def stability(
             show(f"{name}, {results[0]['system']}", *lines)
         show(*tables)
         click.echo(f"Page: {view('stability')(results, out)}")
-    if faults:
-        raise click.ClickException(" ".join(faults))
+    _fail(faults)
 
 
 # ---- the failure atlas -------------------------------------------------------------------

@@ -4,28 +4,24 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable
 
 import numpy as np
 
-from bench.results.realtime import RealTimeRun, StepTimes
+from bench.results.realtime import RealTimeRun, times_of
 from bench.running import measure
 from bench.running.errors import finite, relative_errors
 from bench.running.worker import Worker
 from integrators import checks
 from integrators.advice import advice
-from integrators.contract import Integrator, Trajectory
-from integrators.native.lone_steps import LoneStep
+from integrators.contract import Integrator
+from integrators.native.single_step import SingleStep
 from integrators.native.step_method import NativeMethod
-from problems.reference import Reference
-from problems.runtime import Array, Float, jax
+from problems.runtime import Array, Float
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
 #: Steps before the clock is read.
 _WARM_UP = 200
-#: Calls that do nothing, by which the cost of a call is measured.
-_IDLE = 500
 
 
 def realtime_job(
@@ -41,60 +37,53 @@ def realtime_job(
         Steps per s.
     limit
         Most iterations in each call of Newton's method; None for two runs, with one iteration and
-        with as many as the method takes.
+        with as many as the method takes, or for the latter alone if it keeps tangents over steps.
 
     Raises
     ------
     SpecError
-        If the method does not take the scene, or its step cannot be called alone.
+        If the method does not take the scene, or its step cannot be called alone or limited.
     """
     scene = worker.problem(problem)
     method = stepping(worker.registry.integrator(integrator), scene)
-    own = LoneStep(method, scene, 1 / rate, steps)
-    runs = {"unlimited" if own.iterates else "none": own}
-    if own.iterates:
-        few = {str(limit or 1): LoneStep(method, scene, 1 / rate, steps, limit or 1)}
-        runs = few if limit else few | runs
-    idle, _ = timed(jax.jit(lambda state: state + 0.0), own.first, _IDLE)
     reference = worker.reference(scene, scene.interval[0] + steps / rate)
-    found = []
-    for iterations, step in runs.items():
-        seconds, states = timed(step, step.first, steps)
+    own, limits = SingleStep(method, scene, 1 / rate, steps), [limit]
+    if not own.iterates:
+        limits = [None]
+    elif limit is None and not own.keeps_tangents:
+        limits = [1, None]
+    runs = []
+    for most in limits:
+        step = SingleStep(method, scene, 1 / rate, steps, most) if most else own
+        seconds, states = timed(step, steps)
         run, unconverged = step.run(states)
-        errors = errors_of(scene, run, reference)
-        done = len(run.t) - 1
-        found.append(
+        if run.status == "ok" and not reference.missing:
+            changes = measure.invariant_changes(scene, run, reference, ["energy"])
+            measure.end_at_blow_up(run, reference, changes)
+        errors, constraint, done = {}, {}, len(run.t) - 1
+        if run.status == "ok":
+            violations = measure.violations(scene, run)
+            constraint = {k: finite(v.max()) for k, v in violations.items() if k != "acceleration"}
+            if not reference.missing:
+                table = relative_errors(run, reference).errors
+                errors = {name: e["max"] for name, e in table.items() if name[0] != "|"}
+        runs.append(
             RealTimeRun(
                 problem=scene.spec,
                 integrator=method.spec,
-                iterations=iterations,
+                iterations=str(most or "unlimited") if own.iterates else "none",
                 rate=rate,
                 asked=steps,
                 steps=done,
                 status=run.status,
                 message=run.message or reference.missing,
                 unconverged=min(unconverged, done),
-                times=StepTimes.of(seconds[: max(done, 1)], 1 / rate),
-                idle_us=float(np.median(idle)) * 1e6,
                 errors=errors,
-                constraint=residuals(scene, run) if run.status == "ok" else {},
+                constraint=constraint,
+                **times_of(seconds[: max(done, 1)], 1 / rate),
             )
         )
-    return found
-
-
-def errors_of(
-    scene: MechatronicSystem, run: Trajectory, reference: Reference, norm: str = "max"
-) -> dict[str, float | None]:
-    """Return the errors of a run by group, none if it failed or blew up, which ends it."""
-    if reference.missing or run.status != "ok":
-        return {}
-    changes = measure.invariant_changes(scene, run, reference, ["energy"])
-    measure.end_at_blow_up(run, reference, changes)
-    if run.status != "ok":
-        return {}
-    table = relative_errors(run, reference).errors
-    return {name: norms[norm] for name, norms in table.items() if name[0] != "|"}
+    return runs
 
 
 def stepping(method: Integrator, scene: MechatronicSystem) -> NativeMethod:
@@ -123,33 +112,24 @@ def stepping(method: Integrator, scene: MechatronicSystem) -> NativeMethod:
     return native
 
 
-def timed(
-    step: Callable[[Array], Array], first: Array, steps: int
-) -> tuple[Float[np.ndarray, " k"], list[Array]]:
-    """Take k steps from a first state; return the time of each in s, and the state after it.
+def timed(step: SingleStep, steps: int) -> tuple[Float[np.ndarray, " k"], list[Array]]:
+    """Take k steps from the start; return the time of each in s, and the state after it.
 
     A step is timed from its call to its result, without garbage collection.
     """
-    state = first
-    for _ in range(min(_WARM_UP, steps)):
-        state = step(state).block_until_ready()
-    state, begun, ends, states = first, [0] * steps, [0] * steps, []
-    clock, collects = time.perf_counter_ns, gc.isenabled()
+    seconds, states = np.zeros(steps), []
+    collects = gc.isenabled()
     gc.collect()
     gc.disable()
     try:
-        for n in range(steps):
-            begun[n] = clock()
-            state = step(state).block_until_ready()
-            ends[n] = clock()
-            states.append(state)
+        for count in (min(_WARM_UP, steps), steps):
+            state, states = step.first, []
+            for n in range(count):
+                begun = time.perf_counter_ns()
+                state = step(state).block_until_ready()
+                seconds[n] = (time.perf_counter_ns() - begun) * 1e-9
+                states.append(state)
     finally:
         if collects:
             gc.enable()
-    return np.subtract(ends, begun) * 1e-9, states
-
-
-def residuals(scene: MechatronicSystem, run: Trajectory) -> dict[str, float | None]:
-    """Return the largest residuals of Phi and of dPhi/dt over all rows of a run, in their units."""
-    found = measure.violations(scene, run)
-    return {level: finite(found[level].max()) for level in ("position", "velocity") if found}
+    return seconds, states
