@@ -19,7 +19,7 @@ from problems.variables import INVARIANTS, Variables
 _DERIVATIVE_ERROR = 1e-6
 #: Difference quotients are tried with these steps and the best one counts: a block may be as
 #: sharp as the smallest.
-_QUOTIENT_STEPS = (1e-3, 1e-4, 1e-5)
+_QUOTIENT_STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
 _POINTS = 3
 #: The variables that each block takes.
 _ARGUMENTS = {
