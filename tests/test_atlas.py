@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -36,8 +35,6 @@ LONG |= {"composite_index3", "stage_order", "one_sided_multiplier", "exact_energ
 LONG |= {"no_error_control", "rosenbrock_index2", "variable_steps", "undamped_index3"}
 LONG |= {"sharp_cuts", "mixed_forces", "wrong_norm"}
 LONG |= {"ignored_samples", "steps_over_samples", "event_times"}
-LONG |= {"sharp_cuts", "mixed_forces", "wrong_norm"}
-EACH = [name for name in NAMES if name not in LONG] + long(*sorted(LONG))
 
 #: One case of each experiment (part, case) and what a mutant of it does instead: with the failure
 #: cured, or the cure left out, the prediction must fail.
@@ -83,14 +80,12 @@ def run(experiments, *added, plugins=()):
     return {result.name: result for result in found}
 
 
-@cache
 def found(among):
     return run(read_experiments([name for name in NAMES if (name in LONG) == among]))
 
 
-@cache
-def mutated(among):
-    return run([mutant(name) for name in MUTANTS if (name in LONG) == among])
+def mutated():
+    return run([mutant(name) for name in MUTANTS])
 
 
 def mutant(name):
@@ -102,41 +97,42 @@ def mutant(name):
     return experiment
 
 
-@pytest.mark.parametrize("name", EACH)
-def test_an_experiment_comes_out_as_predicted(name):
-    result = found(name in LONG)[name]
-    cases = [(part.text, case) for part in result.parts for case in part.cases]
-    differ = [
-        f"{text}, {case.label}: {case.number} is not {bounds(case.expected.bounds)}. {case.message}"
-        for text, case in cases
-        if not case.as_expected
-    ]
-    assert not differ, "\n".join(differ)
-    assert result.as_predicted
-    # A failure is only worth showing beside a method that is spared.
-    assert {case.verdict for _, case in cases} == {"spared", "hit"}
+@pytest.mark.parametrize("among", [False, *long(True)], ids=["short", "long"])
+def test_experiments_come_out_as_predicted(among):
+    for name, result in found(among).items():
+        cases = [(part.text, case) for part in result.parts for case in part.cases]
+        differ = [
+            f"{name}, {text}, {case.label}: {case.number} is not {bounds(case.expected.bounds)}. "
+            f"{case.message}"
+            for text, case in cases
+            if not case.as_expected
+        ]
+        assert not differ, "\n".join(differ)
+        assert result.as_predicted
+        # A failure is only worth showing beside a method that is spared.
+        assert {case.verdict for _, case in cases} == {"spared", "hit"}, name
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", EACH)
-def test_a_mutant_of_an_experiment_does_not(name):
-    assert not mutated(name in LONG)[name].as_predicted
+def test_a_mutant_of_an_experiment_does_not():
+    assert sorted(MUTANTS) == sorted(NAMES)
+    assert not [name for name, result in mutated().items() if result.as_predicted]
 
 
-@pytest.mark.parametrize("experiment", read_experiments(), ids=lambda e: e.name)
-def test_every_experiment_predicts_and_its_intervals_say_something(experiment):
-    cases = [case for part in experiment.part for case in part.case]
-    assert {"theory", "publication"} & {case.basis for case in cases}
-    for case in cases:
-        expected = case.expectation()
-        low, high = expected.bounds
-        earlier = expected.basis == "measurement"
-        assert expected.why or earlier
-        assert not (expected.formula and earlier), "a range that was measured has no formula"
-        if case.take == "slope":
-            assert high - low <= 1.5
-        elif low > 0:
-            assert high <= (13 if earlier else 2) * low, (expected, case.label)
+def test_every_experiment_predicts_and_its_intervals_say_something():
+    for experiment in read_experiments():
+        cases = [case for part in experiment.part for case in part.case]
+        assert {"theory", "publication"} & {case.basis for case in cases}
+        for case in cases:
+            expected = case.expectation()
+            low, high = expected.bounds
+            earlier = expected.basis == "measurement"
+            assert expected.why or earlier
+            assert not (expected.formula and earlier), "a range that was measured has no formula"
+            if case.take == "slope":
+                assert high - low <= 1.5
+            elif low > 0:
+                assert high <= (13 if earlier else 2) * low, (expected, case.label)
 
 
 def test_an_expected_number_is_computed_from_its_formula():
@@ -283,9 +279,8 @@ def test_a_difference_is_told_and_ends_with_an_error(stepbench, tmp_path, monkey
     assert "DIFFERS" in page
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
+def test_a_mistake_in_an_experiment_is_named(tmp_path):
+    for change, said in [
         (('measure = "condition"', 'measure = "conditions"'), "did you mean 'condition'"),
         (('measure = "condition"', 'measure = "value"'), "name='none' is no component"),
         (('measure = "condition"', 'measure = "events"'), "name='none' is not known"),
@@ -300,15 +295,13 @@ def test_a_difference_is_told_and_ends_with_an_error(stepbench, tmp_path, monkey
         (("expected = -4", "expected = 'order(2)'"), "'order(2)' cannot be computed: unknown name"),
         (("expected = -4", "expected = '1/0'"), "'1/0' cannot be computed: division by zero"),
         (('why = "', 'label = "'), "not as expected"),
-    ],
-)
-def test_a_mistake_in_an_experiment_is_named(tmp_path, change, said):
-    file = tmp_path / "08_condition.toml"
-    text = built_in_experiments()["condition"].read_text(encoding="utf-8")
-    assert change[0] in text
-    file.write_text(text.replace(*change))
-    with pytest.raises(SpecError, match=re.escape(said)):
-        read_experiment(file)
+    ]:
+        file = tmp_path / "08_condition.toml"
+        text = built_in_experiments()["condition"].read_text(encoding="utf-8")
+        assert change[0] in text
+        file.write_text(text.replace(*change))
+        with pytest.raises(SpecError, match=re.escape(said)):
+            read_experiment(file)
 
 
 def test_an_unknown_experiment_costs_one_sentence(stepbench, tmp_path):

@@ -52,29 +52,29 @@ def test_a_finite_trajectory_is_kept_whole():
     assert rows.values["y"] == [[t, t] for t in TIMES]
 
 
-@pytest.mark.parametrize("bad", [np.inf, -np.inf, np.nan])
-@pytest.mark.parametrize("group", ["t", "q", "y"])
-def test_rows_end_before_the_first_that_is_not_finite_and_can_be_read_back(tmp_path, group, bad):
-    whole = vars(trajectory())[group].copy()
-    whole.reshape(5, -1)[3, -1] = bad
-    rows = stored_rows(trajectory(**{group: whole}))
-    assert rows.t == TIMES[:3].tolist()
-    assert {len(values) for values in rows.values.values()} == {3}
-    record = Record(
-        key="k",
-        problem="p",
-        integrator="i",
-        family="f",
-        formulation="ode",
-        controls="step",
-        h=0.1,
-        t0=0.0,
-        t_end=0.4,
-        status="diverged",
-    )
-    with Store(tmp_path, create=True) as store:
-        store.save(record, rows)
-        assert store.rows("k") == rows
+def test_rows_end_before_the_first_that_is_not_finite_and_can_be_read_back(tmp_path):
+    for group in ["t", "q", "y"]:
+        for bad in [np.inf, -np.inf, np.nan]:
+            whole = vars(trajectory())[group].copy()
+            whole.reshape(5, -1)[3, -1] = bad
+            rows = stored_rows(trajectory(**{group: whole}))
+            assert rows.t == TIMES[:3].tolist()
+            assert {len(values) for values in rows.values.values()} == {3}
+            record = Record(
+                key="k",
+                problem="p",
+                integrator="i",
+                family="f",
+                formulation="ode",
+                controls="step",
+                h=0.1,
+                t0=0.0,
+                t_end=0.4,
+                status="diverged",
+            )
+            with Store(tmp_path, create=True) as store:
+                store.save(record, rows)
+                assert store.rows("k") == rows
 
 
 def test_nothing_is_left_of_a_run_without_rows_or_without_numbers():
@@ -192,11 +192,11 @@ def test_a_component_that_hardly_moves_is_measured_by_its_group(monkeypatch):
     assert components["q"]["max"] == [0.0, pytest.approx(1e-7)]
 
 
-@pytest.mark.parametrize(("largest", "size"), [(1.1e-5, 1.1e-5), (0.9e-5, 10.0)])
-def test_a_component_has_its_own_size_from_a_millionth_of_its_group_on(monkeypatch, largest, size):
-    monkeypatch.setattr(Known, "exact", np.array([[10.0, largest], [0.0, 0.0], [1.0, 0.0]]))
-    components = errors_of(Named(), [[0.0, 1e-6], [0.0, 0.0], [0.0, 0.0]]).components
-    assert components["q"]["max"] == [0.0, pytest.approx(1e-6 / size)]
+def test_a_component_has_its_own_size_from_a_millionth_of_its_group_on(monkeypatch):
+    for largest, size in [(1.1e-5, 1.1e-5), (0.9e-5, 10.0)]:
+        monkeypatch.setattr(Known, "exact", np.array([[10.0, largest], [0.0, 0.0], [1.0, 0.0]]))
+        components = errors_of(Named(), [[0.0, 1e-6], [0.0, 0.0], [0.0, 0.0]]).components
+        assert components["q"]["max"] == [0.0, pytest.approx(1e-6 / size)]
 
 
 def test_errors_of_a_group_that_vanishes_are_absolute(monkeypatch):

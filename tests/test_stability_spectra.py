@@ -46,18 +46,15 @@ def same_spectrum(one, other, points=POINTS):
         assert np.abs(pa - pb).max() < 1e-10 * np.abs(pa).max()
 
 
-@pytest.mark.parametrize(
-    ("rho_inf", "at_1", "at_10"),
-    [
+def test_the_spectral_radius_of_generalized_alpha():
+    for rho_inf, at_1, at_10 in [
         (0.0, 0.906563333305, 0.242535625036),
         (0.5, 0.989312786016, 0.682528421486),
         (0.8, 0.999474614014, 0.929791767153),
-    ],
-)
-def test_the_spectral_radius_of_generalized_alpha(rho_inf, at_1, at_10):
-    # Digits of an independent program.
-    found = radius_of(GeneralizedAlpha(rho_inf=rho_inf), [1.0, 10.0])
-    assert found == pytest.approx([at_1, at_10], abs=1e-11)
+    ]:
+        # Digits of an independent program.
+        found = radius_of(GeneralizedAlpha(rho_inf=rho_inf), [1.0, 10.0])
+        assert found == pytest.approx([at_1, at_10], abs=1e-11)
 
 
 def test_damping_and_period_of_generalized_alpha():
@@ -67,36 +64,38 @@ def test_damping_and_period_of_generalized_alpha():
     assert found.period_error[k] == pytest.approx(0.0338284060, rel=1e-8)
 
 
-@pytest.mark.parametrize("rho_inf", [0.0, 0.3, 0.8, 1.0])
-@pytest.mark.parametrize("member", [GeneralizedAlpha, WBZ])
-def test_the_radius_at_infinity_is_rho_inf(member, rho_inf):
-    found = spectrum(member(rho_inf=rho_inf))
-    assert found.radius_at_infinity == pytest.approx(rho_inf, abs=1e-9)
-    assert found.limit == math.inf
-    assert found.order == 2
-    if member is GeneralizedAlpha and 0 < rho_inf < 1:
-        (root, times) = found.roots_at_infinity[0]
-        assert (times, root) == (3, pytest.approx(-rho_inf, abs=1e-9))
+def test_the_radius_at_infinity_is_rho_inf():
+    for member in [GeneralizedAlpha, WBZ]:
+        for rho_inf in [0.0, 0.3, 0.8, 1.0]:
+            found = spectrum(member(rho_inf=rho_inf))
+            assert found.radius_at_infinity == pytest.approx(rho_inf, abs=1e-9)
+            assert found.limit == math.inf
+            assert found.order == 2
+            if member is GeneralizedAlpha and 0 < rho_inf < 1:
+                (root, times) = found.roots_at_infinity[0]
+                assert (times, root) == (3, pytest.approx(-rho_inf, abs=1e-9))
 
 
-@pytest.mark.parametrize(
-    ("method", "radius"),
-    # Multiple roots come to their limit like (omega h)^(-2/k): at 1e6 to 5e-3 for the six of Park.
-    [(BDF2(), 0.0), (Park(), 0.0), (Houbolt(), 0.0), (Newmark(), 1.0), (Newmark(beta=0), math.inf)],
-)
-def test_the_radius_at_infinity_is_a_limit(method, radius):
-    found = spectrum(method)
-    assert found.radius_at_infinity == pytest.approx(radius, abs=1e-13)
-    assert (found.roots_at_infinity == []) == math.isinf(radius)
+def test_the_radius_at_infinity_is_a_limit():
+    for method, radius in [
+        (BDF2(), 0.0),
+        (Park(), 0.0),
+        (Houbolt(), 0.0),
+        (Newmark(), 1.0),
+        (Newmark(beta=0), math.inf),
+    ]:
+        found = spectrum(method)
+        assert found.radius_at_infinity == pytest.approx(radius, abs=1e-13)
+        assert (found.roots_at_infinity == []) == math.isinf(radius)
 
 
-@pytest.mark.parametrize("rho_b", [0.0, 0.5, 0.9])
-def test_the_explicit_generalized_alpha_has_its_radius_where_its_roots_turn_real(rho_b):
-    method = ExplicitGeneralizedAlpha(rho_b=rho_b)
-    found = spectrum(method).bifurcation  # Hulbert & Chung (1996); 1.8371 for rho_b = 0.5
-    assert found == pytest.approx((1 + rho_b) * math.sqrt(2 - rho_b), rel=1e-9)
-    # Three roots are equal there, so that 11 digits of the step leave three of them.
-    assert radius_of(method, [found]) == pytest.approx(rho_b, abs=2e-3)
+def test_the_explicit_generalized_alpha_has_its_radius_where_its_roots_turn_real():
+    for rho_b in [0.0, 0.5, 0.9]:
+        method = ExplicitGeneralizedAlpha(rho_b=rho_b)
+        found = spectrum(method).bifurcation  # Hulbert & Chung (1996); 1.8371 for rho_b = 0.5
+        assert found == pytest.approx((1 + rho_b) * math.sqrt(2 - rho_b), rel=1e-9)
+        # Three roots are equal there, so that 11 digits of the step leave three of them.
+        assert radius_of(method, [found]) == pytest.approx(rho_b, abs=2e-3)
 
 
 def test_average_acceleration_keeps_amplitudes_and_lengthens_periods():
@@ -110,29 +109,29 @@ def test_average_acceleration_keeps_amplitudes_and_lengthens_periods():
     assert found.period_error == pytest.approx(half / np.arctan(half) - 1, rel=1e-6)
 
 
-@pytest.mark.parametrize(("beta", "gamma"), [(0.25, 0.5), (1 / 6, 0.5), (0.0, 0.5), (0.3, 0.6)])
-@pytest.mark.parametrize("zeta", [0.0, 0.1])
-def test_newmark_has_the_invariants_of_the_books(beta, gamma, zeta):
-    at = np.array([0.1, 0.9, 1.7, 30.0])
-    d = 1 + 2 * gamma * zeta * at + beta * at**2
-    # Hughes (1987), sec. 9.1: half the trace and the determinant.
-    a1 = 1 - (zeta * at + at**2 / 2 * (gamma + 0.5)) / d
-    a2 = 1 - (2 * zeta * at + at**2 * (gamma - 0.5)) / d
-    found = matrices(Newmark(beta=beta, gamma=gamma), Oscillator(zeta=zeta), at).a
-    z = 1.3 * np.exp(2j)
-    book = (z**2 - 2 * a1 * z + a2) / z**2
-    for a, wanted in zip(found, book, strict=True):
-        assert polynomial_at([z], a)[0] / z ** len(a) == pytest.approx(wanted, rel=1e-11)
+def test_newmark_has_the_invariants_of_the_books():
+    for zeta in [0.0, 0.1]:
+        for beta, gamma in [(0.25, 0.5), (1 / 6, 0.5), (0.0, 0.5), (0.3, 0.6)]:
+            at = np.array([0.1, 0.9, 1.7, 30.0])
+            d = 1 + 2 * gamma * zeta * at + beta * at**2
+            # Hughes (1987), sec. 9.1: half the trace and the determinant.
+            a1 = 1 - (zeta * at + at**2 / 2 * (gamma + 0.5)) / d
+            a2 = 1 - (2 * zeta * at + at**2 * (gamma - 0.5)) / d
+            found = matrices(Newmark(beta=beta, gamma=gamma), Oscillator(zeta=zeta), at).a
+            z = 1.3 * np.exp(2j)
+            book = (z**2 - 2 * a1 * z + a2) / z**2
+            for a, wanted in zip(found, book, strict=True):
+                assert polynomial_at([z], a)[0] / z ** len(a) == pytest.approx(wanted, rel=1e-11)
 
 
-@pytest.mark.parametrize("beta", [1 / 6, 1 / 12, 0.0])
-def test_the_stability_limit_of_newmark_is_found(beta):
-    method = Newmark(beta=beta)
-    found = spectrum(method)
-    assert found.limit == pytest.approx(method.stability_limit(), rel=1e-9)
-    assert found.bifurcation == pytest.approx(method.stability_limit(), rel=1e-9)
-    assert found.growing[0][1] == math.inf
-    assert found.order == (4 if beta == 1 / 12 else 2)
+def test_the_stability_limit_of_newmark_is_found():
+    for beta in [1 / 6, 1 / 12, 0.0]:
+        method = Newmark(beta=beta)
+        found = spectrum(method)
+        assert found.limit == pytest.approx(method.stability_limit(), rel=1e-9)
+        assert found.bifurcation == pytest.approx(method.stability_limit(), rel=1e-9)
+        assert found.growing[0][1] == math.inf
+        assert found.order == (4 if beta == 1 / 12 else 2)
 
 
 def test_a_newmark_member_that_is_never_stable_has_limit_zero():
@@ -178,11 +177,11 @@ def test_classical_forms_move_alike_and_react_to_feedback_otherwise(true, classi
     assert np.abs(loops[0] - loops[1]).max() > 1e-3
 
 
-@pytest.mark.parametrize("rho_inf", [0.0, 0.5, 0.8])
-def test_damping_at_low_frequency_is_of_third_order(rho_inf):
-    found = spectrum(GeneralizedAlpha(rho_inf=rho_inf), omega_h=[0.02, 0.04])
-    low, high = (found.damping[k] for k in places_near(found, [0.02, 0.04]))
-    assert math.log2(high / low) == pytest.approx(3.0, abs=0.02)
+def test_damping_at_low_frequency_is_of_third_order():
+    for rho_inf in [0.0, 0.5, 0.8]:
+        found = spectrum(GeneralizedAlpha(rho_inf=rho_inf), omega_h=[0.02, 0.04])
+        low, high = (found.damping[k] for k in places_near(found, [0.02, 0.04]))
+        assert math.log2(high / low) == pytest.approx(3.0, abs=0.02)
 
 
 @pytest.mark.long
@@ -192,17 +191,17 @@ def test_the_other_newton_and_the_corrected_start_change_no_spectrum():
         same_spectrum(plain, matrices(other, Loop(), OMEGA_H).a)
 
 
-@pytest.mark.parametrize("rho_inf", [0.0, 0.5, 0.8])
-def test_a_constraint_acts_like_infinite_frequency(rho_inf):
-    method = GeneralizedAlpha(rho_inf=rho_inf)
-    at = np.array([0.1, 1.0, 10.0])
-    joined = matrices(method, Joined(), at).a
-    alone = matrices(method, Oscillator(), at).a
-    for z in 1.2 * np.exp(1j * np.arange(1, 6)):
-        for a, b in zip(joined, alone, strict=True):
-            found = polynomial_at([z], a)[0] / z ** len(a)
-            wanted = polynomial_at([z], b)[0] / z ** len(b) * ((z + rho_inf) / z) ** 3
-            assert found == pytest.approx(wanted, rel=1e-9)
+def test_a_constraint_acts_like_infinite_frequency():
+    for rho_inf in [0.0, 0.5, 0.8]:
+        method = GeneralizedAlpha(rho_inf=rho_inf)
+        at = np.array([0.1, 1.0, 10.0])
+        joined = matrices(method, Joined(), at).a
+        alone = matrices(method, Oscillator(), at).a
+        for z in 1.2 * np.exp(1j * np.arange(1, 6)):
+            for a, b in zip(joined, alone, strict=True):
+                found = polynomial_at([z], a)[0] / z ** len(a)
+                wanted = polynomial_at([z], b)[0] / z ** len(b) * ((z + rho_inf) / z) ** 3
+                assert found == pytest.approx(wanted, rel=1e-9)
 
 
 @pytest.mark.parametrize(("formulation", "power"), [("index3", 1), *long(("stabilised_index2", 0))])

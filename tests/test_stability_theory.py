@@ -51,20 +51,21 @@ def oscillator(form, omega_h, zeta=0.0):
     return np.polyadd(np.polyadd(form.q.rho, damped), omega_h**2 * form.q.sigma)
 
 
-@pytest.mark.parametrize("method", MEMBERS, ids=lambda m: m.spec)
-@pytest.mark.parametrize("zeta", [0.0, 0.2])
-def test_the_characteristic_polynomial_is_that_of_the_matrices(method, zeta):
-    def polynomial(at):
-        return oscillator(multistep_form(method.scheme()), at, zeta)
+def test_the_characteristic_polynomial_is_that_of_the_matrices():
+    for zeta in [0.0, 0.2]:
+        for method in MEMBERS:
 
-    assert ratio_to_matrices(polynomial, Oscillator(zeta=zeta), method) < 1e-10
+            def polynomial(at):
+                return oscillator(multistep_form(method.scheme()), at, zeta)
+
+            assert ratio_to_matrices(polynomial, Oscillator(zeta=zeta), method) < 1e-10
 
 
-@pytest.mark.parametrize("method", MEMBERS[:5], ids=lambda m: m.spec)
-def test_so_it_is_for_the_controller(method):
-    x = multistep_form(method.scheme()).x
-    polynomial = lambda at: np.polyadd(x.rho, at * x.sigma)  # noqa: E731
-    assert ratio_to_matrices(polynomial, Relaxation(), method) < 1e-10
+def test_so_it_is_for_the_controller():
+    for method in MEMBERS[:5]:
+        x = multistep_form(method.scheme()).x
+        polynomial = lambda at: np.polyadd(x.rho, at * x.sigma)  # noqa: E731
+        assert ratio_to_matrices(polynomial, Relaxation(), method) < 1e-10
 
 
 def test_another_polynomial_is_told_apart():
@@ -134,15 +135,16 @@ def test_only_methods_of_the_recurrence_have_it():
     assert Kvaerno5().multistep_form() is None
 
 
-@pytest.mark.parametrize(
-    ("rho_inf", "gamma", "theta"),
-    # |alpha_m/(1 - alpha_m)| as the paper prints it, and the same with delta_m.
-    [(0.0, 1 / 2, 1 / 3), (0.25, 2 / 7, 1 / 11), (0.5, 0.0, 1 / 5), (0.8, 1 / 2, 7 / 11)],
-)
-def test_the_smallest_step_ratios_are_those_that_are_printed(rho_inf, gamma, theta):
-    form = GeneralizedAlpha(rho_inf=rho_inf).multistep_form()
-    assert form.smallest_ratio == pytest.approx(gamma, abs=1e-15)
-    assert form.smallest_ratio_x == pytest.approx(theta, abs=1e-15)
+def test_the_smallest_step_ratios_are_those_that_are_printed():
+    for rho_inf, gamma, theta in [
+        (0.0, 1 / 2, 1 / 3),
+        (0.25, 2 / 7, 1 / 11),
+        (0.5, 0.0, 1 / 5),
+        (0.8, 1 / 2, 7 / 11),
+    ]:
+        form = GeneralizedAlpha(rho_inf=rho_inf).multistep_form()
+        assert form.smallest_ratio == pytest.approx(gamma, abs=1e-15)
+        assert form.smallest_ratio_x == pytest.approx(theta, abs=1e-15)
 
 
 # ---- formulas in varying steps ---------------------------------------------------------
@@ -174,12 +176,12 @@ def misfits(method, rho_off=0.0):
     return worst
 
 
-@pytest.mark.parametrize("gamma", ["fixed", "updated"])
-@pytest.mark.parametrize("rho_inf", [0.0, 0.3, 0.8])
-def test_the_formulas_in_varying_steps_are_those_of_the_kernel(rho_inf, gamma):
-    method = GeneralizedAlpha(rho_inf=rho_inf, gamma=gamma)
-    assert misfits(method).max() < 1e-12
-    assert misfits(method, rho_off=1e-6).min() > 1e-10  # another scheme is told apart
+def test_the_formulas_in_varying_steps_are_those_of_the_kernel():
+    for rho_inf in [0.0, 0.3, 0.8]:
+        for gamma in ["fixed", "updated"]:
+            method = GeneralizedAlpha(rho_inf=rho_inf, gamma=gamma)
+            assert misfits(method).max() < 1e-12
+            assert misfits(method, rho_off=1e-6).min() > 1e-10  # another scheme is told apart
 
 
 def test_in_equal_steps_they_are_the_polynomials():

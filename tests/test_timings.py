@@ -125,20 +125,17 @@ def start_a_program():
     subprocess.run([sys.executable, "-S", "-c", "sum(range(10**6))"], check=True)
 
 
-@pytest.mark.parametrize(
-    ("execute", "low", "high"),
-    [
+def test_a_sample_counts_what_a_run_computes_and_not_what_it_waits(monkeypatch):
+    """A starved process waits, too; threads and programs of the run compute for it."""
+    for execute, low, high in [
         (sleep, 0.0, 0.04),
         (compute_elsewhere, 0.005, math.inf),
         (start_a_program, 0.005, math.inf),
-    ],
-)
-def test_a_sample_counts_what_a_run_computes_and_not_what_it_waits(monkeypatch, execute, low, high):
-    """A starved process waits, too; threads and programs of the run compute for it."""
-    monkeypatch.setattr("bench.running.measure.TIMING_SECONDS", 0.1)
-    worker, cell = Worker(Registry([])), Cell("pendulum", "newmark", 1.0, Steps(0.1))
-    worker.prepared[cell.key] = SimpleNamespace(execute=execute)
-    assert low <= worker.time(cell) < high
+    ]:
+        monkeypatch.setattr("bench.running.measure.TIMING_SECONDS", 0.1)
+        worker, cell = Worker(Registry([])), Cell("pendulum", "newmark", 1.0, Steps(0.1))
+        worker.prepared[cell.key] = SimpleNamespace(execute=execute)
+        assert low <= worker.time(cell) < high
 
 
 class _Machine:
@@ -170,25 +167,23 @@ class _Machine:
         return worker.time(cell)
 
 
-@pytest.mark.parametrize("seconds", [2e-7, 3e-6, 4e-5, 3e-4, 2e-3, 9e-3])
-@pytest.mark.parametrize("often", [2.5e-3, 7e-3, math.inf])
-def test_a_sample_is_the_least_run_whatever_disturbs_others_and_however_short(
-    monkeypatch, seconds, often
-):
-    machine = _Machine(monkeypatch, often=max(often, 1.5 * seconds))
-    # Reading the clock takes a part of a reading, which has to be long enough for that.
-    assert machine.sample(seconds) == pytest.approx(seconds, rel=0.04)
+def test_a_sample_is_the_least_run_whatever_disturbs_others_and_however_short(monkeypatch):
+    for often in [2.5e-3, 7e-3, math.inf]:
+        for seconds in [2e-7, 3e-6, 4e-5, 3e-4, 2e-3, 9e-3]:
+            machine = _Machine(monkeypatch, often=max(often, 1.5 * seconds))
+            # Reading the clock takes a part of a reading, which has to be long enough for that.
+            assert machine.sample(seconds) == pytest.approx(seconds, rel=0.04)
 
 
 def test_a_clock_that_hardly_moves_gives_times_above_zero(monkeypatch):
     assert 1e-5 < _Machine(monkeypatch, ticks=4e-3).sample(3e-5) < 1e-4
 
 
-@pytest.mark.parametrize(("seconds", "runs"), [(4e-3, 3), (9e-3, 3), (2e-2, 2), (0.1, 1)])
-def test_a_run_that_fills_a_sample_is_repeated_while_that_is_cheap(monkeypatch, seconds, runs):
-    machine = _Machine(monkeypatch)
-    machine.sample(seconds)
-    assert machine.runs == runs
+def test_a_run_that_fills_a_sample_is_repeated_while_that_is_cheap(monkeypatch):
+    for seconds, runs in [(4e-3, 3), (9e-3, 3), (2e-2, 2), (0.1, 1)]:
+        machine = _Machine(monkeypatch)
+        machine.sample(seconds)
+        assert machine.runs == runs
 
 
 def two_records(tmp_path, one, two):
@@ -218,12 +213,12 @@ def test_rounds_of_different_invocations_are_no_neighbours_in_time(tmp_path):
     assert not found.differs
 
 
-@pytest.mark.parametrize(("counts", "least"), [((6, 7), 1.1), ((5, 7), 2.0), ((7, 5), 2.0)])
-def test_few_samples_of_either_need_a_factor_of_two(counts, least):
-    one, two = ([1.0] * count for count in counts)
-    for times, differs in ((0.99 * least, False), (1.01 * least, True)):
-        found = quotient_of_medians(one, [times * s for s in two])
-        assert (found.least, found.differs) == (least, differs)
+def test_few_samples_of_either_need_a_factor_of_two():
+    for counts, least in [((6, 7), 1.1), ((5, 7), 2.0), ((7, 5), 2.0)]:
+        one, two = ([1.0] * count for count in counts)
+        for times, differs in ((0.99 * least, False), (1.01 * least, True)):
+            found = quotient_of_medians(one, [times * s for s in two])
+            assert (found.least, found.differs) == (least, differs)
 
 
 def test_samples_of_an_earlier_version_belong_to_the_invocation_of_their_cell(tmp_path):
@@ -232,29 +227,29 @@ def test_samples_of_an_earlier_version_belong_to_the_invocation_of_their_cell(tm
     assert quotient(*two_records(tmp_path, one, two)).differs
 
 
-@pytest.mark.parametrize("taken", [(0, 1, 3), (0, 3, 4), (0, 2, 3, 4, 8)])
-def test_the_rounds_that_are_missing_are_taken_once(tmp_path, taken):
-    study = StudyFile(problems=["pendulum"], integrators=["newmark"], steps=[0.01])
-    registry = Inventory()
-    suite = make_suite("x", ProfileFile(study=[study], samples=5), registry)
-    (cell,) = suite.cells.values()
-    runner = _Clock()
-    with Store(tmp_path, create=True) as store:
-        first = store.save_environment(environment())
-        record = cell.record(*cell.facts(registry), "ok")
-        record.environment = first
-        store.save(record, NO_ROWS)
-        for number in taken:
-            store.add_sample(cell.key, number, 1e-3, first)
-        second = store.save_environment(environment())
-        for _ in range(2):
-            time_suite(suite, store, registry, runner)
-        (found,) = store.records().values()
-    missing = set(range(5)) - set(taken)
-    assert found.rounds == sorted(
-        [(first, n) for n in taken] + [(second, n) for n in missing], key=lambda place: place[1]
-    )
-    assert len(runner.asked) == len(missing)
+def test_the_rounds_that_are_missing_are_taken_once(tmp_path):
+    for taken in [(0, 1, 3), (0, 3, 4), (0, 2, 3, 4, 8)]:
+        study = StudyFile(problems=["pendulum"], integrators=["newmark"], steps=[0.01])
+        registry = Inventory()
+        suite = make_suite("x", ProfileFile(study=[study], samples=5), registry)
+        (cell,) = suite.cells.values()
+        runner = _Clock()
+        with Store(tmp_path / str(taken), create=True) as store:
+            first = store.save_environment(environment())
+            record = cell.record(*cell.facts(registry), "ok")
+            record.environment = first
+            store.save(record, NO_ROWS)
+            for number in taken:
+                store.add_sample(cell.key, number, 1e-3, first)
+            second = store.save_environment(environment())
+            for _ in range(2):
+                time_suite(suite, store, registry, runner)
+            (found,) = store.records().values()
+        missing = set(range(5)) - set(taken)
+        assert found.rounds == sorted(
+            [(first, n) for n in taken] + [(second, n) for n in missing], key=lambda place: place[1]
+        )
+        assert len(runner.asked) == len(missing)
 
 
 def test_long_runs_that_may_win_get_as_many_samples_as_an_interval_takes(tmp_path):
@@ -319,9 +314,8 @@ def seven(low: float, middle: float, high: float) -> list[float]:
     return [low, *[middle] * 5, high]
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "ratio"),
-    [
+def test_times_differ_beyond_their_intervals_and_the_noise_of_both(tmp_path):
+    cases = [
         (seven(0.9, 1.0, 1.1), seven(1.9, 2.0, 2.2), 2.0),
         (seven(0.9, 1.0, 1.1), seven(0.4, 0.5, 0.5), 0.5),
         (seven(0.9, 1.0, 1.1), seven(1.05, 2.0, 2.2), None),  # the intervals overlap
@@ -335,13 +329,12 @@ def seven(low: float, middle: float, high: float) -> list[float]:
         ([1.0] * 5, [1.9] * 5, None),  # five samples have no interval of 95 %
         ([1.0] * 5, [2.1] * 5, 2.1),
         (seven(0.9, 1.0, 1.1), [5.0], None),  # one sample has no spread
-    ],
-)
-def test_times_differ_beyond_their_intervals_and_the_noise_of_both(tmp_path, before, after, ratio):
-    folders = [timed(tmp_path / "1", [before]), timed(tmp_path / "2", [after])]
-    found = compare_folders(*folders)
-    assert [c.ratio for c in found.changes] == ([] if ratio is None else [pytest.approx(ratio)])
-    assert found.untold == (len(after) < 2)
+    ]
+    for k, (before, after, ratio) in enumerate(cases):
+        folders = [timed(tmp_path / f"{k}a", [before]), timed(tmp_path / f"{k}b", [after])]
+        found = compare_folders(*folders)
+        assert [c.ratio for c in found.changes] == ([] if ratio is None else [pytest.approx(ratio)])
+        assert found.untold == (len(after) < 2)
 
 
 def timed(folder: Path, samples: list[list[float]]) -> Path:
