@@ -82,8 +82,7 @@ def print_json(value: Any) -> None:
 @options.with_budget
 @options.with_folder("stepbench-drift", "Folder of the long runs and their page.")
 @options.with_plugins
-@click.option("--csv", "form", flag_value="csv", help="Print a row for each integrator.")
-@click.option("--json", "form", flag_value="json", help="Print JSON instead of a table.")
+@options.with_as_json
 def drift(
     problem: str,
     names: tuple[str, ...],
@@ -93,7 +92,7 @@ def drift(
     budget: float,
     out: Path,
     plugins: tuple[str, ...],
-    form: str | None,
+    as_json: bool,
 ) -> None:
     """Measure what drifts over many constant steps.
 
@@ -108,7 +107,7 @@ def drift(
     Examples:
       stepbench drift pendulum rattle energy_momentum generalized_alpha --steps 100000
       stepbench drift pendulum "dopri8[constraints=projected]" dopri8 --step 0.02 --out drift
-      stepbench drift oscillator newmark bdf2 --csv > drift.csv
+      stepbench drift oscillator newmark bdf2 --json > drift.json
     """
     registry = options.usable_registry(plugins)
     scene, methods = registry.problem(problem, **settings), once_each(registry, names)
@@ -116,8 +115,7 @@ def drift(
         check_end(scene.interval[0], scene.interval[0] + steps * Steps(step).h)
 
     from bench.commands.terminal import show
-    from bench.results.csv_text import csv_export
-    from bench.results.drift import LongRun, csv_row, drift_table
+    from bench.results.drift import LongRun, drift_table
     from bench.results.store import Store
     from bench.running.drift import drift_job
 
@@ -130,17 +128,15 @@ def drift(
             return found
 
         results, faults = of_each(methods, kept)
-        if results and form == "json":
+        if results and as_json:
             print_json(results)
-        elif results and form == "csv":
-            click.echo(csv_export([csv_row(run) for run in results]), nl=False)
         elif results:
             show(f"{scene.spec}, h={results[0].h:g} s", drift_table(results))
         if results:
-            click.echo(f"Page: {view('drift')(store.long_runs(), out)}", err=bool(form))
+            click.echo(f"Page: {view('drift')(store.long_runs(), out)}", err=as_json)
             if store.plan():
                 said = "The report of this folder has it as a chapter after `stepbench report`."
-                click.echo(said, err=bool(form))
+                click.echo(said, err=as_json)
     faults += [f"{r.integrator}: {r.status}: {r.message}" for r in results if r.status != "ok"]
     _fail(faults)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import msgspec
 
@@ -94,21 +93,6 @@ class LongRun(msgspec.Struct, kw_only=True):
         """Return the verdict on the course of a quantity: "blew up" if the run diverged."""
         return "blew up" if self.status == "diverged" else drift.verdict
 
-    @property
-    def measured(self) -> list[tuple[str, Drift]]:
-        """Return the quantities that were measured, in the order of `DRIFTS`."""
-        return [(name, self.drifts[name]) for name in DRIFTS if name in self.drifts]
-
-
-def csv_row(run: LongRun) -> dict[str, Any]:
-    """Return one long run as a row: largest drifts, trends by a straight line, verdicts."""
-    row = {name: getattr(run, name) for name in ("problem", "integrator", "steps", "h", "status")}
-    for name, drift in run.measured:
-        words = DRIFTS[name][0]
-        row |= {f"{words}: largest": drift.largest, f"{words}: per s": drift.per_s}
-        row |= {f"{words}: drift": run.verdict(drift)}
-    return row
-
 
 def comparable_runs(runs: Mapping[str, LongRun]) -> list[list[LongRun]]:
     """Return long runs in groups that can be compared: of one scene, with the same steps."""
@@ -124,12 +108,12 @@ def drift_table(runs: Sequence[LongRun]) -> Table:
     for run in runs:
         steps = "-" if run.steps is None else str(run.steps)
         steps = steps if run.status == "ok" else f"{steps} ({run.status})"
-        for quantity, drift in run.measured:
-            name, unit = DRIFTS[quantity]
+        for quantity in filter(run.drifts.get, DRIFTS):
+            (name, unit), drift = DRIFTS[quantity], run.drifts[quantity]
             found = (drift.largest, drift.per_s, drift.straight, drift.apart)
             cells = [f"{name} [{unit}]", steps, *map(number, found), run.verdict(drift)]
             rows.append([run.integrator, *cells])
-        if not run.measured:
+        if not run.drifts:
             rows.append([run.integrator, "-", steps, *map(number, [None] * 4), "-"])
     head = ["integrator", "quantity", "steps", "largest", "per s", "line", "halves", "drift"]
     return Table("Largest drift, and its trend", head, rows, note=_NOTE)
