@@ -247,12 +247,9 @@ def realtime(
     help="Linear test system; for relaxation, omega is the decay rate.",
 )
 @click.option(
-    "--ratios",
-    type=click.Choice(["none", "alternating", "any"]),
-    default="alternating",
-    show_default=True,
-    help="Patterns in which the largest safe step ratio is sought: two steps in turns, which takes "
-    "seconds, or any of up to six, which takes a minute.",
+    "--ratios/--no-ratios",
+    default=True,
+    help="Seek the largest safe ratio of two steps in turns, which takes seconds.",
 )
 @options.with_budget
 @options.with_folder("stepbench-stability", "Folder of the page.")
@@ -264,7 +261,7 @@ def stability(
     pattern: tuple[float, ...] | None,
     zeta: float | None,
     system: str,
-    ratios: str,
+    ratios: bool,
     budget: float,
     out: Path,
     plugins: tuple[str, ...],

@@ -34,7 +34,7 @@ def analyse(
     system: LinearSystem,
     pattern: Sequence[float] = (1.0,),
     at: Sequence[float] = (),
-    ratios: str = "alternating",
+    ratios: bool = True,
 ) -> dict[str, Any]:
     """Analyse the stability of a method on a linear test system.
 
@@ -50,24 +50,24 @@ def analyse(
     at
         Values of omega h to report; `REPORTED` if there are none.
     ratios
-        Patterns in which the largest safe ratio of steps is sought: "none", "alternating" for two
-        steps in turns, or "any" for up to six.
+        Whether the largest safe ratio of two steps in turns is sought.
 
     Returns
     -------
     dict
         The fields of `Spectrum`; "at", columns over the reported omega h; "theory", multistep
-        formulas; "maps", radii over omega h and an option or a ratio of steps; "safe", ratios.
-        NaN and infinity are None.
+        formulas; "maps", radii over omega h and an option or a ratio of steps; "safe", the
+        `Safe` ratio. NaN and infinity are None.
     """
     method = steppable(method)
     reported = tuple(at) or REPORTED
     found = spectrum(method, system, pattern, reported)
     places = places_near(found, reported)
-    maps, safe = [], {}
+    maps, safe = [], None
     if isinstance(method, NativeMethod):
         maps = [*_option_map(method, system, pattern), _ratio_map(method, system)]
-        safe = {} if found.growing or found.unsolved else _safe_ratios(method, system, ratios)
+        if ratios and not (found.growing or found.unsolved):
+            safe = patterns.largest_safe_ratio(method, system)
     return _plain(
         vars(found)
         | {
@@ -90,13 +90,6 @@ def _plain(value: Any) -> Any:
         return vars(value) if isinstance(value, patterns.Safe) else value.tolist()
 
     return msgspec.json.decode(msgspec.json.encode(value, enc_hook=known))
-
-
-def _safe_ratios(method: NativeMethod, system: LinearSystem, ratios: str) -> dict[str, Any]:
-    """Safe ratios by kind of pattern."""
-    tried = {"alternating": (patterns.ALTERNATING,), "any": patterns.step_words()}
-    kinds = list(tried)[: ["none", *tried].index(ratios)]
-    return {kind: patterns.largest_safe_ratio(method, tried[kind], system) for kind in kinds}
 
 
 def _option_map(
@@ -160,7 +153,7 @@ def analysis_job(
     zeta: float | None,
     pattern: tuple[float, ...],
     at: tuple[float, ...],
-    ratios: str,
+    ratios: bool,
 ) -> dict[str, Any]:
     """Do a job of a worker: analyse an integrator on a system of `SYSTEMS`."""
     made = build(SYSTEMS[system], {} if zeta is None else {"zeta": zeta}, system)

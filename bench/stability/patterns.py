@@ -8,10 +8,8 @@ then one 1/r times it. The exponents of a word sum to zero, so that the pattern 
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
@@ -20,32 +18,27 @@ from bench.stability.systems import LinearSystem, Oscillator
 from integrators.contract import Integrator
 from integrators.multistep import multiple
 
-_Word = tuple[int, ...]
-
 #: omega H at which patterns are analysed; with infinity they fill two blocks of `matrices`.
 _OMEGA_H = np.geomspace(1e-2, 1e4, 120)
 #: Growth in a period that is more than rounding.
 _GROWTH = 1e-10
-#: Letters in the longest words.
-_LONGEST = 6
 #: The largest ratio that is tried, and the relative accuracy of a safe ratio.
 LARGEST_RATIO, _ACCURACY = 10.0, 1e-3
 _SCAN = np.geomspace(1.0, LARGEST_RATIO, 49)[1:]
 #: Search for a resonance: most peaks of each kind, points in a refinement, refinements.
 _MOST_PEAKS, _POINTS, _REFINEMENTS = 6, 5, 8
 _REAL = 1e-9
-ALTERNATING: _Word = (1, -1)
+ALTERNATING = (1, -1)
 
 
 @dataclass(frozen=True)
 class Safe:
-    """The largest ratio up to which no pattern grows; None if none grows up to LARGEST_RATIO.
+    """The largest ratio up to which nothing grows; None if nothing grows up to LARGEST_RATIO.
 
-    ``word``, ``omega_h`` and ``radius`` describe the pattern that grows just beyond it.
+    ``omega_h`` and ``radius`` belong to the growth just beyond it.
     """
 
     ratio: float | None
-    word: _Word | None = None
     omega_h: float | None = None
     radius: float | None = None
 
@@ -54,18 +47,6 @@ def fractions(word: Sequence[float], ratio: float) -> tuple[float, ...]:
     """Return the pattern of a word: fractions of the macro step, which sum to 1."""
     sizes = float(ratio) ** np.cumsum([0.0, *word[:-1]])
     return tuple(sizes / sizes.sum())
-
-
-@cache
-def step_words(longest: int = _LONGEST) -> tuple[_Word, ...]:
-    """Return all cyclic words of -1, 0 and 1 that sum to zero, each once, the shortest first."""
-    found: dict[_Word, None] = {}
-    for length in range(2, longest + 1):
-        for word in itertools.product((1, 0, -1), repeat=length):
-            turns = [word[k:] + word[:k] for k in range(length)]
-            if sum(word) == 0 and any(word) and word == max(turns) and turns.count(word) == 1:
-                found[word] = None
-    return tuple(found)
 
 
 def worst(
@@ -135,17 +116,12 @@ def _peaks(values: np.ndarray, sizes: np.ndarray) -> list[int]:
     return sorted(peaks.tolist(), key=lambda k: -sizes[k])[:_MOST_PEAKS]
 
 
-def largest_safe_ratio(
-    method: Integrator, tried: Sequence[_Word] = (ALTERNATING,), system: LinearSystem | None = None
-) -> Safe:
-    """Find the largest ratio up to which none of the patterns ``tried`` grows."""
+def largest_safe_ratio(method: Integrator, system: LinearSystem | None = None) -> Safe:
+    """Find the largest ratio of two steps in turns at which nothing grows."""
 
     def grows(ratio: float) -> Safe | None:
-        for word in tried:
-            radius, omega_h = worst(method, fractions(word, ratio), system)
-            if radius > 1 + _GROWTH:
-                return Safe(ratio, word, omega_h, radius)
-        return None
+        radius, omega_h = worst(method, fractions(ALTERNATING, ratio), system)
+        return Safe(ratio, omega_h, radius) if radius > 1 + _GROWTH else None
 
     low = 1.0
     for high in _SCAN:
@@ -159,4 +135,4 @@ def largest_safe_ratio(
         middle = (low * high) ** 0.5
         again = grows(middle)
         low, high, found = (low, middle, again) if again else (middle, high, found)
-    return Safe(float(low), found.word, found.omega_h, found.radius)
+    return Safe(float(low), found.omega_h, found.radius)

@@ -10,8 +10,6 @@ from bench.results.table import NO_VALUE, Table, formatted, number
 #: What `bench.stability.analysis.analyse` returns for each integrator.
 _Found = Sequence[Mapping[str, Any]]
 
-_PATTERNS = {"alternating": "two in turns", "any": "any of up to six steps"}
-
 
 def step_name(found: _Found) -> str:
     """Return the name of the dimensionless step, of which a pattern is a macro step."""
@@ -72,24 +70,19 @@ def _numbers(found: _Found) -> Table:
 
 
 def _ratios(found: _Found) -> Table | None:
-    """The largest safe ratios of neighbouring steps; None if none were sought."""
+    """The largest safe ratios of two steps in turns; None if none were sought."""
     rows = []
     for f in found:
-        for kind, safe in f["safe"].items():
-            steps = "".join("+" if k > 0 else "-" if k < 0 else "0" for k in safe["word"] or ())
+        if safe := f["safe"]:
             ratio = "above 10" if safe["ratio"] is None else number(safe["ratio"])
             growth = "" if safe["radius"] is None else f"{safe['radius'] - 1:.1e}"
-            cells = [_PATTERNS[kind], ratio, steps, number(safe["omega_h"]), growth]
-            rows.append([f["integrator"], *cells])
-    head = ["integrator", "steps", "largest safe ratio", "first to grow", "at omega H", "growth"]
+            rows.append([f["integrator"], ratio, number(safe["omega_h"]), growth])
+    head = ["integrator", "largest safe ratio", "first to grow at omega H", "growth"]
     note = (
-        "The largest ratio, of growth and of cut alike, below which no pattern grows. Patterns are "
-        "made of one ratio: + is a step larger by it, - one smaller by it, 0 one of equal size. "
-        "Growth is that over one period just beyond the safe ratio."
+        "The largest ratio of two steps in turns, of growth and of cut alike, below which nothing "
+        "grows. Growth is that over both steps just beyond the safe ratio."
     )
-    return (
-        Table("Ratios of neighbouring steps", head, rows, code=(0, 3), note=note) if rows else None
-    )
+    return Table("Ratios of neighbouring steps", head, rows, note=note) if rows else None
 
 
 def _formulas(found: _Found) -> Table | None:

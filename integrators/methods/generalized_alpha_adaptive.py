@@ -38,7 +38,7 @@ from problems.system import MechatronicSystem
 
 #: Largest ratio of neighbouring steps by the radius at infinity. In varying steps updated gamma
 #: keeps the order, but not always stability. Up to a few percent above these ratios no pattern of
-#: up to six steps grows (``stepbench stability --ratios any``).
+#: up to six steps grows (`bench.stability.patterns.worst` of each).
 _RHO = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 _GROWTH = (2.0, 2.0, 1.75, 1.4, 1.15, 1.03, 1.01)
 

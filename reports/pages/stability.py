@@ -115,15 +115,12 @@ def _curve(
 
 def radius_map(m: dict[str, Any], name: str) -> vl.Spec | None:
     """Spectral radii over omega h and another number, as tiles."""
-    rows = []
-    values, across = [row["value"] for row in m["rows"]], m["omega_h"]
+    rows, values, across = [], [row["value"] for row in m["rows"]], m["omega_h"]
     if len(values) < 2:
         return None
-    tall = values[1] - values[0]
-    wide = math.sqrt(across[1] / across[0])
     # Ratios are spaced evenly in their logarithm, options in themselves.
-    logarithmic = abs(values[2] / values[1] - values[1] / values[0]) < 1e-9 if values[0] else False
-    step = math.sqrt(values[1] / values[0]) if logarithmic else tall / 2
+    logarithmic, wide = m["over"] == "step ratio", math.sqrt(across[1] / across[0])
+    step = math.sqrt(values[1] / values[0]) if logarithmic else (values[1] - values[0]) / 2
     for row in m["rows"]:
         v = row["value"]
         low, high = (v / step, v * step) if logarithmic else (v - step, v + step)

@@ -37,7 +37,7 @@ ENDLESS = {
     "ensemble": "solve oscillator newmark --step 1e-8 --ensemble 10 --vary q0:1..2",
     "solve": "solve oscillator newmark --step 1e-8",
     "order": "order oscillator newmark --steps 1e-8,5e-9,2e-9",
-    "stability": "stability newmark generalized_alpha hht wbz --ratios any",
+    "stability": "stability newmark generalized_alpha hht wbz bdf2 park houbolt bathe",
     "atlas": "atlas -i newmark --fresh",
     "pages of scenes": "list --draw",
     "check": "check method.py",
