@@ -1,14 +1,15 @@
 """Files that are put in place whole: no reader, kill or full disk leaves a part of one.
 
-What is kept for later runs (`keep`, `kept`) ends with a digest of its content, which is checked
-before anything is believed. The digest stands at the end, so that the system loads a shared library
-in this form.
+What is kept for later runs (`cached`, `keep`, `kept`) ends with a digest of its content, which is
+checked before anything is believed. The digest stands at the end, so that the system loads a shared
+library in this form.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -31,6 +32,17 @@ def put(path: Path, content: bytes | str) -> None:
         with suppress(OSError):
             new.unlink()
         raise
+
+
+def cached(path: Path | None, make: Callable[[], bytes]) -> bytes:
+    """Return what a file keeps, else make it and keep it, if the folder can be written."""
+    if path is None:
+        return make()
+    if (content := kept(path)) is None:
+        content = make()
+        with suppress(OSError):  # a full disk
+            keep(path, content)
+    return content
 
 
 def keep(path: Path, content: bytes) -> None:

@@ -30,7 +30,7 @@ from bench.results.environment import library_versions
 from integrators.lowering.native import compiler_version
 from problems.runtime import CACHE, SOONER
 from problems.system import MechatronicSystem
-from problems.whole_files import keep, kept
+from problems.whole_files import cached
 
 #: Variables of the environment that change what JAX computes.
 FLAGS = ("XLA_FLAGS", "JAX_ENABLE_X64")
@@ -154,10 +154,7 @@ def _source(file: Path) -> _Source:
     code = file.read_bytes()
     # To parse all sources takes longer than all else before the first run, so it is done once.
     file = CACHE / "imports" / hashlib.sha256(_THIS + code).hexdigest()[:32]
-    if (known := kept(file)) is None:
-        known = msgspec.json.encode(list(_import_names(ast.parse(code))))
-        with suppress(OSError):
-            keep(file, known)
+    known = cached(file, lambda: msgspec.json.encode(list(_import_names(ast.parse(code)))))
     imports = msgspec.json.decode(known, type=frozenset[tuple[int, str]])
     return _Source(hashlib.sha256(code).hexdigest(), imports)
 

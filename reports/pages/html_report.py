@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 from collections.abc import Sequence
 from functools import partial
@@ -14,7 +13,7 @@ from typing import Any
 import platformdirs
 import vl_convert
 
-from problems.whole_files import keep, kept, put
+from problems.whole_files import cached, put
 from reports.charts.vega_lite import chart_json
 from reports.pages.page import FOLDER, FRONT, Page
 from reports.pages.report import read_report
@@ -132,11 +131,10 @@ def javascript_library() -> str:
     Its making takes seconds, so a copy is kept in the user's cache folder if possible.
     """
     file = Path(platformdirs.user_cache_dir("stepbench")) / f"vega-{version('vl-convert-python')}"
-    if (copy := kept(file)) is not None:
-        return copy.decode()
-    # The type stub lacks the default of the argument.
-    text = vl_convert.javascript_bundle()  # pyright: ignore[reportCallIssue]
-    text = text.replace("</script", "<\\/script")
-    with contextlib.suppress(OSError):
-        keep(file, text.encode())
-    return text
+
+    def bundle() -> bytes:
+        # The type stub lacks the default of the argument.
+        text = vl_convert.javascript_bundle()  # pyright: ignore[reportCallIssue]
+        return text.replace("</script", "<\\/script").encode()
+
+    return cached(file, bundle).decode()
