@@ -191,6 +191,13 @@ class _Stages:
         return ((found[:n] - found[n]) / (eps * size)[:, None]).T
 
 
+@cache
+def _parts(*sizes: int) -> list[np.ndarray]:
+    """Random relative changes of parameters and of states."""
+    random, (p, n) = np.random.default_rng(0), sizes
+    return [_CHANGE * random.uniform(-1, 1, size) for size in (p, (STAGES, n))]
+
+
 def terms(
     rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
     p: Float[np.ndarray, " p"],
@@ -202,8 +209,8 @@ def terms(
     Terms that balance do so no more where each number that they come from, a parameter of p or an
     entry of s, changes by a part of its own.
     """
-    random, times = np.random.default_rng(0), np.full(STAGES, t)
-    by_p, by_s = (_CHANGE * random.uniform(-1, 1, n) for n in (len(p), (STAGES, len(s))))
+    by_p, by_s = _parts(len(p), len(s))
+    times = np.full(STAGES, t)
     with np.errstate(all="ignore"):
         change = rates(p * (1 + by_p), times, s * (1 + by_s)) - rates(p, times, s + 0 * by_s)
     return np.nan_to_num(np.abs(change).max(axis=0), nan=0.0, posinf=0.0) / _CHANGE
@@ -220,6 +227,7 @@ def integrate(
     least: Float[np.ndarray, " n"] | float = 0.0,
     terms: Callable[[float, np.ndarray], np.ndarray | float] = lambda t, s: 0.0,
     ends: Callable[[Motion], float | None] = lambda step: None,
+    first: float | None = None,
 ) -> Motion:
     """Integrate s' = rates(t, s) over an interval in s.
 
@@ -242,6 +250,8 @@ def integrate(
         sum is that of its terms, a component counts at least as a part of them times the step.
     ends
         Asked after each step for a time in it at which the motion ends.
+    first
+        First step in s to be tried; without it a hundredth of the longest.
 
     Raises
     ------
@@ -253,7 +263,7 @@ def integrate(
     stages, guess = _Stages(method, rates), np.zeros((STAGES, len(start)))
     times, pieces, carry, before = [t], [], np.zeros_like(start), np.inf
     calm = _CALM
-    h = longest / 100
+    h = first or longest / 100
     while t < end:
         h = min(h, longest, end - t)
         now = end if h == end - t else t + h

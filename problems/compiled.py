@@ -44,7 +44,8 @@ class Compiled(NamedTuple):
         the same at k times, arrays of shape ``(k,)`` and ``(k, n)``, with all parameters in one
         array, in the order of p: a call costs a microsecond for every array that it is given
     ``complete(p, q, v, x, t)``
-        `formulations.complete` at k times; arrays of shape ``(k, n)``, t of shape ``(k,)``
+        `formulations.complete` at k times; arrays of shape ``(k, n)``, t of shape ``(k,)``, as may
+        be the values of p here and below, where they jump
     ``levels(p, q, v, a, t)``
         residuals of the constraints ``(k, nh)`` and of their first two derivatives by time, beside
         those of velocities and their first one, each ``(k, nl)``, at k times
@@ -138,10 +139,11 @@ def _number_of_events(template: MechatronicSystem) -> int:
 
 
 def _over_rows(function: Callable) -> Callable:
-    """Vectorise over rows, filled up to whole blocks."""
+    """Vectorise over rows, filled up to whole blocks; a parameter may have a value in each row."""
 
     def rows_at_once(p: Mapping, rows: tuple[Array, ...]) -> Any:
-        return jax.vmap(lambda *row: function(p, *row))(*rows)
+        axes = {name: 0 if jnp.ndim(value) else None for name, value in p.items()}
+        return jax.vmap(function, (axes, *[0] * len(rows)))(p, *rows)
 
     large, small = jax.jit(rows_at_once), jax.jit(rows_at_once, compiler_options=FEW_CALLS)
 
@@ -154,7 +156,8 @@ def _over_rows(function: Callable) -> Callable:
             size, block = (_LARGE_BLOCK, large) if many else (_ROW_BLOCK, small)
             size = min(most, size)
             chosen = np.minimum(np.arange(first, first + size), count - 1)
-            parts.append(block(p, tuple(np.asarray(r)[chosen] for r in rows)))
+            here = {name: value[chosen] if np.ndim(value) else value for name, value in p.items()}
+            parts.append(block(here, tuple(np.asarray(r)[chosen] for r in rows)))
             first += size
         return jax.tree.map(lambda *outs: np.concatenate(outs)[:count], *parts)
 

@@ -56,8 +56,7 @@ def consistent_start(scene: MechatronicSystem) -> Start:
     t0 = scene.interval[0]
     state = scene.start()
     _check_dimensions(scene, state)
-    if scene.sizes.nl:
-        _check_constraints(scene, state, t0)
+    check_constraints(scene, state)
     start = jax.tree.map(np.asarray, _completed(scene, state, t0))
     if scene.sizes.nl and not _solves(scene, start):
         start = jax.tree.map(np.asarray, least_start(scene, state, t0))
@@ -95,8 +94,11 @@ def _completed(scene: MechatronicSystem, state: State, t: float) -> Start:
     return compiled(scene).linearised(scene.parameters(), *state, t)[0]
 
 
-def _check_constraints(scene: MechatronicSystem, state: State, t: float) -> None:
-    position, velocity, _ = _levels(scene, state.q, state.v, 0 * state.v, t)
+def check_constraints(scene: MechatronicSystem, state: State) -> None:
+    """Raise `InconsistentStart` if a state at the start violates the constraints."""
+    if not scene.sizes.nl:
+        return
+    position, velocity, _ = _levels(scene, state.q, state.v, 0 * state.v, scene.interval[0])
     for level, group, residual, values in (
         ("position", "q", position, state.q),
         ("velocity", "v", velocity, state.v),

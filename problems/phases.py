@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from problems.compiled import compiled
-from problems.initial_values import InconsistentStart, consistent_start
+from problems.initial_values import InconsistentStart, check_constraints, consistent_start
 from problems.layouts import state_layout
 from problems.runtime import Float, Int, jax
 from problems.spec import SpecError, suggest
@@ -154,7 +154,7 @@ def after(
 def on_constraints(phase: MechatronicSystem) -> MechatronicSystem:
     """Return the phase with a start that satisfies the constraints."""
     try:
-        consistent_start(phase)
+        check_constraints(phase, phase.start())
     except InconsistentStart:
         t, s = phase.interval[0], np.concatenate(phase.start())
         moved = compiled(phase).projected(phase.parameters(), t, s)

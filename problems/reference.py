@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,12 +23,10 @@ from problems.compiled import compiled
 from problems.initial_values import consistent_start, rests
 from problems.layouts import state_layout
 from problems.phases import Cut, EndlessEvents, crossing, falls, march
-from problems.runtime import Float, Int, jax
+from problems.runtime import Float, Int
 from problems.system import MechatronicSystem
-from problems.variables import GROUPS, VARIABLES
-from problems.whole_files import keep, kept
-
-T = TypeVar("T")
+from problems.variables import GROUPS, VARIABLES, Variables
+from problems.whole_files import cached
 
 _TOLERANCE = 3e-14
 #: Longest steps of the two integrations, in nominal steps: no event lasts so short that it falls
@@ -65,33 +62,17 @@ def keep_references(file_of: FileOf | None, told: Callable[[str, str], None]) ->
     _file_of, _told = file_of, told
 
 
-def once(
-    scene: MechatronicSystem,
-    t_end: float,
-    make: Callable[[], T],
-    read: Callable[[bytes], T],
-    written: Callable[[T], bytes],
-) -> T:
-    """Make what is known of a scene, unless a file has it; of several processes one does.
-
-    Parameters
-    ----------
-    make
-        Computes it.
-    read, written
-        From and to the content of a file.
-    """
+def _once(scene: MechatronicSystem, t_end: float, make: Callable[[], bytes]) -> bytes:
+    """What is known of a scene: from its file, or made; of several processes one does."""
     made = f"the reference of {scene.spec}"
 
-    def anew() -> T:
+    def anew() -> bytes:
         _told("making", made)
         return make()
 
     path = _file_of(scene, t_end) if _file_of else None
-    if path is None:
-        return anew()
-    if (content := kept(path)) is not None:
-        return read(content)
+    if path is None or path.exists():
+        return cached(path, anew)
     from filelock import FileLock, Timeout  # slow to import
 
     lock = FileLock(path.with_name(f".{path.name}.lock"))
@@ -105,12 +86,7 @@ def once(
     except (OSError, Timeout):  # there is no folder for it, or the other one takes too long
         return anew()
     try:
-        if (content := kept(path)) is not None:
-            return read(content)
-        found = anew()
-        with suppress(OSError):  # a full disk
-            keep(path, written(found))
-        return found
+        return cached(path, anew)
     finally:
         lock.release()
 
@@ -237,15 +213,15 @@ class Reference:
         if self.scene.has_closed_form:
             t = self.times
             return _known(self._closed_form(t), self._closed_form(np.nextafter(t, np.inf)))
-        return once(self.scene, self.t_end, self._integrated, _read, _written)
+        return _read(_once(self.scene, self.t_end, lambda: _written(self._integrated())))
 
     def _integrated(self) -> _Known:
         """The integration, compared with the other one."""
         ours, other = self._integrate(0), self._integrate(1)
         t = np.union1d(self.times, ours.motion.ends)
         phase = ours.phase_at(t)
-        found = (self._evaluate(phases, t, phase) for phases in (ours, other))
-        return _known(*found)._replace(phases=ours)
+        found, others = (self._evaluate(each, t, phase) for each in (ours, other))
+        return _known(found, others, ours)
 
     def _closed_form(self, t: np.ndarray) -> dict[str, np.ndarray]:
         sizes = {g: self.scene.sizes.of(g) for g in (*GROUPS, "xdot")}
@@ -256,36 +232,39 @@ class Reference:
         self, phases: _Phases, t: np.ndarray, phase: np.ndarray | None = None
     ) -> dict[str, np.ndarray]:
         phase, t, states = phases(t, phase)
-        q, v, x = state_layout(self.scene.sizes).split(states)
-        names, shape = self.scene.parameters(), (len(t), self.scene.sizes.nx)
-        rows = [np.zeros((len(t), self.scene.sizes.of(g))) for g in VARIABLES]
-        values = dict(zip(VARIABLES, rows, strict=True)) | {"xdot": np.zeros(shape)}
-        for k in np.unique(phase):
-            here, p = phase == k, dict(zip(names, phases.parameters[k].tolist(), strict=True))
-            z, xdot = compiled(self.scene).complete(p, q[here], v[here], x[here], t[here])
-            for group in VARIABLES:
-                values[group][here] = getattr(z, group)
-            values["xdot"][here] = xdot
-        places = [list(names).index(name) for name in self.scene.held_values()]
-        return values | {"xd": phases.parameters[phase][:, places]}
+        held = phases.held[phase]
+        z, xdot = self._complete(held, states, t)
+        return {group: getattr(z, group) for group in VARIABLES} | {"xdot": xdot, "xd": held}
+
+    def _complete(
+        self, held: np.ndarray, s: np.ndarray, t: np.ndarray
+    ) -> tuple[Variables, np.ndarray]:
+        """All variables in rows of held values, states and times."""
+        scene = self.scene
+        p = scene.parameters() | dict(zip(scene.held_values(), held.T, strict=True))
+        return compiled(scene).complete(p, *state_layout(scene.sizes).split(s), t)
 
     def _integrate(self, which: int) -> _Phases:
         if self._too_large:
             raise ReferenceFailed(self._too_large)
-        phases: list[MechatronicSystem] = []
+        consistent_start(self.scene)
+        held: list[list[float]] = []
         motions: list[Motion] = []
         events: list[tuple[float, int]] = []
 
         def flow(phase: MechatronicSystem, stop: float) -> Cut:
-            motion, event = self._phase(which, phase, stop)
-            phases.append(phase)
+            # Events may follow each other soon: only between samples steps go on as they were.
+            go_on = motions and not phase.has("events")
+            first = 2 * float(np.diff(motions[-1].ends).max()) if go_on else None
+            motion, event = self._phase(which, phase, stop, first)
+            held.append(list(phase.held_values().values()))
             motions.append(motion)
-            t = motion.ends[-1]
+            t = motion.ends[-1:]
             if event is not None:
-                events.append((t, event))
-            q, v, x = state_layout(phase.sizes).split(motion(np.array([t])))
-            z, _ = compiled(phase).complete(phase.parameters(), q, v, x, np.array([t]))
-            return Cut(jax.tree.map(lambda part: part[0], z), event)
+                events.append((t[0], event))
+            # At 1 each Legendre polynomial is 1.
+            z, _ = self._complete(np.array(held[-1:]), motion.series[-1:].sum(axis=1), t)
+            return Cut(Variables(*(part[0] for part in z)), event)
 
         try:
             if self.scene.is_hybrid:
@@ -300,14 +279,16 @@ class Reference:
                 np.concatenate([m.series for m in motions]),
             ),
             np.cumsum([0, *(len(m.series) for m in motions)]),
-            np.array([list(phase.parameters().values()) for phase in phases]),
+            np.array(held),
             np.array(events).reshape(-1, 2),
         )
 
-    def _phase(self, which: int, scene: MechatronicSystem, stop: float) -> tuple[Motion, Any]:
+    def _phase(
+        self, which: int, scene: MechatronicSystem, stop: float, first: float | None
+    ) -> tuple[Motion, int | None]:
         """The motion of a phase up to its first event, and the number of that or None."""
         at, functions, event = state_layout(scene.sizes), compiled(scene), None
-        names, start = scene.parameters(), consistent_start(scene).z
+        names = scene.parameters()
         p = np.array(list(names.values()))
 
         def rates(*args: np.ndarray) -> np.ndarray:
@@ -331,7 +312,7 @@ class Reference:
 
         motion = integrate(
             partial(rates, p),
-            np.concatenate([start.q, start.v, start.x]),
+            np.concatenate(scene.start()),
             (scene.interval[0], stop),
             groups=(at.q, at.v, at.x),
             method=(gauss, radau)[which](),
@@ -339,6 +320,7 @@ class Reference:
             longest=_LONGEST[which] * scene.nominal_step,
             terms=partial(terms, rates, p),
             ends=first_event if scene.has("events") else lambda step: None,
+            first=first,
         )
         return motion, event
 
@@ -349,8 +331,8 @@ class _Phases(NamedTuple):
     motion: Motion
     #: Number of the first piece of each, and of all pieces.
     pieces: Int[np.ndarray, " n+1"]
-    #: Values of the parameters in each.
-    parameters: Float[np.ndarray, "n p"]
+    #: Held values in each.
+    held: Float[np.ndarray, "n nd"]
     #: Times in s and numbers of the events among the jumps.
     events: Float[np.ndarray, "m 2"]
 
@@ -360,10 +342,13 @@ class _Phases(NamedTuple):
 
     def __call__(self, t: np.ndarray, phase: np.ndarray | None) -> tuple[np.ndarray, ...]:
         """Phases, times in these, and states at times t in s."""
-        phase = self.phase_at(t) if phase is None else np.minimum(phase, len(self.parameters) - 1)
+        phase = self.phase_at(t) if phase is None else np.minimum(phase, len(self.held) - 1)
         first, last = self.pieces[phase], self.pieces[phase + 1]
         t = np.clip(t, self.motion.ends[first], self.motion.ends[last])
         return phase, t, self.motion(t, first, last - 1)
+
+
+_NONE = _Phases(Motion(np.zeros(0), np.zeros((0, 0, 0))), *[np.zeros(0)] * 3)
 
 
 class _Known(NamedTuple):
@@ -375,10 +360,12 @@ class _Known(NamedTuple):
     norms: dict[str, np.ndarray]
 
 
-def _known(ours: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> _Known:
+def _known(
+    ours: dict[str, np.ndarray], other: dict[str, np.ndarray], phases: _Phases = _NONE
+) -> _Known:
     eps = np.finfo(float).eps
     return _Known(
-        _Phases(Motion(np.zeros(0), np.zeros((0, 0, 0))), *[np.zeros(0)] * 3),
+        phases,
         {g: np.max(abs(ours[g] - other[g]) + eps * abs(ours[g]), axis=0) for g in GROUPS},
         {g: np.abs(ours[g]).max(axis=0) for g in GROUPS},
         {g: np.linalg.norm(ours[g], axis=1).max() for g in GROUPS},

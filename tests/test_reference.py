@@ -288,8 +288,9 @@ class Resting(SampledSystem):
 
 def test_where_a_sampled_loop_rests_steps_do_not_follow_the_rounding_of_its_forces():
     phases = Reference(Resting(), 0.02)._integrate(0)
-    assert len(phases.parameters) == 40
-    assert len(phases.motion.series) <= 4 * 40
+    assert len(phases.held) == 40
+    # Between samples a step goes on as it was: most phases are a single one.
+    assert len(phases.motion.series) <= 45
     # So near 0.5 the equations are linear: d'' = w^2 d + a with another constant a at each sample.
     h, w, d, v = 0.0005, np.sqrt(9.81 * np.sin(0.5)), 1e-9, 0.0
     c, s = np.cosh(w * h), np.sinh(w * h)
