@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from problems.dependence import takes
+from problems.block_structure import takes
 from problems.runtime import Array, jnp
 from problems.spec import SpecError
 from problems.system import MechatronicSystem

@@ -12,7 +12,7 @@ from bench.results.store import Store
 from bench.running.plan import DEFAULT_HALVINGS
 from bench.running.profiles import read_profile
 from integrators.resolutions import Steps
-from problems.dependence import mass_varies
+from problems.block_structure import mass_varies
 from problems.spec import SpecError
 from reports.series import series_of
 from reports.text.order_table import order_table

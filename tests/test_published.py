@@ -21,13 +21,13 @@ from integrators.methods.half_explicit import PHEM56
 from integrators.methods.rattle import RATTLE
 from integrators.methods.rodas5p import Rodas5P
 from problems import Published, checks, jax
+from problems.published import published_digits
 from problems.scenes.andrews import Andrews
 from problems.scenes.bricard import Bricard
 from problems.scenes.flyball_governor import FlyballGovernor
 from problems.scenes.iftomm_pendulum import IFToMMPendulum
 from problems.scenes.n_four_bar import NFourBar
 from problems.scenes.planar_truck import PlanarTruck, PlanarTruckJoint
-from problems.witnesses import published_digits
 
 
 @pytest.mark.parametrize(

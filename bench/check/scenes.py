@@ -19,9 +19,9 @@ from problems.compiled import compiled
 from problems.constraints import constraint_change
 from problems.initial_values import consistent_start
 from problems.kinematics import q_rate
+from problems.published import published_digits
 from problems.system import MechatronicSystem
 from problems.variables import INVARIANTS
-from problems.witnesses import published_digits
 
 #: Largest estimated error of a reference in q and v, relative to their largest values; the same
 #: for residuals of the constraints, relative to the size of q, v or a.

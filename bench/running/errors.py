@@ -13,11 +13,11 @@ from bench.results.quantities import GROUPS, IMPACTS, NORMS, VIOLATIONS, error_n
 from integrators.contract import Trajectory
 from problems.compiled import compiled
 from problems.phases import after
+from problems.published import named_points
 from problems.reference import Reference
 from problems.runtime import Float
 from problems.system import MechatronicSystem
 from problems.variables import State, Variables
-from problems.witnesses import named_points
 
 #: "settled" is the last part of the interval, where the start transient has died out.
 SETTLED_PART = 0.25

@@ -21,12 +21,12 @@ from integrators.resolutions import Steps, Tolerances
 from problems.checks import array
 from problems.compiled import compiled
 from problems.initial_values import InconsistentStart, NoConsistentStart
+from problems.published import published_digits
 from problems.reference import Reference
 from problems.runtime import Float, jax, jnp
 from problems.system import MechatronicSystem
 from problems.usage import computed_seconds
 from problems.variables import INVARIANTS, State
-from problems.witnesses import published_digits
 
 #: A run whose speed or change of energy is so many times the motion's largest has blown up.
 BLOWN_UP = 100.0

@@ -37,13 +37,13 @@ from integrators import checks
 from integrators.contract import PreparedRun, Trajectory
 from problems.initial_values import InconsistentStart, NoConsistentStart
 from problems.plain_text import said
+from problems.published import named_points
 from problems.reference import Reference
 from problems.runtime import check_runtime, compile_sooner, jax, use_threads
 from problems.spec import SpecError
 from problems.start_equations import miscounted
 from problems.system import MechatronicSystem
 from problems.usage import computed_seconds, undisturbed
-from problems.witnesses import named_points
 
 #: Objects made before garbage is looked for. Tracing makes very many that stay: to look through
 #: them as often as Python does by itself takes a tenth of the time.

@@ -15,7 +15,7 @@ from integrators.contract import PreparedRun, Work, option
 from integrators.program_costs import dense, sparse
 from integrators.resolutions import Tolerances
 from problems import sparsity
-from problems.dependence import states_follow_accelerations
+from problems.block_structure import states_follow_accelerations
 from problems.formulations import FORMULATIONS
 from problems.layouts import dae_layout
 from problems.spec import SpecError

@@ -16,13 +16,13 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Scalar, Time, largest
 from integrators.native.step_work import StepWork
 from problems import formulations
+from problems.block_structure import output_takes
 from problems.constraints import (
     constraint_acceleration,
     constraint_force,
     constraint_velocity,
     least_multipliers,
 )
-from problems.dependence import output_takes
 from problems.kinematics import displaced, q_rate
 from problems.runtime import Array, jax, jnp
 from problems.system import MechatronicSystem

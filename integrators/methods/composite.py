@@ -15,7 +15,7 @@ from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Scalar, Time
 from integrators.native.step_work import StepWork
-from problems.dependence import output_takes
+from problems.block_structure import output_takes
 from problems.kinematics import displaced
 from problems.runtime import Array, jnp
 from problems.system import MechatronicSystem

@@ -26,7 +26,7 @@ from integrators.multistep import MultistepForm
 from integrators.native.own_values import rho_inf_option
 from integrators.native.step_functions import StepFunctions
 from integrators.native.step_method import NewtonOptions
-from problems.dependence import output_takes
+from problems.block_structure import output_takes
 from problems.spec import SpecError, format_spec
 from problems.system import MechatronicSystem
 

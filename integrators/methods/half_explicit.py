@@ -20,8 +20,8 @@ from integrators.native.step_method import NewtonSettings, StepMethod, linear_so
 from integrators.native.step_records import Scalar, Time
 from integrators.native.step_work import StepWork
 from problems import formulations
+from problems.block_structure import output_takes
 from problems.constraints import constraint_change, constraint_force, constraint_velocity
-from problems.dependence import output_takes
 from problems.kinematics import advance, q_rate
 from problems.layouts import Layout, algebraic_layout
 from problems.runtime import Array, Int, jnp

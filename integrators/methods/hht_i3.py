@@ -16,7 +16,7 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Attempt, Choice, Reading, Scalar, Time
 from integrators.native.step_work import StepWork
 from integrators.resolutions import Steps, Tolerances
-from problems.dependence import mass_varies
+from problems.block_structure import mass_varies
 from problems.formulations import Start, dynamics_residual, inertia
 from problems.kinematics import displaced
 from problems.runtime import Array, jnp

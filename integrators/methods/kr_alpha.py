@@ -14,7 +14,7 @@ from integrators.native import small_matrices
 from integrators.native.own_values import OwnValues, rho_inf_option
 from integrators.native.step_records import Reading, Scalar, Time
 from integrators.native.step_work import StepWork
-from problems.dependence import damping_varies
+from problems.block_structure import damping_varies
 from problems.formulations import Start, dynamics_residual
 from problems.kinematics import advance
 from problems.runtime import Array, Float, jax, jnp

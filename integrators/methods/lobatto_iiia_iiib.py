@@ -16,7 +16,7 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Time, largest
 from integrators.native.step_work import StepWork
 from problems import formulations
-from problems.dependence import force_takes_velocities, mass_varies
+from problems.block_structure import force_takes_velocities, mass_varies
 from problems.formulations import Start
 from problems.kinematics import advance
 from problems.runtime import Array, jnp

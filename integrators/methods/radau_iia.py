@@ -48,8 +48,8 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Errors, Reading, Scalar, Time, largest
 from integrators.native.step_work import StepWork
 from problems import formulations
+from problems.block_structure import output_takes
 from problems.constraints import constraint_force, constraint_velocity
-from problems.dependence import output_takes
 from problems.formulations import Start
 from problems.kinematics import advance
 from problems.layouts import stage_layout

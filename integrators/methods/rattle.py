@@ -26,8 +26,8 @@ from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Time
 from integrators.native.step_work import StepWork
 from problems import formulations
+from problems.block_structure import force_takes_velocities, mass_varies
 from problems.constraints import constraint_force
-from problems.dependence import force_takes_velocities, mass_varies
 from problems.formulations import Start
 from problems.kinematics import advance
 from problems.runtime import Array, jax, jnp

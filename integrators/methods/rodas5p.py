@@ -34,8 +34,8 @@ from integrators.native.step_method import NewtonSettings, StepMethod, linear_so
 from integrators.native.step_records import Time
 from integrators.native.step_work import StepWork
 from problems import formulations
+from problems.block_structure import output_takes
 from problems.constraints import constraint_acceleration, constraint_velocity, pulled
-from problems.dependence import output_takes
 from problems.kinematics import advance
 from problems.layouts import Layout, stage_layout
 from problems.runtime import Array, Int, jax, jnp

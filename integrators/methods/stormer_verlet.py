@@ -13,7 +13,7 @@ from integrators.native.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading, Time
 from integrators.native.step_work import StepWork
-from problems.dependence import force_takes_velocities
+from problems.block_structure import force_takes_velocities
 from problems.formulations import Start
 from problems.kinematics import advance
 from problems.runtime import jnp

@@ -9,7 +9,7 @@ import pytest
 
 from bench.plugins.registry import Registry
 from problems import MechatronicSystem, State, jax, jnp
-from problems.dependence import (
+from problems.block_structure import (
     damping_varies,
     force_takes_velocities,
     mass_varies,
