@@ -67,46 +67,46 @@ def row(worker, how, scene="oscillator"):
     return record
 
 
-@pytest.mark.parametrize("how", METHODS)
-def test_a_false_answer_is_a_row_that_says_what_came(worker, how):
-    record = row(worker, how)
-    assert record.status == "crashed"
-    assert METHODS[how] in record.message
-    assert record.family in ("liars", "lying")
-    assert record.rows == 0
+def test_a_false_answer_is_a_row_that_says_what_came(worker):
+    for how in METHODS:
+        record = row(worker, how)
+        assert record.status == "crashed"
+        assert METHODS[how] in record.message
+        assert record.family in ("liars", "lying")
+        assert record.rows == 0
 
 
-@pytest.mark.parametrize("how", METHODS)
-def test_a_check_says_what_is_false(registry, how):
-    check = "description" if how in methods.FACTS or how in methods.SUPPORTS else "runs"
-    finding = examine(registry, "integrators", f"lying[how={how}]", check)
-    assert finding.verdict == FAILED
-    assert METHODS[how] in finding.text
-    assert finding.text.isprintable()
+def test_a_check_says_what_is_false(registry):
+    for how in METHODS:
+        check = "description" if how in methods.FACTS or how in methods.SUPPORTS else "runs"
+        finding = examine(registry, "integrators", f"lying[how={how}]", check)
+        assert finding.verdict == FAILED
+        assert METHODS[how] in finding.text
+        assert finding.text.isprintable()
 
 
-@pytest.mark.parametrize("how", methods.RAISED)
-def test_whatever_a_run_raises_is_a_row(worker, how):
-    record = row(worker, how)
-    assert record.status == "crashed"
-    assert methods.RAISED[how][1] in record.message
+def test_whatever_a_run_raises_is_a_row(worker):
+    for how in methods.RAISED:
+        record = row(worker, how)
+        assert record.status == "crashed"
+        assert methods.RAISED[how][1] in record.message
 
 
-@pytest.mark.parametrize("how", methods.BILLS)
-def test_a_false_bill_costs_the_bill(worker, how):
-    record = row(worker, how)
-    assert (record.status, record.operations) == ("ok", {})
-    assert f"Its operations are not known: {methods.BILLS[how][1]}" in record.message
+def test_a_false_bill_costs_the_bill(worker):
+    for how in methods.BILLS:
+        record = row(worker, how)
+        assert (record.status, record.operations) == ("ok", {})
+        assert f"Its operations are not known: {methods.BILLS[how][1]}" in record.message
 
 
-@pytest.mark.parametrize("how", methods.MENDED)
-def test_what_can_be_read_is_turned_into_own_types(worker, how):
-    record = row(worker, how)
-    others = dict.fromkeys(("nan_rows_of_a_failure", "nan_rows"), "diverged")
-    others["times_of_a_failure_repeated"] = "step_too_small"
-    assert record.status == others.get(how, "ok")
-    assert {type(n) for n in record.work.values()} <= {int, type(None)}
-    assert record.rows == methods.ROWS - 1
+def test_what_can_be_read_is_turned_into_own_types(worker):
+    for how in methods.MENDED:
+        record = row(worker, how)
+        others = dict.fromkeys(("nan_rows_of_a_failure", "nan_rows"), "diverged")
+        others["times_of_a_failure_repeated"] = "step_too_small"
+        assert record.status == others.get(how, "ok")
+        assert {type(n) for n in record.work.values()} <= {int, type(None)}
+        assert record.rows == methods.ROWS - 1
 
 
 def test_rows_are_not_those_of_the_plugin(worker):
@@ -129,64 +129,64 @@ def test_rows_are_not_those_of_the_plugin(worker):
     assert ours.notes is not theirs.notes
 
 
-@pytest.mark.parametrize("how", methods.FACTS)
-def test_false_facts_cost_their_owners_cells(inventory, worker, how):
-    study = StudyFile(problems=["oscillator"], integrators=[f"lying[how={how}]"], steps=[0.1])
-    suite = make_suite("facts", ProfileFile(study=[study]), inventory)
-    (facts,) = suite.plan.integrators.values()
-    assert facts.orders == {}
-    stored(type(suite.plan), suite.plan)
-    (cell,) = suite.cells.values()
-    assert methods.FACTS[how][-1] in worker.measure(cell, errors=False).record.message
+def test_false_facts_cost_their_owners_cells(inventory, worker):
+    for how in methods.FACTS:
+        study = StudyFile(problems=["oscillator"], integrators=[f"lying[how={how}]"], steps=[0.1])
+        suite = make_suite("facts", ProfileFile(study=[study]), inventory)
+        (facts,) = suite.plan.integrators.values()
+        assert facts.orders == {}
+        stored(type(suite.plan), suite.plan)
+        (cell,) = suite.cells.values()
+        assert methods.FACTS[how][-1] in worker.measure(cell, errors=False).record.message
 
 
-@pytest.mark.parametrize("name", scenes.SCENES)
-def test_a_false_part_of_a_scene_costs_the_part(registry, monkeypatch, name):
+def test_a_false_part_of_a_scene_costs_the_part(registry, monkeypatch):
     monkeypatch.setattr(scene_records, "rates", lambda *_: None)  # they are compiled
-    scene = registry.problem(snake_case(name))
-    record = stored(
-        SceneRecord, scene_records.scene_record(scene, 20.0, lambda: Reference(scene, 20.0))
-    )
-    words = scenes.SCENES[name][-1]
-    assert any(words in fault for fault in record.faults)
-    assert all(fault.isprintable() for fault in record.faults)
-    assert record.sizes["nq"] == 1
-    assert record.equations
-    if scenes.SCENES[name][1] != "reference" and "coordinates" not in scenes.SCENES[name][0]:
-        assert record.reference.t
+    for name in scenes.SCENES:
+        scene = registry.problem(snake_case(name))
+        record = stored(
+            SceneRecord, scene_records.scene_record(scene, 20.0, lambda: Reference(scene, 20.0))
+        )
+        words = scenes.SCENES[name][-1]
+        assert any(words in fault for fault in record.faults)
+        assert all(fault.isprintable() for fault in record.faults)
+        assert record.sizes["nq"] == 1
+        assert record.equations
+        if scenes.SCENES[name][1] != "reference" and "coordinates" not in scenes.SCENES[name][0]:
+            assert record.reference.t
 
 
-@pytest.mark.parametrize("name", scenes.SCENES | scenes.STARTS)
-def test_a_check_says_what_is_false_in_a_scene(registry, name):
-    _, check, words = (scenes.SCENES | scenes.STARTS)[name]
-    finding = examine(registry, "problems", snake_case(name), check)
-    assert finding.verdict == FAILED
-    assert words in finding.text
-    assert finding.text.isprintable()
+def test_a_check_says_what_is_false_in_a_scene(registry):
+    for name in scenes.SCENES | scenes.STARTS:
+        _, check, words = (scenes.SCENES | scenes.STARTS)[name]
+        finding = examine(registry, "problems", snake_case(name), check)
+        assert finding.verdict == FAILED
+        assert words in finding.text
+        assert finding.text.isprintable()
 
 
-@pytest.mark.parametrize("name", scenes.STARTS)
-def test_a_false_start_is_a_row(worker, name):
-    record = row(worker, "well", snake_case(name))
-    assert record.status == "crashed"
-    assert scenes.STARTS[name][-1] in record.message
+def test_a_false_start_is_a_row(worker):
+    for name in scenes.STARTS:
+        record = row(worker, "well", snake_case(name))
+        assert record.status == "crashed"
+        assert scenes.STARTS[name][-1] in record.message
 
 
-@pytest.mark.parametrize("name", scenes.TIMES)
-def test_false_times_are_told_when_the_scene_is_found(registry, name):
-    plugin = registry.problems[snake_case(name)]
-    assert plugin.cls is None
-    assert scenes.TIMES[name][-1] in plugin.reason
-    finding = examine(registry, "problems", plugin.name, "start")
-    assert finding.verdict == FAILED
-    assert scenes.TIMES[name][-1] in finding.text
+def test_false_times_are_told_when_the_scene_is_found(registry):
+    for name in scenes.TIMES:
+        plugin = registry.problems[snake_case(name)]
+        assert plugin.cls is None
+        assert scenes.TIMES[name][-1] in plugin.reason
+        finding = examine(registry, "problems", plugin.name, "start")
+        assert finding.verdict == FAILED
+        assert scenes.TIMES[name][-1] in finding.text
 
 
-@pytest.mark.parametrize("name", ["EnergyVector", "EnergyNan", "EnergyText"])
-def test_a_false_energy_costs_the_drift_of_rows(worker, name):
-    record = row(worker, "well", snake_case(name))
-    assert (record.status, record.energy_drift) == ("ok", None)
-    assert "No energy drift is known: " in record.message
+def test_a_false_energy_costs_the_drift_of_rows(worker):
+    for name in ("EnergyVector", "EnergyNan", "EnergyText"):
+        record = row(worker, "well", snake_case(name))
+        assert (record.status, record.energy_drift) == ("ok", None)
+        assert "No energy drift is known: " in record.message
 
 
 def test_a_closed_form_with_nan_costs_the_errors(worker):
