@@ -167,7 +167,7 @@ def check_runtime() -> str:
         return str(fault)
     except Exception as error:  # of whatever kind: JAX has none for a platform that is missing
         reason = next(iter(str(error).splitlines()), "") or type(error).__name__
-        return f"JAX does not start ({reason}); unset {_users_settings() or 'its variables'}."
+        return f"JAX does not start ({reason}); unset {users_settings() or 'its variables'}."
     if platform != "cpu":
         return f"JAX computes on {platform}, but runs are measured on cpu; unset JAX_PLATFORMS."
     if jnp.result_type(float).itemsize != 8:
@@ -178,8 +178,8 @@ def check_runtime() -> str:
     return ""
 
 
-def _users_settings() -> str:
-    """Variables that decide how JAX starts and that the user has set, as "NAME=value, ..."."""
+def users_settings() -> str:
+    """Return what the user has set of how JAX starts, as "NAME=value, ..."."""
     return ", ".join(
         f"{name}={value}"
         for name, value in sorted(os.environ.items())

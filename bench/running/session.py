@@ -6,20 +6,23 @@ import math
 from collections.abc import Callable, Mapping
 
 from bench.guard.limits import Limits
-from bench.guard.process import NoAnswer
+from bench.guard.process import NoAnswer, ask_once
 from bench.plugins.facts import SceneFacts
+from bench.plugins.registry import Registry
 from bench.results.environment import environment
 from bench.results.quantities import NORM, NORMS
 from bench.results.records import INTERRUPTED, TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.results.store import Store
 from bench.results.timings import FEWEST, contenders
 from bench.running.cluster import ClusterRunner
-from bench.running.inventory import Inventory
+from bench.running.inventory import Inventory, load_registry
 from bench.running.plan import Cell, Suite
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task, measure_task, scene_task, time_task
 from bench.running.scene_records import made_by
 from bench.running.worker import CellResult, Worker
+from problems.runtime import check_runtime, users_settings
+from problems.spec import SpecError
 
 
 def runner_for(suite: Suite, jobs: int, progress: Progress, cluster: str | None = None) -> Runner:
@@ -163,12 +166,22 @@ def solve_cells(
     Programs of which no times are taken are compiled quickly rather than well.
 
     Returns the results, and the names of the components of each group of the scene if known.
+
+    Raises
+    ------
+    SpecError
+        If JAX does not compute as the user's environment has set it up.
     """
+    limits = Limits(budget_s, memory_gib)
+    if len(cells) > 1 and (given := users_settings()):  # it would end a process for each cell
+        about = f"JAX does not start with {given}"
+        if fault := ask_once(about, load_registry, (frozenset(),), limits, _runtime_fault):
+            raise SpecError(fault)
     results, names = {}, {}
     sources = cells[0].sources(registry)
     tasks = [measure_task(cell, sources) for cell in cells]
     tasks.append(Task(Worker.components, (cells[0].problem,), sources=sources))
-    with Runner(1, Limits(budget_s, memory_gib), progress) as runner:
+    with Runner(1, limits, progress) as runner:
         runner.draft = not samples
         for task, answer in runner.run([tasks]):
             if task.job is Worker.measure:
@@ -180,6 +193,10 @@ def solve_cells(
         for task, _, seconds in runner.time(due, samples, {}):
             results[task.label].record.run_s.append(seconds)
     return [results[cell.key] for cell in cells], names
+
+
+def _runtime_fault(_: Registry) -> str:
+    return check_runtime()
 
 
 def describe_scenes(
