@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
+import model_fields
 import mujoco
 import numpy as np
 import pytest
@@ -19,7 +20,6 @@ from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
 from integrators.adapters.ida import IDA
 from problems import from_mjcf
-from problems.models import mjcf_fields
 from problems.models.mjcf_parts import lacking
 from problems.models.mjcf_read import read
 from problems.runtime import jax, jnp
@@ -147,11 +147,11 @@ def test_accelerations_are_those_of_mujoco(tmp_path, name):
 
 def test_every_field_and_flag_of_mujoco_is_known(monkeypatch):
     m = mujoco.MjModel.from_xml_string(LOOPS["four bar turned "].text)
-    assert mjcf_fields.unknown(m) == []
-    monkeypatch.setattr(mjcf_fields, "READ", mjcf_fields.READ - {"body_mass", "opt.wind"})
-    less = mjcf_fields.FLAGS | {"mjtEnableBit": set()}
-    monkeypatch.setattr(mjcf_fields, "FLAGS", less)
-    found = mjcf_fields.unknown(m)
+    assert model_fields.unknown(m) == []
+    monkeypatch.setattr(model_fields, "READ", model_fields.READ - {"body_mass", "opt.wind"})
+    less = model_fields.FLAGS | {"mjtEnableBit": set()}
+    monkeypatch.setattr(model_fields, "FLAGS", less)
+    found = model_fields.unknown(m)
     assert {"body_mass", "opt.wind", "mjENBL_SLEEP"} <= {*found}
 
 

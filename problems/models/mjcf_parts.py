@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import copy
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from problems.models.mjcf_fields import odd, plain_fields
 from problems.models.mjcf_fluid import ellipsoid
 from problems.models.mjcf_objects import called, is_off, numbers
 from problems.runtime import Int
@@ -29,6 +28,56 @@ _PARTS = {
 }
 #: Parts that cannot be left out.
 _WHOLE = {"flexes": "flexes", "plugins": "plugins of MuJoCo"}
+
+
+class Plain(NamedTuple):
+    """The values that a scene can state of a field.
+
+    ``part`` is what has other values, ``word`` the attribute in the file, ``off`` the flag of
+    MuJoCo by which such a part does nothing.
+    """
+
+    part: str
+    values: tuple[int, ...]
+    off: str = ""
+    word: str = ""
+
+
+def plain_fields() -> dict[str, Plain]:
+    """Return the values of fields that a scene can state, others are refused."""
+    ways, gains, biases, ties = map(numbers, ("mjtTrn", "mjtGain", "mjtBias", "mjtEq"))
+
+    def actuator(word: str, *values: int) -> Plain:
+        return Plain("actuators", values, "ACTUATION", word)
+
+    return {
+        "nflex": Plain("flexes", (0,)),
+        "nplugin": Plain("plugins", (0,)),
+        "ntendon": Plain("tendons", (0,)),
+        "jnt_limited": Plain("limits", (0,), "LIMIT"),
+        "dof_frictionloss": Plain("friction_loss", (0,), "FRICTIONLOSS"),
+        "jnt_springyield": Plain("plasticity", (0,), "SPRING"),
+        "eq_type": Plain(
+            "equalities", (ties.mjEQ_CONNECT, ties.mjEQ_WELD, ties.mjEQ_JOINT), "EQUALITY"
+        ),
+        "actuator_trntype": actuator(
+            "target", ways.mjTRN_JOINT, ways.mjTRN_JOINTINPARENT
+        ),
+        "actuator_dyntype": actuator("dyntype", numbers("mjtDyn").mjDYN_NONE),
+        "actuator_gaintype": actuator("gaintype", gains.mjGAIN_FIXED, gains.mjGAIN_AFFINE),
+        "actuator_biastype": actuator("biastype", biases.mjBIAS_NONE, biases.mjBIAS_AFFINE),
+        "actuator_delay": actuator("delay", 0),
+        "actuator_ctrlnum": actuator("inputs", 1),
+        "actuator_outnum": actuator("outputs", 1),
+    }  # fmt: skip
+
+
+def _odd(m: Any, field: str, plain: Plain) -> np.ndarray:
+    """Return for each object whether a field has a value that a scene cannot state."""
+    values = np.atleast_1d(getattr(m, field))
+    if plain.off and is_off(m, plain.off):
+        return np.zeros(len(values), dtype=bool)
+    return ~np.isin(values, plain.values)
 
 
 def lacking(m: Any) -> dict[str, str]:
@@ -65,7 +114,7 @@ def _found(m: Any) -> dict[str, str]:
     if m.opt.enableflags & numbers("mjtEnableBit").mjENBL_SLEEP:
         found["sleep"] = "flag sleep"
     for field, plain in plain_fields().items():
-        those = odd(m, field, plain) & _acts(m, field)
+        those = _odd(m, field, plain) & _acts(m, field)
         if plain.part not in found and those.any():
             k = int(np.argmax(those))
             kind = _KINDS[field.partition("_")[0]]
@@ -94,7 +143,7 @@ def _acts(m: Any, field: str) -> Any:
 def _is_odd(m: Any, part: str) -> np.ndarray:
     """Whether the owners of the fields of a part do something that a scene cannot state."""
     fields = {field: plain for field, plain in plain_fields().items() if plain.part == part}
-    return np.any([odd(m, field, plain) & _acts(m, field) for field, plain in fields.items()], 0)
+    return np.any([_odd(m, field, plain) & _acts(m, field) for field, plain in fields.items()], 0)
 
 
 def lost_actuators(m: Any) -> np.ndarray:

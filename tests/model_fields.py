@@ -1,16 +1,15 @@
-"""Fields of MuJoCo's compiled models: what the equations read, need not read, or cannot have.
+"""Fields of MuJoCo's compiled models: the equations read them, need not, or cannot have them.
 
-Each field of ``mjModel`` and its options is in one of three tables. A field of a later release that
-is in none is found by `unknown`.
+Each field of ``mjModel`` and its options is in a table here or in `plain_fields`. A field of a
+later release that is in none is found by `unknown`.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-
-from problems.models.mjcf_objects import is_off, load_mujoco, numbers
+from problems.models.mjcf_objects import load_mujoco
+from problems.models.mjcf_parts import plain_fields
 
 
 def _listed(prefix: str, names: str) -> set[str]:
@@ -65,48 +64,6 @@ _NO_MOTION = (
 )  # fmt: skip
 
 
-class Plain(NamedTuple):
-    """The values that a scene can state of a field.
-
-    ``part`` is what has other values, ``word`` the attribute in the file, ``off`` the flag of
-    MuJoCo by which such a part does nothing.
-    """
-
-    part: str
-    values: tuple[int, ...]
-    off: str = ""
-    word: str = ""
-
-
-def plain_fields() -> dict[str, Plain]:
-    """Return the values of fields that a scene can state, others are refused."""
-    ways, gains, biases, ties = map(numbers, ("mjtTrn", "mjtGain", "mjtBias", "mjtEq"))
-
-    def actuator(word: str, *values: int) -> Plain:
-        return Plain("actuators", values, "ACTUATION", word)
-
-    return {
-        "nflex": Plain("flexes", (0,)),
-        "nplugin": Plain("plugins", (0,)),
-        "ntendon": Plain("tendons", (0,)),
-        "jnt_limited": Plain("limits", (0,), "LIMIT"),
-        "dof_frictionloss": Plain("friction_loss", (0,), "FRICTIONLOSS"),
-        "jnt_springyield": Plain("plasticity", (0,), "SPRING"),
-        "eq_type": Plain(
-            "equalities", (ties.mjEQ_CONNECT, ties.mjEQ_WELD, ties.mjEQ_JOINT), "EQUALITY"
-        ),
-        "actuator_trntype": actuator(
-            "target", ways.mjTRN_JOINT, ways.mjTRN_JOINTINPARENT
-        ),
-        "actuator_dyntype": actuator("dyntype", numbers("mjtDyn").mjDYN_NONE),
-        "actuator_gaintype": actuator("gaintype", gains.mjGAIN_FIXED, gains.mjGAIN_AFFINE),
-        "actuator_biastype": actuator("biastype", biases.mjBIAS_NONE, biases.mjBIAS_AFFINE),
-        "actuator_delay": actuator("delay", 0),
-        "actuator_ctrlnum": actuator("inputs", 1),
-        "actuator_outnum": actuator("outputs", 1),
-    }  # fmt: skip
-
-
 #: Flags that the equations read, and those that change no motion here; ``sleep`` is refused.
 FLAGS = {
     "mjtDisableBit": _listed(
@@ -119,14 +76,6 @@ FLAGS = {
         "mjENBL_", "OVERRIDE ENERGY FWDINV INVDISCRETE SLEEP DIAGEXACT IPC SPECULATIVE"
     ),
 }  # fmt: skip
-
-
-def odd(m: Any, field: str, plain: Plain) -> np.ndarray:
-    """Return for each object whether a field has a value that a scene cannot state."""
-    values = np.atleast_1d(getattr(m, field))
-    if plain.off and is_off(m, plain.off):
-        return np.zeros(len(values), dtype=bool)
-    return ~np.isin(values, plain.values)
 
 
 def unknown(m: Any) -> list[str]:
