@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import inspect
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
 
+import jax
 import numpy as np
 import pytest
 
@@ -48,6 +51,25 @@ def forget_programs() -> None:
                     and "template" in inspect.signature(made).parameters
                 ):
                     made.cache_clear()
+
+
+@contextmanager
+def nothing_compiled() -> Iterator[None]:
+    """Within it XLA may compile nothing."""
+    events = []
+
+    def note(event: str, seconds: float, **_: object) -> None:
+        if "backend_compile" in event:
+            events.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(note)
+    try:
+        jax.jit(lambda x: x + 1)(1.0)
+        assert len(events) == 1  # JAX tells of it
+        yield
+        assert len(events) == 1
+    finally:
+        jax.monitoring.unregister_event_duration_listener(note)
 
 
 @cache

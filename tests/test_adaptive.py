@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from helpers import long, reference, slope
+from helpers import long, nothing_compiled, reference, slope
 from scipy.integrate import solve_ivp
 
 from integrators import Steps, Tolerances
@@ -254,11 +254,11 @@ def test_new_tolerances_and_schemes_compile_nothing():
     scene = Pendulum()
     first = GeneralizedAlphaAdaptive().prepare(scene, 3.0, Tolerances(1e-3))
     assert first.measure().status == "ok"
-    for rho_inf, rtol, t_end in ((0.3, 1e-5, 3.0), (0.9, 1e-4, 2.0)):
-        run = GeneralizedAlphaAdaptive(rho_inf=rho_inf).prepare(scene, t_end, Tolerances(rtol))
-        assert run.kernel is first.kernel
-        run.measure()
-    assert first.kernel.run._cache_size() == 1
+    with nothing_compiled():
+        for rho_inf, rtol, t_end in ((0.3, 1e-5, 3.0), (0.9, 1e-4, 2.0)):
+            run = GeneralizedAlphaAdaptive(rho_inf=rho_inf).prepare(scene, t_end, Tolerances(rtol))
+            assert run.kernel is first.kernel
+            run.measure()
 
 
 def test_the_accelerations_scale_is_their_largest_value_so_far():

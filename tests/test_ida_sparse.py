@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import long
+from helpers import long, nothing_compiled
 from scipy.sparse import csc_matrix
 
 from bench.plugins.registry import Registry
@@ -167,10 +167,9 @@ def test_rows_of_large_scenes_are_completed_by_sparse_algebra(monkeypatch):
 
 
 def test_other_parameters_compile_nothing_new():
-    for mass in (0.1, 0.3):
-        finished(Chain(links=5, m=mass), 0.01, linear_solver="sparse")
-    programs = dae.sparse_jacobian(*of(Chain(links=5), "stabilised_index2"))
-    assert programs.values.program._cache_size() == 1
+    finished(Chain(links=5, m=0.1), 0.01, linear_solver="sparse")
+    with nothing_compiled():
+        finished(Chain(links=5, m=0.3), 0.01, linear_solver="sparse")
 
 
 @pytest.mark.long

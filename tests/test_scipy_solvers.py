@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import long
+from helpers import long, nothing_compiled
 from probe import Probe, worst
 
 from integrators import Tolerances, Trajectory
@@ -48,10 +48,8 @@ def test_the_constraint_drifts_and_the_multiplier_solves_the_equations(method):
 
 def test_other_parameters_and_another_end_compile_nothing_new(method):
     run(method, Pendulum(), 1e-4)
-    scene = replace(Pendulum(), length=2.0)
-    run(method, scene, 1e-4, 0.8)
-    functions = [of(scene.template(), False) for of in (packed_rate, packed_columns)]
-    assert [f.program._cache_size() for f in functions] == [1, 1]
+    with nothing_compiled():
+        run(method, replace(Pendulum(), length=2.0), 1e-4, 0.8)
 
 
 def test_the_jacobian_is_the_derivative_of_the_right_hand_side(method):

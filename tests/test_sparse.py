@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import long
+from helpers import long, nothing_compiled
 
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
@@ -222,9 +222,9 @@ def test_other_parameters_compile_nothing_new():
     scenes = [Chain(links=12), Chain(links=12, m=0.3, th0=0.2)]
     kernels = [method.prepare(s, s.interval[0] + 0.01, Steps(1e-3)).kernel for s in scenes]
     assert kernels[0] is kernels[1]
-    for scene, rho in zip(scenes, (0.8, 0.5), strict=True):
-        end(GeneralizedAlpha(linear_solver="sparse", rho_inf=rho), scene, 10, 1e-3)
-    assert kernels[0].run._cache_size() == 1
+    end(method, scenes[0], 10, 1e-3)
+    with nothing_compiled():
+        end(GeneralizedAlpha(linear_solver="sparse", rho_inf=0.5), scenes[1], 10, 1e-3)
 
 
 def test_no_reference_is_made_of_a_large_scene():
