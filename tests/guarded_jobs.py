@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import time
 
@@ -22,16 +21,13 @@ def add(state: tuple, one: int, two: int = 0) -> int:
     return state[1] + one + two
 
 
-def numbers(state: tuple) -> np.ndarray:
-    return np.array([[1.0, np.nan], [np.inf, -0.0]])
+def numbers(state: tuple) -> tuple:
+    scalars = [np.float64(1.5), np.int32(2), np.bool_(True)]
+    return np.array([[1.0, np.nan], [np.inf, -0.0]]), scalars
 
 
-def another_type(state: tuple) -> int:
-    return "text"  # type: ignore[return-value]
-
-
-def an_object(state: tuple) -> dict:
-    return {"what": object()}
+def a_function_of_its_own(state: tuple) -> object:
+    return lambda: state
 
 
 def raises(state: tuple) -> int:
@@ -85,27 +81,28 @@ def ends_by(state: tuple, number: int) -> int:
 
 
 def exits(state: tuple) -> int:
+    print("it said so", flush=True)
     os._exit(3)
 
 
-def leaves_children(state: tuple) -> int:
-    """Start processes that outlive this one, and keep its pipes open."""
-    for alone in (False, True):
-        subprocess.Popen(["sleep", "1000"], start_new_session=alone, close_fds=False)
-    if os.fork() == 0:
-        os.setsid()
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        time.sleep(1000)
-    os._exit(4)
-
-
-def starts_a_child(state: tuple) -> int:
-    subprocess.Popen(["sleep", "1000"], start_new_session=True)
+def sleeps(state: tuple) -> int:
+    time.sleep(600)
     return 1
 
 
-def comes_back_twice(state: tuple) -> int:
-    return 7 if os.fork() == 0 else 8
+def leaves_a_child(state: tuple) -> int:
+    """End while a child holds the pipe."""
+    child = subprocess.Popen(["sleep", "1000"], close_fds=False)
+    if os.fork() == 0:
+        time.sleep(1000)
+    print(child.pid, flush=True)
+    os._exit(4)
+
+
+def starts_children(state: tuple) -> list[int]:
+    return [
+        subprocess.Popen(["sleep", "1000"], start_new_session=alone).pid for alone in (False, True)
+    ]
 
 
 def closes_its_output(state: tuple, seconds: float) -> int:

@@ -30,7 +30,6 @@ LAYERS = [
     {"integrators"},  # its front door, which names what plugins need
     {"bench"},
     {"bench.results"},
-    {"bench.guard.interrupts"},
     {"bench.plugins"},
     {"bench.guard"},
     {"bench.running"},

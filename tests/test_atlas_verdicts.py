@@ -89,7 +89,7 @@ def test_an_experiment_is_run_again_when_the_code_of_its_numbers_changes(monkeyp
     (experiment,), registry = read_experiments(["condition"]), Inventory()
     before = digest(experiment, (), registry)
     assert digest(experiment, (), registry) == before
-    monkeypatch.setattr("bench.atlas.runs.fingerprint", lambda made: "other")
+    monkeypatch.setattr("bench.atlas.runs.fingerprint", lambda: "other")
     assert digest(experiment, (), registry) != before
 
 

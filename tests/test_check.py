@@ -173,7 +173,7 @@ def test_a_check_without_an_object_says_why(registry):
 def test_a_check_that_hangs_or_dies_fails_and_the_next_one_goes_on(
     monkeypatch, how, budget, sentence
 ):
-    monkeypatch.setattr(limits, "_LEAST_IDLE", 3.0)
+    monkeypatch.setattr(limits, "STILL_SECONDS", 3.0)
     few = {name: CHECKS["integrators"][name] for name in ("runs", "description")}
     monkeypatch.setitem(CHECKS, "integrators", few)
     with Checker(Inventory([PLUGINS]), budget) as checker:

@@ -15,7 +15,7 @@ import pytest
 
 from bench.guard.limits import Limits
 from bench.guard.process import NoAnswer
-from bench.plugins.facts import Sources
+from bench.plugins.registry import Sources
 from bench.results.store import Store
 from bench.running.cluster import ClusterRunner
 from bench.running.plan import Cell

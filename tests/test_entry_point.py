@@ -111,7 +111,7 @@ def offered(*words: str) -> dict[str, str | None]:
 def test_scenes_are_offered():
     for line in [("solve",), ("order",), ("map",), ("show",), ("run", "-p"), ("list",)]:
         assert set(offered(*line, "slider")) == {
-            name for name in Registry(packages=()).problems if name.startswith("slider")
+            name for name in Registry().problems if name.startswith("slider")
         }
 
 

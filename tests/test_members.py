@@ -17,8 +17,7 @@ import pytest
 
 from bench.guard import interrupts
 from bench.guard.process import NoAnswer
-from bench.plugins.facts import Sources
-from bench.plugins.registry import Registry
+from bench.plugins.registry import Registry, Sources
 from bench.running.cluster import ClusterRunner
 from bench.running.progress import Progress
 from bench.running.worker import Worker

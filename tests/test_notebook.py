@@ -109,8 +109,21 @@ def answered(monkeypatch):
         names = {"q": ["X [m]", "Y [m]"]}
         return [(record, curves(1.0, {"q": 2, "lam": 1})) for record in runs], names
 
-    for module in ("bench.notebook.functions", "bench.running.session"):
-        monkeypatch.setattr(f"{module}.solve_cells", solve_cells)
+    from bench.running.inventory import Inventory
+    from bench.running.plan import Cell
+    from integrators import Steps
+
+    def run_one(request, plugins, budget, progress):
+        registry = Inventory()
+        scene = registry.problem(request.problem, **request.parameters)
+        method = registry.integrator(request.integrator)
+        steps = Steps(request.step or scene.nominal_step, request.pattern or (1.0,))
+        cell = Cell(scene.spec, method.spec, scene.interval[1], steps)
+        (result,), names = solve_cells([cell], registry, request.samples)
+        return result, names
+
+    monkeypatch.setattr("bench.notebook.functions.run_one", run_one)
+    monkeypatch.setattr("bench.running.session.solve_cells", solve_cells)
     return asked
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import pytest
 from helpers import long
 
-from bench.running.inventory import Inventory
+from bench.running.inventory import Inventory, PluginFailed
 
 HEAD = """
 from dataclasses import dataclass
@@ -115,8 +116,19 @@ def test_a_file_is_listed_without_loading_what_is_built_in(tmp_path):
     (tmp_path / "broken.py").write_text("raise ValueError('no scene')\n")
     inventory = Inventory([tmp_path / "broken.py"])
     assert "no scene" in inventory.broken_files()[0]
-    own = inventory._own
-    assert not [
-        p.name for p in (*own.problems.values(), *own.integrators.values()) if "_found" in vars(p)
-    ]
+    plugins = [*inventory.problems.values(), *inventory.integrators.values()]
+    assert {p.name for p in plugins if "_found" in vars(p)} == {"broken"}
     assert inventory.integrators["ida"].options  # here it is loaded
+
+
+def test_a_scene_that_cannot_be_planned_costs_its_own_cells(tmp_path):
+    """Whatever its facts raise, while the suite is planned in the same process."""
+    for interval in ("raise SystemExit(3)", "raise KeyError('t')", "return 1 / 0"):
+        (tmp_path / "odd.py").write_text(f"{HEAD}{SCENE}    @property\n    def interval(self):\n"
+                                         f"        {interval}\n")  # fmt: skip
+        inventory = Inventory([tmp_path / "odd.py"])
+        with pytest.raises(PluginFailed, match="heavy_bob gives no facts about itself"):
+            inventory.problem("heavy_bob")
+        assert inventory.problem("pendulum").name == "pendulum"
+        for module in [name for name in sys.modules if name.startswith("stepbench_plugin_odd")]:
+            del sys.modules[module]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers import long
 
-from bench.plugins.facts import Sources
+from bench.plugins.registry import Sources
 from bench.running import inventory
 from problems import MechatronicSystem, SampledSystem, State, held, jnp, parameter, reference
 from problems.collocation import Motion, TooSmallStep, gauss, integrate, radau

@@ -20,7 +20,6 @@ from bench.results.store import FILE, Store
 from bench.running.inventory import Inventory
 from bench.running.plan import Suite, make_suite
 from bench.running.profiles import ProfileFile, StudyFile
-from bench.running.scene_records import made_by
 from bench.running.session import missing_cells, missing_scenes, result_of
 
 PROFILE = """
@@ -140,12 +139,12 @@ def keep(store: Store, stopped: bool = True, **more: object) -> None:
     fate = NoAnswer(
         status="budget_exceeded" if stopped else "crashed", message="m", phase="running"
     )
-    record, rows = result_of(cell, fate, REGISTRY)
+    record, rows = result_of(cell, fate, *cell.facts(REGISTRY))
     scene = msgspec.structs.replace(
         A_SCENE,
         t_end=cell.t_end,
         stopped="reference" if stopped else "",
-        fingerprint=made_by(REGISTRY.problem("pendulum").fingerprint),
+        fingerprint=REGISTRY.problem("pendulum").fingerprint,
     )
     store.save(msgspec.structs.replace(record, **more), rows)
     store.keep(msgspec.structs.replace(scene, **more))
@@ -179,5 +178,6 @@ def test_a_memory_that_an_earlier_version_did_not_keep_is_not_raised(store):
 
 def test_a_scene_is_described_again_when_the_code_of_its_record_changes(store, monkeypatch):
     keep(store)
-    monkeypatch.setattr("bench.running.scene_records.fingerprint", lambda made: "other")
-    assert missing(store) == (0, 1)
+    monkeypatch.setattr("bench.plugins.facts.fingerprint", lambda made: "other")
+    monkeypatch.setattr(REGISTRY, "_known", {})
+    assert missing(store) == (1, 1)

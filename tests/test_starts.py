@@ -20,7 +20,7 @@ from problems.models.mjcf import from_mjcf
 from problems.reference import Reference
 from problems.spec import SpecError
 
-REGISTRY = Registry(packages=())
+REGISTRY = Registry()
 #: A rod that stands on its hinge.
 STANDING = """
 <mujoco>

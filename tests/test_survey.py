@@ -56,7 +56,7 @@ def test_no_default_run_ends_well_and_is_wrong_without_a_note(runner, inventory,
     resolution = resolution_of(scene, method, None, None, None, None)
     cell = Cell(scene.spec, method.spec, scene.interval[1], resolution)
     ((_, answer),) = runner.run([[measure_task(cell, cell.sources(inventory))]])
-    record = result_of(cell, answer, inventory).record
+    record = result_of(cell, answer, *cell.facts(inventory)).record
     if record.status != "ok":
         assert record.message
         return

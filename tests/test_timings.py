@@ -17,8 +17,7 @@ from planted import plant, planted
 from small_stores import NO_ROWS, a_record
 
 from bench.guard.limits import Limits
-from bench.plugins.facts import Sources
-from bench.plugins.registry import Registry
+from bench.plugins.registry import Registry, Sources
 from bench.results.compare import compare_folders, regressions
 from bench.results.environment import environment
 from bench.results.store import Store

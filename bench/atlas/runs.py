@@ -119,7 +119,7 @@ def digest(experiment: Experiment, added: Sequence[str], registry: Inventory) ->
     """Return a digest of the experiment and of all code that its numbers come from."""
     parts = [
         msgspec.json.encode((experiment, list(added))),
-        fingerprint(complete_experiments).encode(),
+        fingerprint().encode(),
     ]
     for part in experiment.part:
         for case in part.case:
@@ -194,7 +194,8 @@ def _case(part: Part, trial: _Trial, answers: dict[Task, Any], registry: Invento
     for task in trial.tasks(registry):
         answer = answers[task]
         if task.job is Worker.measure:
-            record, rows = result_of(task.arguments[0], answer, registry)
+            cell = task.arguments[0]
+            record, rows = result_of(cell, answer, *cell.facts(registry))
             stopped = stopped or bool(record.stopped) or record.status == INTERRUPTED
             y.append(value_of(case, record, rows))
             rounding = max(rounding, rounding_of(case, record))

@@ -25,8 +25,7 @@ from bench.check.verdicts import (
 )
 from bench.guard.limits import Limits
 from bench.guard.process import GuardedProcess, NoAnswer
-from bench.plugins.facts import PluginFacts, Sources
-from bench.plugins.registry import SUFFIXES, Registry
+from bench.plugins.registry import SUFFIXES, Plugin, Registry, Sources
 from bench.running.inventory import Inventory, load_registry
 from problems import spec
 from problems.plain_text import said
@@ -135,7 +134,7 @@ class Checker:
                 answer = replace(answer, text=f"See {first}: the same fault.") if first else answer
             yield answer
 
-    def _plugin(self, kind: str, text: str) -> PluginFacts:
+    def _plugin(self, kind: str, text: str) -> Plugin:
         plugins = getattr(self._registry, kind)
         # A name that cannot be used is listed with its origin, which is no name with options.
         return plugins.get(text) or plugins[spec.split_spec(text)[0]]

@@ -81,7 +81,7 @@ def _options(kind: str, name: str) -> list[dict[str, Any]]:
     """The options of a plugin of this project."""
     from bench.plugins.registry import Registry
 
-    plugin = getattr(Registry(packages=()), kind).get(name)
+    plugin = getattr(Registry(), kind).get(name)
     return plugin.options if plugin else []
 
 

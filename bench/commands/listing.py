@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ import msgspec
 
 from bench.commands import completion, options
 from bench.commands.pages import view
-from bench.plugins.facts import PluginFacts, SceneFacts
+from bench.plugins.facts import SceneFacts
+from bench.plugins.registry import Plugin
 from bench.results.table import Table
 from bench.running.profiles import built_in_profiles, read_profile, suite_titles
 from problems.spec import SpecError, split_spec, suggest
@@ -135,14 +137,12 @@ def _chosen(
     }
 
 
-def _at(plugin: PluginFacts, spec: str) -> PluginFacts:
+def _at(plugin: Plugin, spec: str) -> Plugin:
     """A scene with its values in the place of defaults, by its printed name."""
-    values = split_spec(spec)[1]
-    own = [{**o, "default": values.get(o["name"], o["default"])} for o in plugin.options]
-    return msgspec.structs.replace(plugin, name=spec, options=own)
+    return replace(plugin, name=spec, values=split_spec(spec)[1])
 
 
-def _row(kind: str, name: str, known: Mapping[str, PluginFacts]) -> dict[str, Any]:
+def _row(kind: str, name: str, known: Mapping[str, Plugin]) -> dict[str, Any]:
     """A scene, an integrator or a suite for JSON."""
     if kind == "suites":
         suite = msgspec.to_builtins(read_profile(name)[1])
@@ -164,7 +164,7 @@ def _show_lines(title: str, lines: Mapping[str, str]) -> None:
         say(Text.assemble((f"{name:{longest}}", "cyan"), f"  {text}"), cut=True)
 
 
-def _plugin(kind: str, plugin: PluginFacts) -> list[Table | str]:
+def _plugin(kind: str, plugin: Plugin) -> list[Table | str]:
     """All about a scene or an integrator: description, and options with limits and meaning."""
     first = f"{WORDS[kind]} {plugin.name} ({plugin.origin})"
     parts: list[Table | str] = [first, _reason(plugin) or plugin.summary]
@@ -181,7 +181,7 @@ def _plugin(kind: str, plugin: PluginFacts) -> list[Table | str]:
     return [*parts, ""]
 
 
-def _reason(plugin: PluginFacts) -> str:
+def _reason(plugin: Plugin) -> str:
     return f"unavailable: {plugin.reason}" if plugin.reason else ""
 
 

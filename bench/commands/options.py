@@ -13,10 +13,10 @@ from typing import Any, Literal
 import click
 
 from bench.commands import completion
-from bench.plugins.facts import MethodFacts, SceneFacts, Sources
+from bench.plugins.facts import MethodFacts, SceneFacts
+from bench.plugins.registry import Sources
 from bench.running.inventory import Inventory
 from bench.running.plan import LARGEST_BUDGET
-from bench.running.progress import OnStandardError
 from integrators.resolutions import Tolerances, check_end
 from problems.spec import SpecError
 
@@ -117,7 +117,7 @@ def not_nan(
 
 def inventory(plugins: Sequence[str]) -> Inventory:
     """List all plugins, usable or not."""
-    return Inventory(plugins, OnStandardError())
+    return Inventory(plugins)
 
 
 def usable_registry(plugins: Sequence[str]) -> Inventory:

@@ -16,14 +16,9 @@ from bench.results.published import published_table
 from bench.results.quantities import IMPACTS, NORMS
 from bench.results.records import Record, Rows
 from bench.results.table import NO_VALUE, Table, formatted
-from bench.running.plan import Cell, resolution_of
-from integrators.resolutions import Steps
 
 #: Components of a group that a table has at most: those of a planar mechanism of three bodies.
 _SHOWN = 9
-#: Constant steps from which on a well compiled program saves the time that it takes to compile;
-#: runs with fewer, or with steps of their own choice, are not timed.
-_TIMED = 100_000
 
 
 @click.command("solve")
@@ -68,36 +63,23 @@ def solve_(
       stepbench solve quarter_car generalized_alpha --ensemble 1000 --vary k:2e4..3e4 -o cars.csv
       stepbench solve quarter_car newmark --ensemble 1000000 --vary k:2e4..3e4 -o cars.parquet
     """
-    registry, scene, method = options.asked_for(problem, integrator, settings, plugins)
+    given = {"step": step, "pattern": pattern, "rtol": rtol, "atol": atol}
     if ensemble is not None:
         from bench.sweeps.jobs import EnsembleRequest
 
-        given = {"step": step, "pattern": pattern, "rtol": rtol, "atol": atol}
+        _, scene, method = options.asked_for(problem, integrator, settings, plugins)
         common = scene.spec, method.spec, given, t_end, budget
         request = EnsembleRequest(*common, ensemble, vary, seed or 0)
         sources = scene.sources | method.sources
         sweeps.solve_ensemble(sources, request, cluster, out, as_json)
         return
     sweeps.refuse_alone(vary, seed, cluster, out)
-    end = options.end_time(scene, t_end)
-    method = registry.integrator_on(method, scene)
-    resolution, count = resolution_of(scene, method, step, pattern, rtol, atol), 0
-    if isinstance(resolution, Steps):
-        count = resolution.count(scene.interval[0], end)
-        used = (end - scene.interval[0]) / count
-        if abs(used - resolution.h) > 1e-9 * used:
-            click.echo(
-                f"Step {resolution.h:g} s does not divide the interval; {count} steps of "
-                f"{used:.9g} s are taken.",
-                err=True,
-            )
     from bench.commands.terminal import RunProgress, show
-    from bench.running.session import solve_cells
+    from bench.running.solve import Request, solve
 
-    cell = Cell(scene.spec, method.spec, end, resolution)
+    request = Request(problem, integrator, settings, **given, t_end=t_end)
     with RunProgress() as progress:
-        samples = 7 if count >= _TIMED else 0
-        ((record, rows),), names = solve_cells([cell], registry, samples, budget, progress=progress)
+        (record, rows), names = solve(request, plugins, budget, progress)
     if as_json:
         click.echo(json.dumps(_solution(record, rows), indent=2))
     else:

@@ -19,7 +19,7 @@ from bench.results.table import Table
 from problems.spec import SpecError
 
 if TYPE_CHECKING:
-    from bench.plugins.facts import Sources
+    from bench.plugins.registry import Sources
     from bench.sweeps.ensemble import Ensemble
     from bench.sweeps.jobs import EnsembleRequest
 

@@ -1,57 +1,42 @@
 """Guarded processes: foreign code runs in them, one job at a time, within budgets.
 
-A crash, a hang or a memory blow-up costs the job in work and nothing else. The process has a
-keeper (`problems.keeper`), which ends it with all that it started, whatever happens to us.
+A crash, a hang or a run that takes all memory costs the job in work and nothing else. A process
+leads a group of its own, which is killed with all that it started when it is no longer wanted, and
+which kills itself when this program is gone.
 """
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
-import pickle
-import secrets
 import signal
-import socket
-import struct
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from multiprocessing.connection import wait
-from pathlib import Path
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, Pipe, wait
 from typing import Any
 
-import msgspec
-
-from bench.guard import wire
 from bench.guard.limits import LOADING, Limits, Meter
-from problems import keeper
-from problems.plain_text import shortened
-from problems.spec import SpecError
 
-#: Time in s between two looks at the use of a process.
-_WATCH_SECONDS = 0.1
-#: A keeper needs less than this, in s, to end what it keeps.
-_KEEPER_SECONDS = 15.0
-#: Of the output of a job so many bytes are kept: the first ones, and the last ones.
-_KEPT_BYTES = 1000
-#: Size of the pipe for output: whoever prints much must not seem to be idle while we look around.
-_PIPE_BYTES = 2**20
-#: Pieces that are taken at a look: a process may write faster than we read, without an end.
-_MOST_PIECES = 64
+# The libraries of this program are imported late: a process may be started before that.
+
+#: Time in s between two looks for answers, and until a process that has closed its pipe has ended.
+_BETWEEN, _ENDING = 0.1, 1.0
+#: Of the output of a job so many bytes are shown: the first ones, and the last ones.
+_SHOWN_BYTES = 1000
 #: Signals that end a process because of its own deeds; others come from outside.
 _OWN_FAULTS = frozenset({"SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSYS", "SIGTRAP"})
-#: Variable by which everything that a guarded process started is known.
-_MARK = "STEPBENCH_KEPT"
-_START = (
+_SERVE = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "sys.tracebacklimit = 0; from bench.guard.serve import serve; del sys.tracebacklimit; "
-    "serve(int(sys.argv[2]))"
+    "from bench.guard.serve import serve; serve(int(sys.argv[2]))"
 )
 
 
-class NoAnswer(msgspec.Struct, frozen=True, kw_only=True):
+@dataclass(frozen=True)
+class NoAnswer:
     """The fate of a job that failed.
 
     Attributes
@@ -61,24 +46,23 @@ class NoAnswer(msgspec.Struct, frozen=True, kw_only=True):
     message
         A sentence with the reason.
     phase
-        The phase in which it ended, one of `bench.guard.limits`, with words on it.
+        The phase in which it ended.
     """
 
     status: str
     message: str
     phase: str = ""
-    words: str = ""
 
 
-class Refused(NoAnswer, frozen=True, kw_only=True):
+class Refused(NoAnswer):
     """A job refused its arguments, with a sentence for the user."""
 
 
 class GuardedProcess:
     """A process that answers jobs, one at a time.
 
-    A job is a function of a module, whose return annotation tells the type of its answer. It is
-    called with the state of the process and arguments, and must not return None.
+    A job is a function of a module. It is called with the state of the process and arguments, and
+    must not return None.
 
     Parameters
     ----------
@@ -98,75 +82,45 @@ class GuardedProcess:
     def __init__(
         self, prepare: Callable[..., Any], arguments: tuple = (), limits: Limits | None = None
     ) -> None:
-        self._pipe, theirs = socket.socketpair()
-        self._control, keepers = socket.socketpair()
-        self._output, writing = os.pipe()
-        with suppress(AttributeError, OSError):  # not on Linux, or the user has too many
-            fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
-        self._mark = secrets.token_hex(8)
-        kept = str(theirs.fileno())
-        command = [sys.executable, "-c", _START, json.dumps(sys.path), kept]
-        keeping = [sys.executable, "-I", "-S", keeper.__file__, str(keepers.fileno()), kept]
-        try:
-            self._keeper = subprocess.Popen(
-                [*keeping, *command],
-                stdin=subprocess.DEVNULL,
-                stdout=writing,
-                stderr=writing,
-                pass_fds=(keepers.fileno(), theirs.fileno()),
-                start_new_session=True,  # signals of the terminal are for this process alone
-                env=os.environ | {_MARK: self._mark},
-            )
-        except BaseException:  # no processes or no memory are left
-            for end in (self._pipe, self._control):
-                end.close()
-            os.close(self._output)
-            raise
-        finally:
-            for end in (theirs, keepers):
-                end.close()
-            os.close(writing)
-        for descriptor in (self._pipe.fileno(), self._output):
-            os.set_blocking(descriptor, False)
-        self._silent = False
-        self._inbox, self._news = bytearray(), bytearray()
-        self._limits = limits or Limits()
-        self._meter, self._words = Meter(self._limits), "this program"
-        self._job: Callable[..., Any] | None = None
-        self._printed = bytearray()
+        self._process, self._pipe, self._output = _ahead.pop() if _ahead else _started()
+        self._meter, self._words = Meter(limits or Limits()), "this program"
         self.on_phase: Callable[[str, str], None] = lambda phase, words: None
         self.alive = True
         self._send((prepare, arguments))
 
+    @property
+    def pid(self) -> int:
+        """The number of the process."""
+        return self._process.pid
+
     def start(self, job: Callable[..., Any], *arguments: Any, **named: Any) -> None:
         """Begin a job."""
-        self._job = job
-        self._meter.start(self.pid)
-        self._printed.clear()
+        self._meter.start()
+        self._output.seek(0)  # its own place, too: it is the same open file
+        self._output.truncate()
         self._send((job, arguments, named))
 
     def poll(self) -> Any:
         """Return the answer of the job, NoAnswer if it has none, None while it is in work."""
         try:
-            self._inbox += self._received()
-            for message in wire.messages(self._inbox):
-                if message.kind == wire.PHASE:
-                    phase, self._words = wire.decode(message.content, tuple[str, str])
-                    self._meter.begin(phase, self.pid if self._meter.is_due else None)
-                    self.on_phase(phase, self._words)
-                else:
-                    return self._answer(message)
-        except wire.BrokenMessage as error:
+            ended = self._process.poll() is not None  # asked first: it may have answered before
+            while self._pipe.poll():
+                kind, content = self._pipe.recv()
+                if kind != "phase":
+                    return self._answer(kind, content)
+                self._meter.phase, self._words = content
+                self.on_phase(*content)
+        except (OSError, EOFError):  # the end of what it said
+            ended = True
+        except Exception as error:  # of a class that only the process knows, say
             self.end()
             return self._failed("crashed", f"Its answer cannot be read: {error}.")
-        if (status := self._status()) is not None:
-            return self._died(status)
-        excess = self._meter.excess(self.pid) if self.pid and self._meter.is_due else None
-        if not excess:
-            return None
-        self.end()
-        doing = "" if excess.status == "interrupted" else f" while {self._doing}"
-        return self._failed(excess.status, f"Stopped{doing} because {excess.reason}.")
+        if ended:
+            return self._died()
+        if excess := self._meter.excess(self.pid):
+            self.end()
+            return self._failed("budget_exceeded", f"Stopped while {self._doing} because {excess}.")
+        return None
 
     def ask(self, job: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
         """Do a job and return its answer, or NoAnswer."""
@@ -181,91 +135,40 @@ class GuardedProcess:
 
     def printed(self) -> str:
         """Return the beginning and the end of what the job in work, or the last one, printed."""
-        self._listen()
-        text = bytes(self._printed)
-        if len(text) > 2 * _KEPT_BYTES:
-            text = text[:_KEPT_BYTES] + b" ... " + text[-_KEPT_BYTES:]
+        from problems.plain_text import shortened
+
+        number = self._output.fileno()
+        size = os.fstat(number).st_size
+        text = os.pread(number, 2 * _SHOWN_BYTES, 0)
+        if size > len(text):
+            last = os.pread(number, _SHOWN_BYTES, size - _SHOWN_BYTES)
+            text = text[:_SHOWN_BYTES] + b" ... " + last
         return shortened(text.decode(errors="replace").strip())
 
     def end(self) -> None:
         """Kill the process and all that it started; nothing is lost that is not elsewhere."""
-        if not self.alive:
-            return
-        self.alive = False
-        self._listen()
-        self._control.close()
-        try:
-            killed = self._keeper.wait(_KEEPER_SECONDS) < 0
-        except subprocess.TimeoutExpired:  # somebody has halted it
-            self._keeper.kill()
-            killed = self._keeper.wait() < 0
-        if killed:  # it could not clear up
-            _kill_marked(self._mark)
-        self._pipe.close()
-        os.close(self._output)
-
-    def descriptors(self) -> list[socket.socket | int]:
-        """Return the descriptors on which news can come; one that is closed is always ready."""
-        return [self._pipe, self._control, *([] if self._silent else [self._output])]
-
-    @property
-    def pid(self) -> int | None:
-        """The number of the process, once its keeper has told it."""
-        with suppress(BlockingIOError, OSError):
-            self._news += self._control.recv(64, socket.MSG_DONTWAIT)
-        return struct.unpack_from("i", self._news)[0] if len(self._news) >= 4 else None
+        if self.alive:
+            self.alive = False
+            _running.discard(self._process)
+            _kill(self._process)
+            self._process.wait()
+            self._pipe.close()
 
     # ---- parts -------------------------------------------------------------------------
     def _send(self, task: tuple[Any, ...]) -> None:
-        self._pipe.setblocking(True)
         with suppress(OSError):  # it is dead, as poll() will find
-            self._pipe.sendall(pickle.dumps(task))
-        with suppress(OSError):
-            self._pipe.setblocking(False)
+            self._pipe.send(task)
 
-    def _received(self) -> bytes:
-        self._listen()
-        pieces = []
-        with suppress(BlockingIOError, OSError):
-            while len(pieces) < _MOST_PIECES and (piece := self._pipe.recv(2**20)):
-                pieces.append(piece)
-        return b"".join(pieces)
+    def _answer(self, kind: str, content: Any) -> Any:
+        if kind == "refused":
+            return Refused("crashed", content, self._meter.phase)
+        return self._failed("crashed", content) if kind == "failed" else content
 
-    def _listen(self) -> None:
-        """Take what was printed, of which little is kept."""
-        with suppress(BlockingIOError, OSError):
-            for _ in range(_MOST_PIECES):
-                piece = os.read(self._output, 2**16)
-                if not piece:
-                    self._silent = True  # all writers have closed it
-                    break
-                self._printed += piece
-                if len(self._printed) > 4 * _KEPT_BYTES:
-                    del self._printed[_KEPT_BYTES + 1 : -_KEPT_BYTES]
-
-    def _status(self) -> int | None:
-        """The wait status of the process if it has ended."""
-        keeper_ended = self._keeper.poll() is not None  # asked first: it says the status before
-        if self.pid and len(self._news) >= 8:
-            return struct.unpack_from("i", self._news, 4)[0]
-        # A keeper that was killed says nothing; the process has ended with it.
-        return signal.SIGKILL if keeper_ended else None
-
-    def _answer(self, message: wire.Message) -> Any:
-        if message.kind == wire.DONE and self._job:
-            return wire.decode(message.content, wire.answer_type(self._job))
-        text = wire.decode(message.content, str)
-        if message.kind == wire.REFUSED:
-            return Refused(status="crashed", message=text, phase=self._meter.phase)
-        return self._failed("crashed", text)
-
-    def _died(self, status: int) -> NoAnswer:
+    def _died(self) -> NoAnswer:
+        with suppress(subprocess.TimeoutExpired):  # it has closed its pipe, but not ended
+            self._process.wait(_ENDING)
         self.end()
-        if self._keeper.returncode > 0:
-            said = self.printed().partition("\n")[0]
-            reason = said or f"its keeper ended with exit code {self._keeper.returncode}"
-            return self._failed("interrupted", f"The process cannot be started: {reason}.")
-        code = os.waitstatus_to_exitcode(status)
+        code = self._process.returncode
         how = f"exit code {code}"
         if code < 0:
             with suppress(ValueError):
@@ -284,12 +187,12 @@ class GuardedProcess:
         return f"loading {self._words}" if self._meter.phase == LOADING else self._words
 
     def _failed(self, status: str, text: str) -> NoAnswer:
-        return NoAnswer(status=status, message=text, phase=self._meter.phase, words=self._words)
+        return NoAnswer(status, text, self._meter.phase)
 
 
 def wait_for_any(processes: Iterable[GuardedProcess]) -> None:
     """Return when one of the processes has something to tell, or budgets should be looked at."""
-    wait([end for process in processes for end in process.descriptors()], timeout=_WATCH_SECONDS)
+    wait([process._pipe for process in processes], timeout=_BETWEEN)
 
 
 def ask_once(
@@ -307,6 +210,8 @@ def ask_once(
     SpecError
         If the job refuses its arguments, or has no answer; then the message begins with ``about``.
     """
+    from problems.spec import SpecError
+
     process = GuardedProcess(prepare, arguments, limits)
     try:
         answer = process.ask(job, *given)
@@ -314,17 +219,61 @@ def ask_once(
             print(printed, file=sys.stderr)
     finally:
         process.end()
-    if isinstance(answer, Refused):
-        raise SpecError(answer.message)
     if isinstance(answer, NoAnswer):
-        raise SpecError(f"{about}: {answer.message}")
+        raise SpecError(
+            answer.message if isinstance(answer, Refused) else f"{about}: {answer.message}"
+        )
     return answer
 
 
-def _kill_marked(mark: str) -> None:
-    """Kill all processes that inherited a mark from a guarded process (Linux only)."""
-    wanted = f"{_MARK}={mark}".encode()
-    for entry in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):
-            if wanted in (entry / "environ").read_bytes():
-                os.kill(int(entry.name), signal.SIGKILL)
+# ---- processes ---------------------------------------------------------------------------
+_Started = tuple[subprocess.Popen, Connection, Any]
+#: Processes that live, and those that wait for what they have to do.
+_running: set[subprocess.Popen] = set()
+_ahead: list[_Started] = []
+
+
+def start_ahead(module: str) -> None:
+    """Start the process of the next `GuardedProcess`, and have it load a module and JAX."""
+    with suppress(OSError):  # no process may be started; who needs one will say it
+        from bench.guard.serve import load_libraries
+
+        _ahead.append(_started())
+        _ahead[0][1].send((load_libraries, (module,)))
+
+
+def end_all() -> None:
+    """Kill all processes, as this program ends."""
+    for process in [*_running]:
+        with suppress(Exception):
+            _kill(process)
+
+
+def _started() -> _Started:
+    ours, theirs = Pipe()
+    output = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - as long as the process
+    process = subprocess.Popen(
+        [sys.executable, "-c", _SERVE, json.dumps(sys.path), str(theirs.fileno())],
+        stdin=subprocess.DEVNULL,
+        stdout=output,
+        stderr=output,
+        pass_fds=(theirs.fileno(),),
+        start_new_session=True,  # signals of the terminal are for this process alone
+    )
+    theirs.close()
+    _running.add(process)
+    return process, ours, output
+
+
+def _kill(process: subprocess.Popen) -> None:
+    """Kill a process, its group, and those that it started in other groups."""
+    import psutil
+
+    left = []
+    with suppress(psutil.Error):
+        left = psutil.Process(process.pid).children(recursive=True)
+    with suppress(OSError):
+        os.killpg(process.pid, signal.SIGKILL)
+    for child in left:
+        with suppress(psutil.Error):
+            child.kill()

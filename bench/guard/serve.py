@@ -2,69 +2,106 @@
 
 from __future__ import annotations
 
+import importlib
+import io
 import os
 import pickle
+import select
 import signal
-import socket
 import sys
+import threading
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
 from typing import Any
 
-from bench.guard import wire
 from bench.guard.limits import LOADING, RUNNING
-from bench.plugins.reasons import PluginError, why
-from problems.checks import FalseAnswer
-from problems.plain_text import said
-from problems.spec import SpecError
 
 #: Tells the parent that a job goes on to another phase (bench.guard.limits), with words on it.
 Notify = Callable[[str, str], None]
 
 
 def serve(descriptor: int) -> None:
-    """Answer jobs until the parent closes the socket."""
-    pipe, myself = socket.socket(fileno=descriptor), os.getpid()
-    tasks = pipe.makefile("rb")
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
+    """Answer jobs until this program is gone."""
+    pipe = Connection(descriptor)
     os.set_inheritable(descriptor, False)  # by programs that a plugin starts
-
-    def only_one() -> None:
-        if os.getpid() != myself:  # a plugin has forked, and its child came here
-            os._exit(1)
-
-    def tell(kind: str, content: Any) -> None:
-        only_one()
-        pipe.sendall(wire.message(kind, content))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
+    threading.Thread(target=_end_with_parent, args=(descriptor,), daemon=True).start()
 
     def notify(phase: str, words: str) -> None:
-        tell(wire.PHASE, (phase, words))
+        pipe.send(("phase", (phase, words)))
 
-    def answer(job: Callable[..., Any], *given: Any, **named: Any) -> None:
-        try:
-            found = job(*given, **named)
-            sys.stdout.flush()
-            content = wire.message(wire.DONE, found)
-        except BaseException as error:  # a plugin may raise anything
-            if isinstance(error, SpecError) and not isinstance(error, FalseAnswer | PluginError):
-                return tell(wire.REFUSED, f"{said(error)}.")  # the user is to blame
-            if os.environ.get("STEPBENCH_TRACEBACK"):
-                traceback.print_exc()
-            tell(wire.FAILED, why(error))
-        else:
-            only_one()
-            pipe.sendall(content)
+    state = None
+    with suppress(EOFError, ConnectionError):
+        while True:
+            job, *given = pipe.recv()
+            if len(given) == 1:
+                state = _prepared(job, notify, *given[0])
+            else:
+                notify(RUNNING, "running")
+                pipe.send_bytes(_answered(job, state, *given))
+    os._exit(0)
+
+
+def _end_with_parent(descriptor: int) -> None:
+    """Wait until the other end of the pipe is closed, whatever this process is doing."""
+    watched = select.poll()
+    watched.register(descriptor, 0)
+    watched.poll()
+    os.killpg(0, signal.SIGKILL)
+
+
+def _prepared(prepare: Callable[..., Any], notify: Notify, *arguments: Any) -> Any:
+    from bench.plugins.reasons import why
 
     try:
-        prepare, arguments = pickle.load(tasks)
         notify(LOADING, "this program")
-        state = prepare(notify, *arguments)
-        while True:
-            only_one()
-            job, given, named = pickle.load(tasks)
-            notify(RUNNING, "running")
-            answer(job, state, *given, **named)
-    except (EOFError, ConnectionError):
-        os._exit(0)
-    except Exception as error:  # of what prepares; its last words are the reason
-        sys.exit(why(error))
+        return prepare(notify, *arguments)
+    except Exception as error:
+        sys.exit(why(error))  # its last words are the reason
+
+
+def _answered(job: Callable[..., Any], state: Any, given: tuple, named: dict[str, Any]) -> bytes:
+    """Do a job; return the message with its answer, or with the reason why it has none."""
+    try:
+        answer = job(state, *given, **named)
+        sys.stdout.flush()
+        return _packed("done", answer)
+    except BaseException as error:  # a plugin may raise anything
+        from bench.plugins.reasons import PluginError, why
+        from problems.checks import FalseAnswer
+        from problems.plain_text import said
+        from problems.spec import SpecError
+
+        if isinstance(error, SpecError) and not isinstance(error, FalseAnswer | PluginError):
+            return _packed("refused", f"{said(error)}.")  # the user is to blame
+        if os.environ.get("STEPBENCH_TRACEBACK"):
+            traceback.print_exc()
+        return _packed("failed", why(error))
+
+
+class _Pickler(pickle.Pickler):
+    """Writes scalars of NumPy as Python's numbers, which every writer of files knows."""
+
+    def reducer_override(self, value: Any) -> Any:
+        import numpy as np
+
+        if isinstance(value, np.generic):
+            return type(value.item()), (value.item(),)
+        return NotImplemented
+
+
+def _packed(kind: str, content: Any) -> bytes:
+    buffer = io.BytesIO()
+    _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump((kind, content))
+    return buffer.getvalue()
+
+
+def load_libraries(notify: Notify, module: str) -> None:
+    """Load a module of this program, and JAX, which takes most of the time."""
+    importlib.import_module(module)
+    from problems.runtime import jax
+
+    with suppress(Exception):  # whoever runs something is told
+        jax.jit  # noqa: B018

@@ -19,10 +19,11 @@ from bench.results.quantities import GROUPS
 from bench.results.records import Rows, endings
 from bench.results.store import Store
 from bench.running.inventory import Inventory
-from bench.running.plan import Cell, make_suite, resolution_of
+from bench.running.plan import make_suite
 from bench.running.profiles import read_profile
 from bench.running.progress import OnStandardError
-from bench.running.session import solve_cells
+from bench.running.solve import Request
+from bench.running.solve import solve as run_one
 from problems.spec import SpecError
 
 #: Processor time in s after which a run is stopped, if no other is given.
@@ -81,14 +82,10 @@ def solve(
     True
     """
     _check(budget=budget, samples=samples)
-    registry, scene, method = options.asked_for(problem, integrator, parameters, plugins)
-    method = registry.integrator_on(method, scene)
     fractions = tuple(pattern) if pattern else None
-    taken = resolution_of(scene, method, step, fractions, rtol, atol)
-    cell = Cell(scene.spec, method.spec, options.end_time(scene, t_end), taken)
-    ((record, rows),), names = solve_cells(
-        [cell], registry, samples, budget_s=budget, progress=OnStandardError()
-    )
+    sizes = {"step": step, "pattern": fractions, "rtol": rtol, "atol": atol, "t_end": t_end}
+    request = Request(problem, integrator, parameters or {}, **sizes, samples=samples)
+    (record, rows), names = run_one(request, plugins, budget, OnStandardError())
     return Solution(
         problem=record.problem,
         integrator=record.integrator,

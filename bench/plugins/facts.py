@@ -10,30 +10,11 @@ import msgspec
 import numpy as np
 
 from bench.plugins.fingerprint import fingerprint
-from bench.plugins.reasons import why
-from bench.plugins.registry import KINDS, Plugin, Registry
+from bench.plugins.registry import Registry, Sources
 from integrators import checks
 from problems.checks import number, refused, tidy
 from problems.checks import text as text_of
 from problems.variables import GROUPS
-
-#: Paragraphs of a plugin's documentation that are told.
-_MOST_PARAGRAPHS = 20
-#: Files, by their absolute paths, and packages from outside of this project that a process loads.
-Sources = frozenset[str]
-
-
-class PluginFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """A plugin in the list of them: the first paragraph of its documentation, the others, and
-    options; a ``reason`` says why it cannot be used."""
-
-    name: str
-    origin: str
-    summary: str = ""
-    description: list[str] = []
-    options: list[dict[str, Any]] = []
-    reason: str = ""
-    sources: Sources = Sources()
 
 
 class SceneFacts(msgspec.Struct, frozen=True, kw_only=True):
@@ -72,19 +53,6 @@ class MethodFacts(msgspec.Struct, frozen=True, kw_only=True):
     sources: Sources = Sources()
     fault: str = ""
     keeping_tangents: str = ""
-
-
-def plugin_facts(plugin: Plugin) -> PluginFacts:
-    """State the facts of a plugin, usable or not."""
-    return PluginFacts(
-        name=plugin.name,
-        origin=plugin.origin,
-        summary=tidy(plugin.summary),
-        description=[tidy(paragraph) for paragraph in plugin.paragraphs[1:_MOST_PARAGRAPHS]],
-        options=plugin.options,
-        reason=plugin.reason,
-        sources=plugin.sources,
-    )
 
 
 def _own_spec(made: Any) -> str:
@@ -160,15 +128,3 @@ def component_texts(registry: Registry, text: str) -> dict[str, list[str]]:
     scene = registry.problem(text)
     names = {group: [c.text for c in scene.components(group)] for group in GROUPS}
     return names | {"xdot": [c.rate().text for c in scene.components("x")]}
-
-
-def listing(registry: Registry, outside: bool = False) -> dict[str, dict[str, PluginFacts]]:
-    """List all plugins by kind and name; or only those from outside, as it loads what it lists."""
-    return {
-        kind: {
-            name: plugin_facts(plugin)
-            for name, plugin in getattr(registry, kind).items()
-            if plugin.sources or not outside
-        }
-        for kind in KINDS
-    }

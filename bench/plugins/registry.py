@@ -11,12 +11,11 @@ import dataclasses
 import hashlib
 import importlib.util
 import inspect
-import os
 import sys
 import types
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -25,6 +24,7 @@ from typing import Any
 from bench.plugins.reasons import PluginError, Unavailable, explain, why
 from integrators.contract import Integrator
 from problems import spec
+from problems.checks import tidy
 from problems.plain_text import said
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
@@ -37,21 +37,24 @@ FILE_PREFIX = "stepbench_plugin_"
 SUFFIXES = (".xml", ".urdf", ".mjcf")
 #: The kinds of plugins, with their base classes.
 KINDS = {"problems": MechatronicSystem, "integrators": Integrator}
+#: Files of plugins, by their absolute paths, that a process has to load.
+Sources = frozenset[str]
 
 
 @dataclass
 class Plugin:
     """A name with the function that finds its class; without one the ``fault`` is the reason.
 
-    ``source`` is its file or package, unless it is a part of this project.
+    ``sources`` has the file that was named, if any; ``values`` are shown in place of defaults.
     """
 
     kind: str
     name: str
     origin: str
     load: Callable[[], Any] | None
-    source: str = ""
+    sources: Sources = frozenset()
     fault: str = ""
+    values: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
     def _found(self) -> tuple[type | None, str]:
@@ -60,7 +63,7 @@ class Plugin:
         try:
             with redirect_stdout(sys.stderr):  # an entry point is imported here
                 cls = self.load()
-            reason = _fault(self.kind, self.name, cls)
+            reason = _fault(self.kind, self.name.partition("[")[0], cls)
         except BaseException as error:
             return None, why(error)
         return (None if reason else cls), reason
@@ -76,20 +79,19 @@ class Plugin:
         return self._found[1]
 
     @property
-    def sources(self) -> frozenset[str]:
-        """The names that a process has to load for it."""
-        return frozenset({self.source} if self.source else ())
-
-    @property
     def summary(self) -> str:
         """First paragraph of the class's docstring, on one line."""
-        return self.paragraphs[0]
+        return self._paragraphs[0]
 
     @property
-    def paragraphs(self) -> list[str]:
-        """Paragraphs of the class's docstring, a line each."""
+    def description(self) -> list[str]:
+        """The other paragraphs, a line each."""
+        return self._paragraphs[1:]
+
+    @property
+    def _paragraphs(self) -> list[str]:
         doc = (inspect.getdoc(self.cls) if self.cls else None) or ""
-        return [" ".join(paragraph.split()) for paragraph in doc.split("\n\n")]
+        return [tidy(paragraph) for paragraph in doc.split("\n\n")]
 
     @property
     def options(self) -> list[dict[str, Any]]:
@@ -97,7 +99,7 @@ class Plugin:
         fields = dataclasses.fields(self.cls) if self.cls else ()
         shown = ("doc", "unit", "choices", "low", "high")
         return [
-            {"name": f.name, "default": f.default}
+            {"name": f.name, "default": self.values.get(f.name, f.default)}
             | {key: f.metadata[key] for key in shown if f.metadata.get(key) is not None}
             for f in sorted(fields, key=lambda f: not f.metadata.get("always"))
             if "doc" in f.metadata
@@ -111,13 +113,8 @@ class Registry:
     ----------
     paths
         Python files, or folders of them, that define scenes or integrators.
-    packages
-        Installed packages of others whose entry points are loaded, too; all if None. Files among
-        them are passed over.
     loading
-        Told the file or the package that is loaded next.
-    without
-        Files and packages that are not loaded, with the reason.
+        Told the file that is loaded next.
 
     Raises
     ------
@@ -128,22 +125,17 @@ class Registry:
     def __init__(
         self,
         paths: Sequence[str | Path] = (),
-        packages: Collection[str] | None = None,
-        loading: Callable[[str], None] = lambda source: None,
-        without: Mapping[str, str] | None = None,
+        loading: Callable[[str], None] = lambda file: None,
     ) -> None:
         self.problems: dict[str, Plugin] = {}
         self.integrators: dict[str, Plugin] = {}
-        self._without = without or {}
+        self.files = plugin_files(paths)
         for kind in KINDS:
-            entries = [(package_of(e), e.name, e) for e in entry_points(group=f"stepbench.{kind}")]
-            for package, _, entry in sorted(entries, key=lambda e: (e[0] != PROJECT, *e[:2])):
-                own = package == PROJECT
-                if own or packages is None or package in packages:
-                    if not own:
-                        loading(package)
-                    self._add(self._from_entry_point(kind, entry, "" if own else package))
-        for file in plugin_files(paths):
+            entries = [(_package_of(e), e.name, e) for e in entry_points(group=f"stepbench.{kind}")]
+            for package, name, entry in sorted(entries, key=lambda e: (e[0] != PROJECT, *e[:2])):
+                origin = " ".join(_name_and_version(entry.dist)) if entry.dist else package
+                self._add(Plugin(kind, name, origin, entry.load))
+        for file in self.files:
             loading(file)
             self._add_file(Path(file))
 
@@ -183,15 +175,16 @@ class Registry:
 
     def _add(self, plugin: Plugin) -> None:
         plugins = getattr(self, plugin.kind)
-        if plugin.name in plugins:
-            name, fault = taken_name(plugin.name, plugin.origin, plugins[plugin.name].origin)
+        if taken := plugins.get(plugin.name):
+            fault = f"the name {plugin.name!r} is taken by {taken.origin}; give it another name."
+            name = f"{plugin.name} ({plugin.origin})"
             plugin = replace(plugin, name=name, load=None, fault=fault)
         plugins[plugin.name] = plugin
 
     def _add_file(self, file: Path) -> None:
-        module, fault = None, self._without.get(str(file), "")
+        module, fault, sources = None, "", Sources({str(file)})
         try:
-            module = None if fault else _import_file(file)
+            module = _import_file(file)
         except BaseException as error:  # a plugin may even call sys.exit
             fault = explain(error)
         pairs = ((_kind_of(cls, module), cls) for cls in (vars(module).values() if module else ()))
@@ -199,29 +192,10 @@ class Registry:
         for kind, cls in kinds:
             # A class whose name is of no use is listed, with the reason, under its own.
             name = cls.name if spec.is_name(cls.name) else cls.__name__
-            self._add(Plugin(kind, name, str(file), lambda cls=cls: cls, str(file)))
+            self._add(Plugin(kind, name, str(file), lambda cls=cls: cls, sources))
         for kind in () if kinds else KINDS:  # its kind is not known: it is listed under both
             why = fault or "it defines no MechatronicSystem and no Integrator."
-            self._add(Plugin(kind, file.stem, str(file), None, str(file), why))
-
-    def _from_entry_point(self, kind: str, entry: Any, package: str) -> Plugin:
-        origin = " ".join(_name_and_version(entry.dist)) if entry.dist else entry.value
-        if fault := self._without.get(package):
-            return Plugin(kind, entry.name, origin, None, package, fault)
-        plugin = Plugin(kind, entry.name, origin, entry.load, package)
-        if package:  # what is from outside loads now; our own at the first use, as it takes long
-            plugin.cls  # noqa: B018
-        return plugin
-
-
-def taken_name(name: str, origin: str, owner: str) -> tuple[str, str]:
-    """Return the name under which a plugin is listed whose own is taken, and the reason."""
-    return f"{name} ({origin})", f"the name {name!r} is taken by {owner}; give it another name."
-
-
-def files_of(sources: Collection[str]) -> list[str]:
-    """List the files among files and packages."""
-    return sorted(filter(os.path.isabs, sources))
+            self._add(Plugin(kind, file.stem, str(file), None, sources, why))
 
 
 def plugin_files(paths: Sequence[str | Path]) -> list[str]:
@@ -299,8 +273,7 @@ def _kind_of(cls: Any, module: Any) -> str | None:
     return next((kind for kind, base in KINDS.items() if issubclass(cls, base)), None)
 
 
-def package_of(entry: Any) -> str:
-    """Return the name of the package that an entry point belongs to."""
+def _package_of(entry: Any) -> str:
     return _name_and_version(entry.dist)[0] if entry.dist else entry.value
 
 

@@ -12,10 +12,9 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from typing import Any
 
-from bench.guard import wire
 from bench.guard.limits import Limits
 from bench.guard.process import NoAnswer
-from bench.plugins.registry import files_of, plugin_files
+from bench.plugins.registry import plugin_files
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task
 from problems.plain_text import described, said
@@ -107,11 +106,10 @@ class ClusterRunner(Runner):
     def _collect(self, future: Any, group: list[Task]) -> list[tuple[Task, Any]]:
         try:
             answers = []
-            for task, (label, printed, done, content) in zip(group, future.result(), strict=True):
+            for task, (printed, answer) in zip(group, future.result(), strict=True):
                 if printed:
-                    self.progress.printed(label, printed)
-                kind = wire.answer_type(task.job) if done else NoAnswer
-                answers.append((task, wire.decode(content, kind)))
+                    self.progress.printed(task.label, printed)
+                answers.append((task, answer))
             return answers
         except Exception as error:
             return _lost(group, error)
@@ -151,23 +149,14 @@ class _Printed(Progress):
         self.texts[label] = text
 
 
-def _run_group(group: list[Task], limits: Limits) -> list[tuple[str, str, bool, bytes]]:
-    """Answer a group of tasks, in order, in a worker of the cluster: answers are msgspec data."""
+def _run_group(group: list[Task], limits: Limits) -> list[tuple[str, Any]]:
+    """Answer a group of tasks, in order, in a worker of the cluster; with what each printed."""
     for task in group:
-        plugin_files(files_of(task.sources))  # says what is missing; a child would die of it
+        plugin_files(sorted(task.sources))  # says what is missing; a child would die of it
     kept = _Printed()
     with Runner(1, limits, kept, _wanted()) as runner:
         answers = dict(runner.run([group]))
-    return [
-        (
-            task.label,
-            kept.texts.get(task.label, ""),
-            not isinstance(answers[task], NoAnswer),
-            wire.encode(answers[task]),
-        )
-        for task in group
-        if task in answers
-    ]
+    return [(kept.texts.get(t.label, ""), answers[t]) for t in group if t in answers]
 
 
 def _wanted() -> Callable[[], bool]:

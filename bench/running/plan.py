@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.plugins.facts import MethodFacts, SceneFacts, Sources
+from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.plugins.reasons import Unavailable
-from bench.plugins.registry import files_of
+from bench.plugins.registry import Sources
 from bench.results.quantities import NORMS
 from bench.results.records import IntegratorFacts, Plan, Record, Study
 from bench.running.inventory import Inventory, PluginFailed
@@ -235,7 +235,7 @@ def planned(method: MethodFacts) -> IntegratorFacts:
         orders=method.orders,
         formulation=method.formulation,
         source=method.source,
-        files=[Path(file).name for file in files_of(method.sources)],
+        files=[Path(file).name for file in sorted(method.sources)],
     )
 
 

@@ -11,7 +11,7 @@ from typing import Any, Self
 
 from bench.guard.limits import REFERENCE, WAITING, Limits
 from bench.guard.process import GuardedProcess, NoAnswer, wait_for_any
-from bench.plugins.facts import Sources
+from bench.plugins.registry import Sources
 from bench.results.records import TIMING_SECONDS
 from bench.running.plan import Cell
 from bench.running.progress import Progress

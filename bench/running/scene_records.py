@@ -87,7 +87,7 @@ def scene_record(
         components=part("list of components", lambda: _components(scene), {}),
         sizes=recorded_sizes(scene),
         t0=scene.interval[0],
-        fingerprint=made_by(fingerprint(type(scene))),
+        fingerprint=fingerprint(type(scene)),
         tags=list(tags),
         difficulties=list(hard),
         equations=equations(scene),
@@ -95,11 +95,6 @@ def scene_record(
         faults=faults,
         **known,
     )
-
-
-def made_by(scene: str) -> str:
-    """Return the fingerprint of a record of a scene that has this one."""
-    return f"{scene}-{fingerprint(scene_record)}"
 
 
 def _motion(scene: MechatronicSystem, reference: Reference) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 
 from bench.guard.limits import Limits
 from bench.guard.process import NoAnswer, ask_once
-from bench.plugins.facts import SceneFacts
+from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.plugins.registry import Registry
 from bench.results.environment import environment
 from bench.results.quantities import NORM, NORMS
@@ -19,7 +19,6 @@ from bench.running.inventory import Inventory, load_registry
 from bench.running.plan import Cell, Suite
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task, measure_task, scene_task, time_task
-from bench.running.scene_records import made_by
 from bench.running.worker import CellResult, Worker
 from problems.runtime import check_runtime, users_settings
 from problems.spec import SpecError
@@ -56,7 +55,7 @@ def missing_scenes(suite: Suite, store: Store, registry: Inventory) -> list[tupl
     def is_missing(scene: tuple[str, float]) -> bool:
         return (
             scene not in stored
-            or stored[scene].fingerprint != made_by(registry.problem(scene[0]).fingerprint)
+            or stored[scene].fingerprint != registry.problem(scene[0]).fingerprint
             or allowed_more(suite, stored[scene])
         )
 
@@ -88,30 +87,21 @@ def measure_suite(
         number = store.save_environment(environment())
 
     def keep(cell: Cell, answer: CellResult | NoAnswer) -> None:
-        record, rows = result_of(cell, answer, registry)
+        record, rows = result_of(cell, answer, *cell.facts(registry))
         record.environment = number
         record.budget_s, record.memory_gib = suite.plan.budget_s, suite.memory_gib
         store.save(record, rows)
         runner.progress.found(_in_words(record))
 
-    def sound(cells: list[Cell]) -> list[Cell]:
-        """Those that are worth a try; others would hang or die, too."""
-        for cell in cells:
-            if fault := registry.prospect(cell.problem).fault:
-                keep(cell, NoAnswer(status="crashed", message=fault))
-        return [cell for cell in cells if not registry.prospect(cell.problem).fault]
-
     def offers() -> list[list[Task]]:
         begun = runner.begun
         cells = [cell for cell in further() if cell.key not in begun] if further else []
-        return _groups(sound(cells), [], registry)
+        return _groups(cells, [], registry)
 
-    count, cells = len(cells), sound(cells)
-    scenes = [scene for scene in scenes if not registry.prospect(scene[0]).fault]
     if cells or scenes or further:
         groups = _groups(cells, scenes, registry)
         # So that no worker is left alone with the longest group in the end.
-        groups.sort(key=lambda group: registry.prospect(group[0].scene or "").weight, reverse=True)
+        groups.sort(key=lambda group: registry.weight(group[0].scene or ""), reverse=True)
         # Scenes are counted if there is nothing else to do: people ask for cells.
         counted = Worker.measure if cells or further else Worker.scene
         progress = runner.progress
@@ -127,7 +117,7 @@ def measure_suite(
                 keep(task.arguments[0], answer)
             if task.job is counted:
                 progress.advance()
-    return count
+    return len(cells)
 
 
 def time_suite(suite: Suite, store: Store, registry: Inventory, runner: Runner) -> None:
@@ -185,7 +175,8 @@ def solve_cells(
         runner.draft = not samples
         for task, answer in runner.run([tasks]):
             if task.job is Worker.measure:
-                results[task.label] = result_of(task.arguments[0], answer, registry)
+                cell = task.arguments[0]
+                results[task.label] = result_of(cell, answer, *cell.facts(registry))
             elif not isinstance(answer, NoAnswer):
                 names = answer
         good = [cell for cell in cells if results[cell.key].record.status == "ok"]
@@ -214,10 +205,12 @@ def describe_scenes(
     return [records[scene.spec] for scene in scenes if scene.spec in records]
 
 
-def result_of(cell: Cell, answer: CellResult | NoAnswer, registry: Inventory) -> CellResult:
+def result_of(
+    cell: Cell, answer: CellResult | NoAnswer, scene: SceneFacts, method: MethodFacts
+) -> CellResult:
     """Return the result of a cell; one that has no answer has a record with the reason."""
     if isinstance(answer, NoAnswer):
-        record = cell.record(*cell.facts(registry), answer.status, answer.message)
+        record = cell.record(scene, method, answer.status, answer.message)
         record.stopped = answer.phase if answer.status == "budget_exceeded" else ""
         return CellResult(record, Rows(t=[]))
     return answer

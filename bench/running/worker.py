@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 
 from bench.guard.limits import MEASURING, PREPARING, REFERENCE, RUNNING
 from bench.guard.serve import Notify
-from bench.plugins.facts import Sources, component_texts, method_facts, scene_facts
+from bench.plugins.facts import component_texts, method_facts, scene_facts
 from bench.plugins.reasons import why
-from bench.plugins.registry import Registry
+from bench.plugins.registry import Registry, Sources
 from bench.results.quantities import PARTS, point_notes
 from bench.results.records import Record, Rows, SceneRecord
 from bench.running import measure

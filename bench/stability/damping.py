@@ -8,8 +8,7 @@ import msgspec
 import numpy as np
 
 from bench.guard.process import NoAnswer
-from bench.plugins.facts import Sources
-from bench.plugins.fingerprint import fingerprint
+from bench.plugins.registry import Sources
 from bench.results.records import INTERRUPTED, Damping, Record, SceneRecord
 from bench.results.store import Store
 from bench.running.errors import finite
@@ -27,7 +26,7 @@ def complete_damping(suite: Suite, store: Store, registry: Inventory, runner: Ru
     """Find the damping that the store lacks; that of another source is forgotten."""
     known = store.damping()
     for name in suite.plan.integrators:
-        if name in known and known[name].fingerprint != _made_by(name, registry):
+        if name in known and known[name].fingerprint != registry.integrator(name).fingerprint:
             store.forget(Damping, name)
             del known[name]
     due = missing(suite, known, store.scenes(), store.records(), registry)
@@ -43,14 +42,9 @@ def complete_damping(suite: Suite, store: Store, registry: Inventory, runner: Ru
             if answer.status == INTERRUPTED:
                 continue
             answer = Damping(omega_h=list(omega_h), message=answer.message)
-        found = msgspec.structs.replace(answer, fingerprint=_made_by(name, registry))
+        found = msgspec.structs.replace(answer, fingerprint=registry.integrator(name).fingerprint)
         store.keep(found, name)
         runner.progress.advance()
-
-
-def _made_by(name: str, registry: Inventory) -> str:
-    """The fingerprint of a method and of its analysis."""
-    return f"{registry.integrator(name).fingerprint}-{fingerprint(linear_response)}"
 
 
 def missing(

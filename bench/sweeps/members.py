@@ -20,7 +20,7 @@ import numpy as np
 
 from bench.guard.interrupts import remark
 from bench.guard.process import Refused
-from bench.plugins.facts import Sources
+from bench.plugins.registry import Sources
 from bench.results.csv_text import csv_export
 from bench.running.runner import Runner, Task
 from bench.sweeps.ensemble import Ensemble, joined, member_rows

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import os
 import platform
 import shutil
+import subprocess
 import tempfile
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -15,7 +18,6 @@ from pathlib import Path
 import platformdirs
 
 from integrators.lowering.graph import NotLowered
-from problems.other_programs import run_program
 from problems.whole_files import keep, kept
 
 _COMPILER = "cc"
@@ -25,6 +27,8 @@ _FLAGS = ("-O1", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared")
 _CACHE = Path(platformdirs.user_cache_dir("stepbench")) / "native"
 #: Whatever a compilation has left that was killed is removed after so many s.
 _OLD = 86_400
+#: Time in s for which a compiler is waited for.
+_PATIENCE = 90.0
 #: The compiler hung in this process, which asks it no more.
 _hung: list[str] = []
 
@@ -69,7 +73,7 @@ def _compile(compiler: str, source: str) -> bytes:
         text, new = Path(folder, "functions.c"), Path(folder, "functions.so")
         text.write_text(source, encoding="utf-8")
         command = [compiler, *_FLAGS, "-o", str(new), str(text), "-lm"]
-        done = run_program(command, LC_ALL="C", TMPDIR=folder)
+        done = _run(command, LC_ALL="C", TMPDIR=folder)
         if done.returncode:
             words = done.stderr.decode(errors="replace").strip().splitlines()
             raise NotLowered(f"{_COMPILER} failed: {words[0] if words else done.returncode}")
@@ -85,4 +89,12 @@ def compiler_version(compiler: str = _COMPILER) -> str:
     OSError
         If there is none, or it hangs.
     """
-    return run_program([compiler, "--version"]).stdout.decode(errors="replace").partition("\n")[0]
+    return _run([compiler, "--version"]).stdout.decode(errors="replace").partition("\n")[0]
+
+
+def _run(command: Sequence[str], **variables: str) -> subprocess.CompletedProcess[bytes]:
+    try:
+        environment = os.environ | variables
+        return subprocess.run(command, capture_output=True, env=environment, timeout=_PATIENCE)
+    except subprocess.TimeoutExpired:
+        raise TimeoutError(f"{command[0]} took more than {_PATIENCE:g} s") from None

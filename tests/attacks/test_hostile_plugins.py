@@ -122,7 +122,7 @@ def run(
 @cache
 def alone(scene: str) -> tuple:
     """A control without plugins, measured here."""
-    worker = Worker(Registry(packages=()))
+    worker = Worker(Registry())
     record, rows = worker.measure(Cell(scene, NEWMARK, 1.0, Steps(0.1)))
     return record.status, record.message, record.errors, record.work, rows
 
