@@ -65,7 +65,7 @@ class Started:
     def family(self, role: str = "") -> list[int]:
         """All processes that it started, itself included, oldest first; or those of one role.
 
-        Workers are its own, and engines those of its workers; all have keepers.
+        Workers are its own, and engines those of its workers.
         """
         found = []
         for entry in Path("/proc").glob("[0-9]*"):
@@ -78,10 +78,8 @@ class Started:
 
     def _role(self, process: int, line: bytes) -> str:
         above = parent_of(process)
-        if b"problems/keeper.py" in line:  # the line of what it keeps is in it, too
-            return "keeper" if above == self.pid else "keeper of an engine"
         if b"serve(int(" in line:
-            return "worker" if parent_of(above) == self.pid else "engine"
+            return "worker" if above == self.pid else "engine"
         return "other"
 
     def wait_for(self, condition: Callable[[], object], seconds: float = 500.0) -> None:
