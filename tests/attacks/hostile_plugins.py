@@ -146,4 +146,4 @@ SCENES = {
 }
 
 #: Fast ones that `make test` takes: few of them need a worker, which takes seconds to start.
-QUICK = ("f_family_exits", "r_measure_segv")
+QUICK = ("f_family_raises", "r_measure_segv")
