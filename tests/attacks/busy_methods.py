@@ -49,11 +49,8 @@ class Run(PreparedRun):
     def execute(self) -> None:
         pass
 
-    def locks(self) -> None:
-        """Hold the interpreter lock, so that no thread and no handler of Python's runs."""
-        ctypes.PyDLL(None).sleep(600)
-
     def locks_in_turns(self) -> None:
+        """Hold the interpreter lock, so that no thread runs, most of the time."""
         while HELD.exists():
             ctypes.PyDLL(None).usleep(900_000)
 
@@ -63,19 +60,6 @@ class Run(PreparedRun):
 
     def child(self) -> None:
         subprocess.Popen([sys.executable, "-c", BUSY])
-
-    def session(self) -> None:
-        subprocess.Popen([sys.executable, "-c", BUSY], start_new_session=True)
-
-    def orphan(self) -> None:
-        """A grandchild in a session of its own, whose parent has ended, and which heeds nothing."""
-        if not os.fork():
-            os.setsid()
-            if not os.fork():
-                script = f"import signal\nfor n in (1, 2, 15): signal.signal(n, 1)\n{BUSY}"
-                os.execv(sys.executable, [sys.executable, "-c", script])
-            os._exit(0)
-        os.wait()
 
 
 @dataclass(frozen=True)

@@ -8,25 +8,6 @@ SLEPT, BUSY = "it did nothing for", "s of processor time, its budget"
 LOST = "lost or crashed"
 #: A fate that depends on the machine; the other cells are watched.
 ANY = "any"
-
-
-def deaf(action: str) -> str:
-    """Code that acts in a child that ignores signals and has left the session."""
-    return (
-        "if os.fork() == 0:\n"
-        "    os.setsid()\n"
-        "    for number in (1, 2, 3, 13, 15): signal.signal(number, signal.SIG_IGN)\n"
-        "    if os.fork() == 0:\n"
-        f"        {action}\n"
-        "    os._exit(0)"
-    )
-
-
-FD = "for fd in range(3, 256):\n    try: {0}\n    except (OSError, ValueError): pass"
-LATER = (
-    "def later():\n    time.sleep({0})\n    {1}\n"
-    "threading.Thread(target=later, daemon=True).start()"
-)
 TWICE = (  # acts in each process but the first that loads it
     "from pathlib import Path\nmark = Path(__file__).with_suffix('.loaded')\n"
     "if mark.exists(): {0}\nmark.touch()"

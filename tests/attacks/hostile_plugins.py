@@ -10,7 +10,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
 
-from hostile_imports import FACTS, HANGS, IMPORTS
+from hostile_imports import FACTS, IMPORTS
 from hostile_runs import RUN_HANGS, RUNS, TIMED_HANGS
 from hostile_scenes import SCENE_HANGS, SCENE_SNIPPETS
 
@@ -126,13 +126,10 @@ def write(folder: Path, names: Collection[str]) -> None:
 
 METHODS = {
     **{f"i_{n}": Hostile("imports", "top", *rest) for n, rest in IMPORTS.items()},
-    **{f"h_{n}": Hostile(f"hang {n}", *rest) for n, rest in HANGS.items()},
     **{f"f_{n}": Hostile("facts", "facts", *rest) for n, rest in FACTS.items()},
     **{f"r_{n}": Hostile("runs", *rest) for n, rest in RUNS.items()},
     **{
-        f"s_{n}": Hostile(
-            "hangs", place, code, "interrupted" if "halted" in words else "budget_exceeded", words
-        )
+        f"s_{n}": Hostile("hangs", place, code, "budget_exceeded", words)
         for n, (place, code, words) in RUN_HANGS.items()
     },
     **{f"t_{n}": Hostile("timed", *rest, "ok") for n, rest in TIMED_HANGS.items()},

@@ -30,12 +30,9 @@ SCENE_SNIPPETS = {
     "draw_huge": ("def draw(self, q): return [np.zeros((10**8, 2))] * 50", "ok", ""),
     "energy_exits": ("def energy(self, q, v): os._exit(6)", "crashed or ok", ""),
     "energy_garbage": ("def energy(self, q, v): return 'much'", "ok", ""),
-    "interval_property": ("@property\ndef interval(self): os._exit(8)", "lost", ""),
     "interval_odd": ("interval = (0.0, float('nan'))", "lost", "interval"),
     "nominal_step_odd": ("nominal_step = property(lambda self: 1 / 0)", "lost", ""),
     "coordinates_odd": ("coordinates = 7", ANY, ""),
-    "coordinates_property": ("@property\ndef coordinates(self): os._exit(9)", ANY, ""),
-    "scene_spec_exits": ("@property\ndef spec(self): os._exit(2)", "lost", "exit code 2"),
     "scene_spec_other": ("@property\ndef spec(self): return 'spring_mass'", ANY, ""),
 }
 #: Code in the body of the class, words of the reason; each hangs.

@@ -13,17 +13,13 @@ from processes import Started, end_all
 attack = pytest.mark.attack
 #: Methods that fail in every command that runs them.
 METHODS = (
-    "i_exit_0",
     "i_sys_exit",
-    "i_segv",
-    "i_close_all",
-    "f_family_exits",
-    "f_spec_exits",
+    "i_dies_in_workers",
+    "f_spec_raises",
     "f_supports_exits",
     "r_prepare_exits",
     "r_prepare_none",
     "r_measure_segv",
-    "r_measure_forks_and_dies",
 )
 #: Scenes that fail in every command that runs them.
 SCENES = (
@@ -31,8 +27,7 @@ SCENES = (
     "c_start_garbage",
     "c_force_exits",
     "c_force_segv",
-    "c_interval_property",
-    "c_scene_spec_exits",
+    "c_nominal_step_odd",
 )
 #: Scenes of which no more than the picture fails.
 UNDRAWN = ("c_draw_exits", "c_draw_raises", "c_draw_huge")

@@ -19,7 +19,7 @@ import psutil
 import pytest
 from busy_methods import BUSY
 from planted import everything, plant
-from processes import Started, end_all, parent_of, promised_seconds
+from processes import Started, end_all, promised_seconds
 
 attack = pytest.mark.attack
 KILL, STOP, CONT = signal.SIGKILL, signal.SIGSTOP, signal.SIGCONT
@@ -32,10 +32,10 @@ steps = [0.1, 0.05]
 """
 CELLS = 4
 RUN = ("run", "busy.toml", "--plugins", "busy.py", "--out", "out")
-HOWS = ("locks", "locks_in_turns", "spins", "child", "session", "orphan")
+HOWS = ("locks_in_turns", "spins", "child")
 #: The kill that the long tests try, without the second run.
-QUICK = ("worker", "locks")
-#: Longer than a process may be idle, in s.
+QUICK = ("worker", "locks_in_turns")
+#: In s.
 LONG_HALT = 12.0
 
 
@@ -63,7 +63,7 @@ def held(folder: Path, how: str, *more: str) -> tuple[Started, int]:
     (folder / "HOLD").touch()
     process, told = Started(folder, *RUN, *more), folder / "HELD"
     process.wait_for(lambda: told.exists() and told.read_text())
-    if how in ("child", "session", "orphan"):
+    if how == "child":
         process.wait_for(lambda: busy_children(process))
     time.sleep(random.Random(how).uniform(0, 0.5))
     return process, int(told.read_text())
@@ -74,11 +74,11 @@ def busy_children(process: Started) -> list[int]:
     return [p for p, line in lines.items() if line.exists() and BUSY.encode() in line.read_bytes()]
 
 
-def victim(process: Started, role: str, chance: random.Random) -> int:
-    """A process of a role, at a random moment."""
+def victim(process: Started, chance: random.Random) -> int:
+    """A worker, at a random moment."""
     time.sleep(chance.uniform(0, 3))
-    process.wait_for(lambda: process.family(role))
-    return chance.choice(process.family(role) or [0])
+    process.wait_for(lambda: process.family("worker"))
+    return chance.choice(process.family("worker") or [0])
 
 
 def kill(pid: int) -> None:
@@ -134,7 +134,7 @@ def test_a_command_killed_at_a_random_moment_leaves_nothing(folder, seed):
         pytest.param(*QUICK, marks=pytest.mark.long),
         *(
             pytest.param(role, how, marks=attack)
-            for role in ("worker", "keeper", "terminated")
+            for role in ("worker", "terminated")
             for how in HOWS
             if (role, how) != QUICK
         ),
@@ -143,10 +143,7 @@ def test_a_command_killed_at_a_random_moment_leaves_nothing(folder, seed):
 def test_a_killed_worker_costs_one_cell(folder, role, how):
     process, worker = held(folder, how)
     before = busy_children(process)
-    os.kill(
-        parent_of(worker) if role == "keeper" else worker,
-        signal.SIGTERM if role == "terminated" else KILL,
-    )
+    os.kill(worker, signal.SIGTERM if role == "terminated" else KILL)
     late = time.monotonic() + promised_seconds()
     while set(before) & set(process.family()):
         assert time.monotonic() < late, "what the worker started is left"
@@ -159,11 +156,10 @@ def test_a_killed_worker_costs_one_cell(folder, role, how):
 
 
 @attack
-@pytest.mark.parametrize("role", ["worker", "keeper"])
 @pytest.mark.parametrize("seed", range(6))
-def test_a_worker_killed_at_a_random_moment_costs_at_most_one_cell(folder, role, seed):
+def test_a_worker_killed_at_a_random_moment_costs_at_most_one_cell(folder, seed):
     process = Started(folder, *RUN)
-    kill(victim(process, role, random.Random(f"{role} {seed}")))
+    kill(victim(process, random.Random(seed)))
     code = process.finish()
     found = re.search(r"Not complete: (\d+) runs? w", process.said)
     assert code == (1 if found else 0), process.said
@@ -174,28 +170,12 @@ def test_a_worker_killed_at_a_random_moment_costs_at_most_one_cell(folder, role,
 
 
 @attack
-@pytest.mark.parametrize("seed", range(4))
-def test_a_killed_inventory_costs_nothing(folder, seed):
-    process = Started(folder, *RUN)
-    process.wait_for(lambda: process.family("worker"))
-    time.sleep(random.Random(seed).uniform(0, 0.6))
-    kill(process.family("worker")[0])
-    assert process.finish() == 0, process.said
-    assert f"{CELLS} ok" in process.said
-
-
-@attack
-@pytest.mark.parametrize("role", ["worker", "keeper"])
 @pytest.mark.parametrize("name", ["map", "solve", "stability"])
-def test_a_command_whose_worker_is_killed_says_so(folder, role, name):
+def test_a_command_whose_worker_is_killed_says_so(folder, name):
     from test_signals import ENDLESS
 
     process = Started(folder, *ENDLESS[name].split())
-    kill(victim(process, role, random.Random(f"{name} {role}")))
-    while process.process.poll() is None:  # an inventory that was killed is replaced
-        time.sleep(1)
-        for other in process.family(role):
-            kill(other)
+    kill(victim(process, random.Random(name)))
     assert process.finish() == 1, process.said
     assert "killed from outside" in process.said
 
@@ -212,12 +192,11 @@ def test_a_killed_drawing_engine_costs_nothing(folder, seed):
 
 
 @attack
-@pytest.mark.parametrize("role", ["worker", "keeper"])
-def test_a_killed_page_costs_that_page(folder, role):
+def test_a_killed_page_costs_that_page(folder):
     process = Started(folder, "report", "planted")
-    process.wait_for(lambda: len(process.family(role)) == 2)
-    time.sleep(random.Random(role).uniform(0, 0.3))
-    kill(process.family(role)[0])
+    process.wait_for(lambda: len(process.family("worker")) == 2)
+    time.sleep(random.Random(0).uniform(0, 0.3))
+    kill(process.family("worker")[0])
     assert process.finish() == 1, process.said
     assert process.said.count("Report:") == 1
     assert "killed from outside" in process.said
@@ -247,12 +226,12 @@ def test_workers_of_a_cluster_stop_when_the_command_has_ended(folder, number):
 
 # ---- halts and load ------------------------------------------------------------------------------
 @attack
-@pytest.mark.parametrize("who", ["worker", "command", "keeper"])
+@pytest.mark.parametrize("who", ["worker", "command"])
 def test_a_halt_changes_no_verdict(folder, who):
     process, worker = held(folder, "well", "--budget", "1")
-    stopped = {"worker": worker, "command": process.pid, "keeper": parent_of(worker)}[who]
+    stopped = worker if who == "worker" else process.pid
     os.kill(stopped, STOP)
-    time.sleep(3 if who == "keeper" else LONG_HALT)
+    time.sleep(LONG_HALT)
     os.kill(stopped, CONT)
     (folder / "HELD").unlink()
     assert process.finish() == 0, process.said
