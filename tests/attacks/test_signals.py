@@ -184,6 +184,17 @@ def test_a_signal_at_the_very_end_is_obeyed_or_too_late(folder, seed):
     process.finish()
 
 
+def test_a_plugin_that_hangs_as_it_is_imported_ends_with_its_command(folder):
+    plugin, reached = folder / "hangs.py", folder / "REACHED"
+    plugin.write_text(
+        f"import pathlib, time\npathlib.Path({str(reached)!r}).touch()\ntime.sleep(3600)\n"
+    )
+    process = Started(folder, "list", "--plugins", plugin)
+    process.wait_for(reached.exists)
+    to_all(process, INT)
+    process.check_obeys(INT)
+
+
 def test_pages_in_work_end_with_their_command(folder):
     process = Started(folder, "report", "planted")
     process.wait_for(lambda: len(process.family("worker")) == 2)
