@@ -67,14 +67,14 @@ def test_a_standing_rod_falls_from_an_angle_as_in_mujoco(tmp_path):
     data.qpos[0], data.qvel[0] = 0.3, -0.5
     for _ in range(5000):
         mujoco.mj_step(m, data)
-    scene = Registry([file], ()).problem("standing[start.foot=0.3,start.foot.v=-0.5]")
+    scene = Registry([file]).problem("standing[start.foot=0.3,start.foot.v=-0.5]")
     assert end_of(scene, 1.0) == pytest.approx(data.qpos, rel=1e-9)
 
 
 def test_a_hanging_rod_of_a_urdf_swings_from_an_angle_as_the_pendulum_does(tmp_path):
     pytest.importorskip("mujoco")
     file = written(tmp_path, "hanging.urdf", HANGING)
-    scene = Registry([file], ()).problem("hanging", **{"start.hip": "0.3"})
+    scene = Registry([file]).problem("hanging", **{"start.hip": "0.3"})
     k, w = np.sin(0.15), np.sqrt(2 * 9.81 * 0.4 / (0.1 + 2 * 0.4**2))
     _, cn, dn, _ = ellipj(w * 1.0, k**2)
     assert end_of(scene, 1.0) == pytest.approx(2 * np.arcsin(k * cn / dn), rel=1e-12)
@@ -178,7 +178,7 @@ def test_a_scene_at_rest_is_checked_and_drawn_though_it_judges_no_run():
 def test_a_run_at_rest_has_no_errors_and_asks_for_a_start(tmp_path, off):
     pytest.importorskip("mujoco")
     file = written(tmp_path, "standing.xml", STANDING.format(off=off))
-    worker = Worker(Registry([file], ()))
+    worker = Worker(Registry([file]))
     for spec, is_judged in (("standing", False), ("standing[start.foot=0.3]", True)):
         record, _ = worker.measure(Cell(spec, "newmark", 0.5, Steps(0.01)))
         assert record.status == "ok"
@@ -231,7 +231,7 @@ def keyed(tmp_path):
 
 
 def test_a_keyframe_gives_start_and_controls(keyed):
-    registry = Registry([keyed], ())
+    registry = Registry([keyed])
     rest, home = (registry.problem(f"keyed{key}") for key in ("", "[keyframe=home]"))
     assert rest.start().q.tolist() == [0, 2, 0, 0, 1, 0, 0, 0]
     assert home.spec == "keyed[keyframe=home]"
@@ -288,7 +288,7 @@ def test_a_new_problem_of_a_model_has_its_start(stepbench, tmp_path, keyed):
     file = tmp_path / "mine.py"
     asked = "new", "problem", "mine", "--from", keyed, "--out", file, "--keyframe", "home", "--set"
     assert not stepbench(*asked, "start.shoulder.v=-2").exit_code
-    scene = Registry([file], ()).problem("mine")
+    scene = Registry([file]).problem("mine")
     assert scene.spec == "mine[keyframe=home]"
     q, v, _ = scene.start()
     assert (q[0], v[0], v[6], scene.control_drive) == (0.4, -2.0, 2.0, 1.5)

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from bench.plugins.fingerprint import fingerprint
+from bench.plugins.reasons import why
 from bench.plugins.registry import Registry, Sources
 from integrators import checks
 from problems.checks import number, refused, tidy
