@@ -1,160 +1,165 @@
-"""map.html: an interactive picture of where a method works over two numbers."""
+"""map.html: where a method works over two numbers, as a picture, counts and words."""
 
 from __future__ import annotations
 
-import base64
 import math
-import struct
-import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from itertools import groupby
-from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from bench.results.table import Table
+from reports.charts import vega_lite as vl
 from reports.formatting import number
-from reports.pages.page import Link, Page, write_page
+from reports.pages.captioned_charts import CaptionedCharts
+from reports.pages.chapter import Chapter, Section, write_chapter
 
-#: Words of each outcome; a page numbers the outcomes in this order.
-OUTCOME_NAMES = {
-    "ok": "ok",
-    "inaccurate": "inaccurate",
-    "newton_failed": "Newton failed",
-    "step_too_small": "step too small",
-    "budget_exceeded": "out of steps",
-    "diverged": "diverged",
-    "not_run": "not run",
-    "no_reference": "no reference",
+#: Colours of ok runs, by decades of the error from the threshold down, and of inaccurate ones up.
+_OK = ("#b2e2be", "#7cc3b0", "#4fa3a8", "#2f81a0", "#1c5f90", "#083e78")
+_INACCURATE = ("#ffe28c", "#eb7814")
+#: Words and colour of each other outcome.
+_OTHERS = {
+    "newton_failed": ("Newton failed", "#7a3ca0"),
+    "step_too_small": ("step too small", "#c85aaa"),
+    "budget_exceeded": ("out of steps", "#6e645a"),
+    "diverged": ("diverged", "#a0101c"),
+    "not_run": ("not run", "#969696"),
+    "no_reference": ("no reference", "#bebebe"),
 }
-#: Rows of the table, and stretches of one outcome in each.
-_LINES, _STRETCHES = 9, 8
-Color = tuple[int, int, int]
-#: Colours from the most accurate run to the threshold, and from there to a hundred times it.
-_OK: tuple[Color, Color] = (8, 62, 120), (178, 226, 190)
-_INACCURATE: tuple[Color, Color] = (255, 226, 140), (235, 120, 20)
-_PLAIN: dict[str, Color] = {
-    "newton_failed": (122, 60, 160),
-    "step_too_small": (200, 90, 170),
-    "budget_exceeded": (110, 100, 90),
-    "diverged": (160, 16, 28),
-    "not_run": (150, 150, 150),
-    "no_reference": (190, 190, 190),
-}
-#: Logarithm of the smallest error that has a colour of its own.
-_ROUND_OFF = -16.0
-#: Decades of error over which the colours of inaccurate runs change.
-_DECADES_BEYOND = 2.0
+#: Most values along a side that are drawn; rows of the table, and stretches in each.
+_MOST, _LINES, _STRETCHES = 250, 9, 8
+
+
+class Stretch(NamedTuple):
+    """Neighbouring points of a row with one outcome: places of the first and the last value."""
+
+    words: str
+    first: int
+    last: int
 
 
 def write_map_page(found: Mapping[str, Any], folder: Path) -> Path:
-    """Write map.html into a folder, from the plain values of a `bench.sweeps.outcome_map.Map`."""
-    known = [e for row in found["log10_error"] for e in row if e is not None]
-    threshold = math.log10(found["threshold"])
-    best = max(min([*known, threshold - 1]), _ROUND_OFF)
-    names = list(OUTCOME_NAMES)
-    legend = [
-        (OUTCOME_NAMES[name], count, legend_color(name), found["reasons"].get(name, ""))
-        for name, count in found["counts"].items()
-    ]
-    values = {
-        "found": found,
-        "image": map_image(found, best, threshold),
-        "ticks": [axis_ticks(found[side]) for side in ("x", "y")],
-        "legend": legend,
-        "best": number(10**best),
-        "words": outcome_table(found),
-        "data": {
-            "words": [OUTCOME_NAMES[name] for name in names],
-            "x": [found["x"]["name"], found["x"]["values"]],
-            "y": [found["y"]["name"], found["y"]["values"]],
-            "outcome": ["".join(str(names.index(o)) for o in row) for row in found["outcome"]],
-            "error": [
-                [None if e is None else round(e, 2) for e in r] for r in found["log10_error"]
-            ],
-        },
-    }
-    page = Page("map.html", "map", f"{found['integrator']} on {found['problem']}", values=values)
-    links = [Link("#picture", "Map"), Link("#words", "In words")]
-    return write_page(page, folder, links, ("tables.js", "map.js"))
-
-
-# ---- the picture -------------------------------------------------------------------------
-def map_image(found: Mapping[str, Any], best: float, threshold: float) -> str:
-    """A pixel per point as a data URL; the first row of the map is at the bottom."""
-    lines = [
-        b"\0" + b"".join(bytes(_color(o, e, best, threshold)) for o, e in zip(*row, strict=True))
-        for row in zip(found["outcome"], found["log10_error"], strict=True)
-    ]
-    size = struct.pack(">IIBBBBB", len(found["x"]["values"]), len(lines), 8, 2, 0, 0, 0)
-    pixels = zlib.compress(b"".join(reversed(lines)), 9)
-    chunks = b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in ((b"IHDR", size), (b"IDAT", pixels), (b"IEND", b""))
+    """Write map.html into a folder, from the plain values of `bench.sweeps.outcome_map`."""
+    x, y = found["x"], found["y"]
+    about = (
+        f"{len(x['values'])} × {len(y['values'])} runs to t = {found['t_end']:g} s over "  # noqa: RUF001
+        f"{x['name']} and {y['name']}, as one program: prepared in {found['compile_s']:.2g} s, run "
+        f"in {found['run_s']:.2g} s. A run is ok up to a relative error {found['error']} of "
+        f"{found['threshold']:g}, and inaccurate beyond."
     )
-    return "data:image/png;base64," + base64.b64encode(b"\x89PNG\r\n\x1a\n" + chunks).decode()
+    if "h" in (x["name"], y["name"]):
+        about += " A step that does not divide the interval is shortened to one that does."
+    if found["error"].endswith(":end"):
+        about += " An error at the end alone may be small by chance, where it changes its sign."
+    counts = []
+    for outcome, count in found["counts"].items():
+        words = _OTHERS[outcome][0] if outcome in _OTHERS else outcome
+        why = found["reasons"].get(outcome, "")
+        counts.append(f"{words}: {count}{f'; {why}' if why else ''}")
+    caption = f"Outcome of each run; of more than {_MOST} values along a side some are left out."
+    parts = [CaptionedCharts(caption, {"map": map_chart(found)}), outcome_table(found)]
+    section = Section("picture", "Outcome of each run", parts, sentences=counts)
+    title = f"{found['integrator']} on {found['problem']}"
+    return write_chapter(Chapter("map.html", title, about, about, [section]), folder)
 
 
-def _color(outcome: str, error: float | None, best: float, threshold: float) -> Color:
-    if outcome in _PLAIN:
-        return _PLAIN[outcome]
+def _words(outcome: str, error: float | None, threshold: float) -> str:
+    """The outcome of a run with log10 of its error; an error of zero has no logarithm."""
+    if outcome in _OTHERS:
+        return _OTHERS[outcome][0]
     if outcome == "ok":
-        # An error of zero has no logarithm.
-        return blend(_OK, 0.0 if error is None else (error - best) / (threshold - best))
-    return blend(_INACCURATE, 1.0 if error is None else (error - threshold) / _DECADES_BEYOND)
+        decades = math.inf if error is None else threshold - error
+        k = int(min(max(decades, 0.0), len(_OK) - 1))
+        return f"ok, error up to {number(10 ** (threshold - k))}"
+    near = error is not None and error <= threshold + 1
+    return f"inaccurate, error {'up to' if near else 'above'} {number(10 ** (threshold + 1))}"
 
 
-def blend(ends: tuple[Color, Color], part: float) -> Color:
-    part = min(1.0, max(0.0, part))
-    r, g, b = (round(a + part * (z - a)) for a, z in zip(*ends, strict=True))
-    return r, g, b
+def _stretches(found: Mapping[str, Any], k: int, every: int = 1) -> Iterator[Stretch]:
+    """The stretches of a row, of every so many of its points."""
+    threshold, places = math.log10(found["threshold"]), range(0, len(found["x"]["values"]), every)
+    outcomes, errors = found["outcome"][k], found["log10_error"][k]
+    for words, own in groupby(places, lambda i: _words(outcomes[i], errors[i], threshold)):
+        first, *more = own
+        yield Stretch(words, first, more[-1] if more else first)
 
 
-def legend_color(outcome: str) -> str:
-    ramp = {"ok": _OK, "inaccurate": _INACCURATE}.get(outcome)
-    if ramp:
-        return f"linear-gradient(to right, rgb{ramp[0]}, rgb{ramp[1]})"
-    return f"rgb{_PLAIN[outcome]}"
-
-
-def axis_ticks(side: Mapping[str, Any]) -> list[tuple[float, str]]:
-    """Round values along an axis: pairs (place from 0 to 1, text)."""
-    values, count = side["values"], len(side["values"])
-    place = math.log10 if side["log"] else float
-    low, high = place(values[0]), place(values[-1])
-    if side["log"]:
-        digits = (1, 2, 5) if high - low < 2.5 else (1,)
-        powers = range(math.floor(low), math.ceil(high) + 1)
-        every = -(-len(powers) // 10)
-        candidates = [d * 10.0**p for p in powers[::every] for d in digits]
-    else:
-        step = 10.0 ** math.floor(math.log10(high - low))
-        step = next(s * step for s in (0.1, 0.2, 0.5, 1) if (high - low) / (s * step) <= 10)
-        first = math.ceil(low / step - 1e-9)
-        candidates = [k * step for k in range(first, first + 12)]
-    room = 1e-9 * (high - low)
-    inside = [v for v in candidates if low - room <= place(v) <= high + room]
-    # A point is a pixel wide: the first and the last value are in the middle of theirs.
-    return [
-        ((0.5 + (count - 1) * (place(v) - low) / (high - low)) / count, f"{round(v, 12):g}")
-        for v in inside
+def map_chart(found: Mapping[str, Any]) -> vl.Spec:
+    """A tile for each stretch, from the middle before its first point to that behind its last."""
+    x, y = (_Side(found[name]) for name in "xy")
+    rows = [
+        {
+            "left": vl.short(x.edge(s.first, -1)),
+            "right": vl.short(x.edge(s.last, 1)),
+            "low": vl.short(y.edge(k, -1)),
+            "high": vl.short(y.edge(k, 1)),
+            "state": s.words,
+        }
+        for k in range(0, len(y.values), y.every)
+        for s in _stretches(found, k, x.every)
     ]
+    threshold = math.log10(found["threshold"])
+    looks = {_words("ok", threshold - k, threshold): color for k, color in enumerate(_OK)}
+    far = (threshold + 1, None)
+    looks |= {_words("inaccurate", e, threshold): c for e, c in zip(far, _INACCURATE, strict=True)}
+    looks |= dict(_OTHERS.values())
+    used = {row["state"] for row in rows}
+    looks = {words: color for words, color in looks.items() if words in used}
+    scale = {"domain": [*looks], "range": [*looks.values()]}
+    data = vl.Dataset("map", rows)
+    return {
+        "datasets": vl.datasets([data]),
+        "data": data.source,
+        "mark": {"type": "rect"},
+        "encoding": {
+            "x": vl.quantity("left", title=x.name, scale=x.scale, axis=x.axis),
+            "x2": {"field": "right"},
+            "y": vl.quantity("low", title=y.name, scale=y.scale, axis=y.axis),
+            "y2": {"field": "high"},
+            "color": vl.category("state", scale=scale, legend={"title": None, "orient": "right"}),
+        },
+        "width": 620,
+        "height": 420,
+        "config": vl.config(),
+    }
 
 
-# ---- in words ----------------------------------------------------------------------------
+class _Side:
+    """A side of the map: its values, and where the tile of a value ends."""
+
+    def __init__(self, side: Mapping[str, Any]) -> None:
+        self.name, self.values, self.log = side["name"], side["values"], side["log"]
+        self.every = -(-len(self.values) // _MOST)
+        first, last = (math.log10(v) if self.log else v for v in (self.values[0], self.values[-1]))
+        self.half = self.every * (last - first) / (len(self.values) - 1) / 2
+
+    def edge(self, k: int, way: int) -> float:
+        """The end of the tile of a value below it (-1) or above it (1)."""
+        value = self.values[k]
+        return value * 10 ** (way * self.half) if self.log else value + way * self.half
+
+    @property
+    def scale(self) -> vl.Spec:
+        """The scale in Vega-Lite."""
+        return {"type": "log" if self.log else "linear", "nice": False, "zero": False}
+
+    @property
+    def axis(self) -> vl.Spec:
+        """The axis in Vega-Lite."""
+        return vl.log_axis(self.values, "~g") if self.log else {}
+
+
 def outcome_table(found: Mapping[str, Any]) -> Table:
     """The outcomes along the first axis, at some values of the second."""
     x, y = found["x"], found["y"]
     last = len(y["values"]) - 1
-    lines = sorted({round(k * last / (_LINES - 1)) for k in range(_LINES)})
     rows = []
-    for k in lines:
-        stretches = []
-        pairs = zip(found["outcome"][k], x["values"], strict=True)
-        for outcome, stretch in groupby(pairs, key=itemgetter(0)):
-            values = [value for _, value in stretch]
-            ends = f"{values[0]:.4g}" + (f" to {values[-1]:.4g}" if len(values) > 1 else "")
-            stretches.append(f"{OUTCOME_NAMES[outcome]} {ends}")
-        more = ["..."] if len(stretches) > _STRETCHES else []
-        rows.append([f"{y['values'][k]:.4g}", "; ".join(stretches[:_STRETCHES] + more)])
+    for k in sorted({round(k * last / (_LINES - 1)) for k in range(_LINES)}):
+        told = []
+        for words, own in groupby(_stretches(found, k), lambda s: s.words.partition(",")[0]):
+            first, *more = own
+            ends = dict.fromkeys((first.first, (more or [first])[-1].last))
+            told.append(f"{words} " + " to ".join(f"{x['values'][i]:.4g}" for i in ends))
+        more = ["..."] if len(told) > _STRETCHES else []
+        rows.append([f"{y['values'][k]:.4g}", "; ".join(told[:_STRETCHES] + more)])
     return Table("In words", [y["name"], f"along {x['name']}"], rows)
