@@ -8,6 +8,7 @@ import shutil
 import pytest
 from chromium import waited
 
+from bench.results.quantities import NORMS
 from bench.results.store import Store
 from reports.formatting import cost_text, number, times
 from reports.pages.html_report import write_html_report
@@ -57,50 +58,27 @@ def chart(browser, name):
 
 
 def shown(browser, name):
-    """The points of a chart: [[integrator, across, error], ...]."""
-    return browser.execute_script(
+    """The points of a chart: (integrator, residual evaluations, error)."""
+    points = browser.execute_script(
         """
         const found = [];
         for (const path of document.querySelectorAll("#" + arguments[0] + " path")) {
           const d = path.__data__ && path.__data__.datum;
-          if (d && d.across && path.__data__.mark.marktype === "symbol")
-            found.push([d.series, d.across, d.error]);
+          if (d && d.error && path.__data__.mark.marktype === "symbol")
+            found.push([d.series, d.residuals, d.error]);
         }
         return found;
         """,
         name,
     )
+    return set(map(tuple, points))
 
 
-def choose(browser, name, menu, option):
-    from selenium.webdriver.common.by import By
-    from selenium.webdriver.support.ui import Select
-
-    place = chart(browser, name)
-    names = {"group": "error in", "norm": "taken", "cost": "against"}
-    for bound in place.find_elements(By.CSS_SELECTOR, ".vega-bind"):
-        if bound.text.strip().startswith(names[menu]):
-            Select(bound.find_element(By.TAG_NAME, "select")).select_by_visible_text(option)
-            return
-    raise AssertionError(menu)
-
-
-#: Takes every entry of every menu of a chart, and each of its buttons.
+#: Takes each of the buttons of a chart.
 CHOOSE_ALL = """
 const [name, done] = arguments;
 (async () => {
   const place = document.getElementById(name);
-  const told = async (node) => {
-    for (const kind of ["input", "change"]) node.dispatchEvent(new Event(kind, { bubbles: true }));
-    await place.view.runAsync();
-  };
-  for (const menu of place.querySelectorAll("select")) {
-    const first = menu.selectedIndex;
-    for (const k of [...Array(menu.length).keys(), first]) {
-      menu.selectedIndex = k;
-      await told(menu);
-    }
-  }
   for (const button of place.querySelectorAll("input[type=radio]")) {
     button.click();
     await place.view.runAsync();
@@ -110,27 +88,21 @@ const [name, done] = arguments;
 """
 
 
-def wanted(site, group, norm, cost):
+def test_the_buttons_show_the_errors_of_the_store_in_every_norm(browser, site):
+    place = chart(browser, EXPLORER)
     with Store(site) as store:
         records = [r for r in store.records().values() if r.problem == "pendulum"]
-    return sorted(
-        [r.integrator, float(r.work[cost]), float(f"{r.errors[group][norm]:.5g}")]
-        for r in records
-        if r.status == "ok" and r.errors[group][norm] and r.work.get(cost)
-    )
-
-
-def test_the_menus_show_the_errors_and_costs_of_the_store(browser, site):
-    choose(browser, EXPLORER, "group", "multiplier λ")
-    choose(browser, EXPLORER, "norm", "largest over time")
-    choose(browser, EXPLORER, "cost", "residual evaluations")
-    expected = wanted(site, "lam", "max", "residuals")
-    waited(lambda: sorted(shown(browser, EXPLORER)) == expected)
-    choose(browser, EXPLORER, "cost", "steps")
-    choose(browser, EXPLORER, "group", "position q")
-    expected = wanted(site, "q", "max", "steps")
-    waited(lambda: sorted(shown(browser, EXPLORER)) == expected)
-    assert "relative error in position q" in chart(browser, EXPLORER).text
+    for button in place.find_elements("css selector", "input[type=radio]"):
+        browser.execute_script("arguments[0].click()", button)
+        norm = button.get_attribute("value")
+        expected = {
+            (r.integrator, float(r.work["residuals"]), float(f"{r.errors[group][norm]:.5g}"))
+            for r in records
+            if r.status == "ok"
+            for group in "qa"
+        }
+        waited(lambda wanted=expected: shown(browser, EXPLORER) == wanted)
+    assert norm == [*NORMS][-1]
 
 
 def test_a_point_tells_its_numbers(browser, site):
@@ -320,7 +292,7 @@ def test_tabs_stand_under_the_verdict_and_the_legend_beside_the_lines(browser, s
     assert 0 < command - verdict < 50
     assert len(ends) == 2
     assert ends[0] == pytest.approx(ends[1], abs=1)
-    place = chart(browser, EXPLORER)
+    place = chart(browser, "scene-2-1-accuracy")
     lines, legend = browser.execute_script(
         """
         const box = (name) => arguments[0].querySelector(name).getBoundingClientRect();

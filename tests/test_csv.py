@@ -18,7 +18,6 @@ from reports.charts.errors import (
     convergence_chart,
     error_against_cost,
     work_precision_chart,
-    work_precision_with_menus,
 )
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import histories, trajectory_chart
@@ -100,10 +99,9 @@ def test_no_chart_has_a_number_in_the_place_of_a_name(tmp_path, interactive):
     rows = [(label, curves(1.0, {"q": 2})) for label in sorted(labels)]
     rows[0][1].notes["h"] = [0.01 * k for k in range(61)]
     charts = [
-        work_precision_chart(series, ["q", "a"], styles),
+        work_precision_chart(series, ["q", "a"], styles, interactive),
         convergence_chart(series, ["q", "a"], styles, interactive=interactive),
         acceleration_accuracy(series, styles, interactive=interactive),
-        work_precision_with_menus(series, ["q", "a"], styles),
         error_against_cost({"pendulum": series}, styles, FIRST),
         trajectory_chart(rows, curves(1.0, {"q": 2}), ["q"], styles, interactive=interactive),
         histories(rows, styles, interactive),

@@ -7,8 +7,7 @@ import io
 import json
 import re
 import struct
-import subprocess
-import sys
+from itertools import product
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -20,7 +19,7 @@ from bench.results.quantities import COSTS
 from bench.results.records import Record, Rows, median
 from bench.results.store import Store
 from problems.spec import SpecError
-from reports.figures import convergence, errors_over_time, trajectory, work_precision
+from reports import figures
 from reports.series import series_of
 
 
@@ -48,30 +47,31 @@ def rows(figure: dict, name: str) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(figure["datasets"][name])))
 
 
-@pytest.mark.parametrize(
-    ("error", "group", "norm"), [("a:max", "a", "max"), ("lam:end", "lam", "end")]
-)
-@pytest.mark.parametrize("cost", ["residuals", "seconds", "steps"])
-def test_work_precision_shows_the_errors_and_costs_of_the_store(folder, error, group, norm, cost):
-    chart = work_precision(folder, scene="pendulum", error=error, cost=cost)
-    assert isinstance(chart, altair.LayerChart)
-    figure, error = chart.to_dict(), f"{group}_{norm}"
-    shown = {(r["series"], r["run"], float(r[error]), r[cost]) for r in rows(figure, "runs")}
-    expected = set()
-    for record in stored(folder, "pendulum"):
-        value = median(record.run_s) if cost == "seconds" else record.work.get(cost)
-        number = float(f"{record.errors[group][norm]:.5g}")
-        text = "" if value is None else str(float(f"{value:.5g}") if cost == "seconds" else value)
-        expected.add((record.integrator, record.resolution, number, text))
-    assert shown == expected
-    points = next(x for x in figure["layer"] if x["mark"]["type"] == "point")
-    assert points["encoding"]["x"]["field"] == cost
-    assert points["encoding"]["x"]["title"] == COSTS[cost].title
-    assert points["encoding"]["y"]["field"] == error
+def test_work_precision_shows_the_errors_and_costs_of_the_store(folder):
+    for (group, norm), cost in product(
+        (("a", "max"), ("lam", "end")), ("residuals", "seconds", "steps")
+    ):
+        error = f"{group}:{norm}"
+        chart = figures.figure("work_precision", folder, scene="pendulum", error=error, cost=cost)
+        figure, error = chart, f"{group}_{norm}"
+        shown = {(r["series"], r["run"], float(r[error]), r[cost]) for r in rows(figure, "runs")}
+        expected = set()
+        for record in stored(folder, "pendulum"):
+            value = median(record.run_s) if cost == "seconds" else record.work.get(cost)
+            number = float(f"{record.errors[group][norm]:.5g}")
+            text = (
+                "" if value is None else str(float(f"{value:.5g}") if cost == "seconds" else value)
+            )
+            expected.add((record.integrator, record.resolution, number, text))
+        assert shown == expected
+        points = next(x for x in figure["layer"] if x["mark"]["type"] == "point")
+        assert points["encoding"]["x"]["field"] == cost
+        assert points["encoding"]["x"]["title"] == COSTS[cost].title
+        assert points["encoding"]["y"]["field"] == error
 
 
 def test_convergence_shows_errors_over_steps_with_the_slope_found(folder):
-    figure = convergence(folder, scene="pendulum", error="a:settled").to_dict()
+    figure = figures.figure("convergence", folder, scene="pendulum", error="a:settled")
     shown = {(r["series"], float(r["h"]), float(r["a_settled"])) for r in rows(figure, "runs")}
     assert shown == {
         (r.integrator, float(f"{r.h:.5g}"), float(f"{r.errors['a']['settled']:.5g}"))
@@ -82,33 +82,28 @@ def test_convergence_shows_errors_over_steps_with_the_slope_found(folder):
     assert names == ["order 2", "order 2"]  # a line and its text
 
 
-@pytest.mark.parametrize(
-    ("component", "group", "place", "title"),
-    [
+def test_a_trajectory_shows_the_finest_run_of_each_and_the_reference(folder):
+    for component, group, place, title in (
         ("a:Y", "a", 1, "a[Y] in m/s^2"),
         ("a:2", "a", 1, "a[Y] in m/s^2"),
         ("lam", "lam", 0, "lam[1]"),
-    ],
-)
-def test_a_trajectory_shows_the_finest_run_of_each_and_the_reference(
-    folder, component, group, place, title
-):
-    figure = trajectory(folder, scene="pendulum", component=component).to_dict()
-    chosen = series_of(stored(folder, "pendulum"))
-    finest = [s.ok[-1] for s in chosen]
-    field, drawn = f"{group}{place}", rows(figure, "runs")
-    shown = [(float(r["t"]), r["series"], float(r[field])) for r in drawn]
-    with Store(folder) as store:
-        known = [store.rows(record.key) for record in finest]
-        reference = store.scenes()["pendulum", 1.0].reference
-    assert shown == [
-        (float(f"{t:.5g}"), s.label, float(f"{values[place]:.5g}"))
-        for s, run in zip(chosen, known, strict=True)
-        for t, values in zip(run.t, run.values[group], strict=True)
-    ]
-    behind = [float(r[field]) for r in rows(figure, "reference")]
-    assert behind == [float(f"{values[place]:.5g}") for values in reference.values[group]]
-    assert figure["layer"][-1]["encoding"]["y"]["title"] == title
+    ):
+        figure = figures.figure("trajectory", folder, scene="pendulum", component=component)
+        chosen = series_of(stored(folder, "pendulum"))
+        finest = [s.ok[-1] for s in chosen]
+        field, drawn = f"{group}{place}", rows(figure, "runs")
+        shown = [(float(r["t"]), r["series"], float(r[field])) for r in drawn]
+        with Store(folder) as store:
+            known = [store.rows(record.key) for record in finest]
+            reference = store.scenes()["pendulum", 1.0].reference
+        assert shown == [
+            (float(f"{t:.5g}"), s.label, float(f"{values[place]:.5g}"))
+            for s, run in zip(chosen, known, strict=True)
+            for t, values in zip(run.t, run.values[group], strict=True)
+        ]
+        behind = [float(r[field]) for r in rows(figure, "reference")]
+        assert behind == [float(f"{values[place]:.5g}") for values in reference.values[group]]
+        assert figure["layer"][-1]["encoding"]["y"]["title"] == title
 
 
 def test_any_component_of_a_large_scene_can_be_shown(tmp_path):
@@ -119,15 +114,15 @@ def test_any_component_of_a_large_scene_can_be_shown(tmp_path):
         run.values["q"] = [[0.0] * 8 + [t] for t in run.t]
         record.run_s = []
         store.save(record, run)
-    figure = trajectory(tmp_path, component="q:9").to_dict()
+    figure = figures.figure("trajectory", tmp_path, component="q:9")
     assert all(float(row["t"]) == float(row["q8"]) for row in rows(figure, "runs"))
     with pytest.raises(SpecError, match="no component '10'"):
-        trajectory(tmp_path, component="q:10")
+        figures.figure("trajectory", tmp_path, component="q:10")
 
 
 def test_integrators_are_chosen_by_name_or_spec_in_the_order_given(folder):
     def names(*integrators):
-        chart = work_precision(folder, scene="pendulum", integrators=integrators).to_dict()
+        chart = figures.figure("work_precision", folder, scene="pendulum", integrators=integrators)
         return list(dict.fromkeys(row["series"] for row in rows(chart, "runs")))
 
     assert names("adaptive", "good[rho_inf=0.5]") == ["adaptive", "good[rho_inf=0.5]"]
@@ -143,88 +138,70 @@ def test_the_only_scene_needs_no_name_and_intervals_are_chosen(tmp_path):
         for run in runs:
             store.save(run, Rows(t=[]))
     with pytest.raises(SpecError, match=r"to t=1, 5 s; choose one with --t-end"):
-        work_precision(tmp_path)
+        figures.figure("work_precision", tmp_path)
     for scene in (None, "pendulum", "pendulum[l=2]"):
-        figure = work_precision(tmp_path, scene=scene, t_end=5.0).to_dict()
+        figure = figures.figure("work_precision", tmp_path, scene=scene, t_end=5.0)
         assert float(rows(figure, "runs")[0]["q_max"]) == pytest.approx(0.05)
 
 
 # ---- paper -------------------------------------------------------------------------------
-@pytest.mark.parametrize("kind", ["work_precision", "convergence", "trajectory"])
-def test_a_figure_is_as_wide_as_a_column_in_every_format(folder, tmp_path, stepbench, kind):
-    files = {suffix: tmp_path / f"fig.{suffix}" for suffix in ("svg", "png", "pdf", "json")}
-    for file in files.values():
-        result = stepbench("report", folder, "--figure", kind, "--scene", "pendulum", "-o", file)
-        assert result.exit_code == 0, result.output
-        assert f"Figure: {file}" in result.output
-    drawing = ElementTree.parse(files["svg"]).getroot()
-    assert drawing.get("width") == "250pt"
-    words = " ".join(text for text in drawing.itertext())
-    assert "good 0.8" in words  # its short name
-    assert "good[rho_inf=0.8]" not in words
-    assert "undefined" not in words
-    assert "NaN" not in files["svg"].read_text()
-    image = files["png"].read_bytes()
-    wide, _ = struct.unpack(">II", image[16:24])
-    place = image.index(b"pHYs")
-    per_metre, _ = struct.unpack(">II", image[place + 4 : place + 12])
-    assert wide / per_metre == pytest.approx(0.0882, rel=0.01)  # 250 points in m
-    box = re.search(rb"/MediaBox \[0 0 (\S+) ", files["pdf"].read_bytes())
-    assert float(box.group(1)) == pytest.approx(250, abs=0.5)
-    figure = json.loads(files["json"].read_text())
-    assert "vega-lite" in figure["$schema"]
-    altair.Chart.from_dict(figure)  # checks it against the schema
-    assert figure["config"]["background"] == "white"
-    assert figure["config"]["axis"]["tickWidth"] <= 0.5
+def test_a_figure_is_as_wide_as_a_column_in_every_format(folder, tmp_path, stepbench):
+    for kind in ("work_precision", "convergence", "trajectory"):
+        files = {suffix: tmp_path / f"fig.{suffix}" for suffix in ("svg", "png", "pdf", "json")}
+        for file in files.values():
+            result = stepbench(
+                "report", folder, "--figure", kind, "--scene", "pendulum", "-o", file
+            )
+            assert result.exit_code == 0, result.output
+            assert f"Figure: {file}" in result.output
+        drawing = ElementTree.parse(files["svg"]).getroot()
+        assert drawing.get("width") == "250pt"
+        words = " ".join(text for text in drawing.itertext())
+        assert "good 0.8" in words  # its short name
+        assert "good[rho_inf=0.8]" not in words
+        assert "undefined" not in words
+        assert "NaN" not in files["svg"].read_text()
+        image = files["png"].read_bytes()
+        wide, _ = struct.unpack(">II", image[16:24])
+        place = image.index(b"pHYs")
+        per_metre, _ = struct.unpack(">II", image[place + 4 : place + 12])
+        assert wide / per_metre == pytest.approx(0.0882, rel=0.01)  # 250 points in m
+        box = re.search(rb"/MediaBox \[0 0 (\S+) ", files["pdf"].read_bytes())
+        assert float(box.group(1)) == pytest.approx(250, abs=0.5)
+        figure = json.loads(files["json"].read_text())
+        assert "vega-lite" in figure["$schema"]
+        altair.Chart.from_dict(figure)  # checks it against the schema
+        assert figure["config"]["background"] == "white"
+        assert figure["config"]["axis"]["tickWidth"] <= 0.5
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["work_precison", "--scene", "pendulum"], "did you mean 'work_precision'"),
-        (["convergence"], "choose one with --scene: spring_mass, pendulum"),
-        (["convergence", "--scene", "pendulm"], "did you mean 'pendulum'"),
-        (["convergence", "--scene", "pendulum", "--error", "x"], "no error of 'x'; known: a, lam"),
-        (["convergence", "--scene", "pendulum", "--error", "q:maxi"], "did you mean 'max'"),
-        (["convergence", "--scene", "pendulum", "--cost", "steps"], "has no --cost; it takes"),
-        (["convergence", "--scene", "pendulum", "-i", "adaptive"], "nothing to draw"),
-        (["convergence", "--scene", "pendulum", "-i", "fragile"], "reached the end"),
-        (["convergence", "--scene", "pendulum", "-i", "god"], "There is no integrator 'god'"),
-        (["convergence", "--scene", "pendulum", "--t-end", "3"], "stored to t=1 s"),
-        (["work_precision", "--scene", "pendulum", "--cost", "step"], "did you mean 'steps'"),
-        (["trajectory", "--scene", "pendulum", "--error", "a:max"], "has no --error; it takes"),
-        (["trajectory", "--scene", "pendulum", "--component", "x:1"], "no component 'x'"),
-        (["trajectory", "--scene", "pendulum", "--component", "q:Z"], "known: 1, 2, X, Y"),
-        (["trajectory", "--scene", "pendulum", "-o", "a.gif"], "ends in .svg, .png, .pdf, .json"),
-        (
-            ["trajectory", "--scene", "pendulum", "-o", "no/such/a.svg"],
-            "there is no folder 'no/such'",
-        ),
-    ],
-)
-def test_figures_are_refused_in_one_sentence(folder, refused, arguments, words):
-    assert words in refused("report", folder, "--figure", *arguments)
+def test_figures_are_refused_in_one_sentence(folder, refused):
+    for arguments, words in (
+        ("work_precison --scene pendulum", "did you mean 'work_precision'"),
+        ("convergence", "choose one with --scene: spring_mass, pendulum"),
+        ("convergence --scene pendulm", "did you mean 'pendulum'"),
+        ("convergence --scene pendulum --error x", "no error of 'x'; known: a, lam"),
+        ("convergence --scene pendulum --error q:maxi", "did you mean 'max'"),
+        ("convergence --scene pendulum --cost steps", "has no --cost; it takes"),
+        ("convergence --scene pendulum -i adaptive", "nothing to draw"),
+        ("convergence --scene pendulum -i fragile", "reached the end"),
+        ("convergence --scene pendulum -i god", "There is no integrator 'god'"),
+        ("convergence --scene pendulum --t-end 3", "stored to t=1 s"),
+        ("work_precision --scene pendulum --cost step", "did you mean 'steps'"),
+        ("trajectory --scene pendulum --error a:max", "has no --error; it takes"),
+        ("trajectory --scene pendulum --component x:1", "no component 'x'"),
+        ("trajectory --scene pendulum --component q:Z", "known: 1, 2, X, Y"),
+        ("trajectory --scene pendulum -o a.gif", "ends in .svg, .png, .pdf, .json"),
+        ("trajectory --scene pendulum -o no/such/a.svg", "there is no folder 'no/such'"),
+    ):
+        said = refused("report", folder, "--figure", *arguments.split())
+        assert words in said, arguments
 
 
 def test_an_empty_store_is_told(tmp_path, stepbench):
     Store(tmp_path, create=True).close()
     result = stepbench("report", tmp_path, "--figure", "convergence")
     assert "The store holds no finished run" in result.output
-
-
-def test_files_need_no_altair_and_charts_say_what_to_install(folder, tmp_path):
-    code = (
-        "import sys; sys.modules['altair'] = None\n"
-        "from pathlib import Path\n"
-        "from reports.figures import convergence, write_figure\n"
-        f"folder, file = Path({str(folder)!r}), Path({str(tmp_path / 'a.json')!r})\n"
-        "write_figure('convergence', folder, file, scene='pendulum')\n"
-        "print('jax' in sys.modules)\n"
-        "try:\n    convergence(folder, scene='pendulum')\n"
-        "except ImportError as error:\n    print(error)\n"
-    )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.startswith("False\nAltair is not installed; install stepbench[figures]")
 
 
 def test_errors_over_time_are_the_notes_of_the_finest_runs(tmp_path):
@@ -235,11 +212,11 @@ def test_errors_over_time_are_the_notes_of_the_finest_runs(tmp_path):
                 kept = store.rows(key)
                 kept.notes["error_a"] = [0.0, *(1e-3 * t for t in kept.t[1:])]
                 store.save(record, kept)
-    chart = errors_over_time(folder, scene="pendulum", error="a").to_dict()
-    assert {float(row["error_a"]) for row in rows(chart, "runs") if float(row["t"]) == 1.0} == {
-        1e-3
-    }
+    chart = figures.figure("errors_over_time", folder, scene="pendulum", error="a")
+    assert {
+        float(row["error_a"]) for row in rows(chart, "histories") if float(row["t"]) == 1.0
+    } == {1e-3}
     with pytest.raises(SpecError, match="no group 'b'"):
-        errors_over_time(folder, scene="pendulum", error="b")
+        figures.figure("errors_over_time", folder, scene="pendulum", error="b")
     with pytest.raises(SpecError, match="has stored errors of q over time"):
-        errors_over_time(folder, scene="pendulum")
+        figures.figure("errors_over_time", folder, scene="pendulum")

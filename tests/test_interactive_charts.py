@@ -11,7 +11,7 @@ from planted import curves, everything, plant
 from bench.results.quantities import NORMS
 from bench.results.records import Rows
 from bench.results.store import Store
-from reports.charts.errors import acceleration_accuracy, work_precision_with_menus
+from reports.charts.errors import acceleration_accuracy, work_precision_chart
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import ERRORS, STILL_ROWS, histories, thinned, trajectory_chart
 from reports.pages.report import read_report
@@ -35,8 +35,8 @@ def styles(series):
     return line_styles(s.label for s in series)
 
 
-def test_the_chart_with_menus_holds_every_error_beside_every_cost(series, styles):
-    chart = work_precision_with_menus(series, ["q", "v", "a", "lam"], styles)
+def test_the_chart_of_costs_holds_the_errors_in_every_norm_beside_the_costs(series, styles):
+    chart = work_precision_chart(series, ["q", "v", "a", "lam"], styles, interactive=True)
     rows = table(chart["datasets"]["runs"])
     runs = [(s, r) for s in series for r in s.ok]
     assert len(rows) == len(runs)
@@ -51,23 +51,23 @@ def test_the_chart_with_menus_holds_every_error_beside_every_cost(series, styles
         (min(record.run_s), max(record.run_s))
     )
     assert int(mine["residuals"]) == record.work["residuals"]
-    menus = {p["name"]: p["bind"]["options"] for p in chart["params"]}
-    assert menus["group"] == ["q", "v", "a", "lam"]
-    assert menus["norm"] == list(NORMS)
-    assert {"seconds", "residuals", "steps", "h"} <= set(menus["cost"])
-    assert "jacobians" not in menus["cost"]  # nobody counted them
+    (buttons,) = chart["params"]
+    assert buttons["bind"]["options"] == list(NORMS)
+    axes = [
+        tuple(panel["layer"][0]["encoding"][c]["title"].split()[-1] for c in "yx")
+        for panel in chart["concat"]
+    ]
+    assert [group for group, _ in axes] == ["q", "v", "a", "λ"] * 2
 
 
 def test_a_reference_that_is_near_is_drawn_as_a_floor(series, styles):
-    chart = work_precision_with_menus(series, ["q"], styles)
+    chart = work_precision_chart(series, ["q"], styles, interactive=True)
     assert "datum.seen" not in str(chart)  # 1e-15, far below
     for record in series[0].records:
         record.reference_error["q"]["max"] = 1e-4
-    chart = work_precision_with_menus(series, ["q"], styles)
-    floors = chart["layer"][0]["data"]["values"]
-    assert [row for row in floors if row["seen"]] == [
-        {"group": "q", "norm": "max", "floor": 1e-4, "seen": 1}
-    ]
+    chart = work_precision_chart(series, ["q"], styles, interactive=True)
+    floors = chart["concat"][0]["layer"][0]["data"]["values"]
+    assert [row for row in floors if row["seen"]] == [{"norm": "max", "floor": 1e-4, "seen": 1}]
     # Elsewhere an unseen line that widens no axis.
     assert [row["norm"] for row in floors if not row["seen"]] == ["end", "rms", "settled"]
     lowest = min(r.errors["q"]["rms"] for s in series for r in s.ok)

@@ -18,7 +18,7 @@ from reports.charts.errors import (
     acceleration_accuracy,
     convergence_chart,
     error_against_cost,
-    work_precision_with_menus,
+    work_precision_chart,
 )
 from reports.charts.line_styles import line_styles
 from reports.questions.question import Question
@@ -36,7 +36,7 @@ def test_charts_are_valid_and_join_their_panels_in_one_legend() -> None:
     assert len(by_step["concat"]) == 4
     for chart in (
         by_step,
-        work_precision_with_menus(series, ["q", "v", "a", "lam"], styles),
+        work_precision_chart(series, ["q", "a"], styles, interactive=True),
         acceleration_accuracy(series, styles, interactive=True),
     ):
         altair.Chart.from_dict(chart, validate=True)

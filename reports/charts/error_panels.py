@@ -68,7 +68,7 @@ def _bar(record: Record, group: str) -> dict[str, Any]:
     return {"low": vl.short(min(known)), "high": vl.short(max(known))} if len(known) > 1 else {}
 
 
-def errors_by_norm(
+def _errors_by_norm(
     rows: Sequence[Mapping[str, Any]], group: str, norms: Sequence[str]
 ) -> dict[str, list[float]]:
     """The errors of a group in rows of `run_rows`."""
@@ -98,7 +98,7 @@ def error_panel(
     legend.
     """
     rows = [row for row in data.rows if row.get(across)]
-    errors = errors_by_norm(rows, group, options.norms)
+    errors = _errors_by_norm(rows, group, options.norms)
     if not any(errors.values()):
         return None
     zoomed = f"zoom_{across}_{group}" if options.interactive else ""
@@ -115,7 +115,8 @@ def error_panel(
     }
     costs = [name for name in ("seconds", COST) if name in data.columns]
     tooltip = vl.run_tooltip(
-        vl.quantity(field, title=f"error in {group}", format=".3g"), *cost_tooltip(costs)
+        vl.quantity(field, title=f"error in {group}", format=".3g"),
+        *(vl.quantity(name, title=ACROSS[name], format=".3g") for name in costs),
     )
     lines = error_lines(options, place, tooltip, size=55)
     transform: list[vl.Spec] = [{"filter": f"datum['{field}'] > 0 && datum.{across} > 0"}]
@@ -124,17 +125,12 @@ def error_panel(
         # The shared legend works only with a selection of the first layer.
         lines[0]["params"] = [vl.zoom(zoomed), *([vl.pick()] if first else [])]
     if across == "seconds":
-        lines.append(times_layer(options, place["y"]))
+        lines.append(_times_layer(options, place["y"]))
     if any(f"{group}_low" in row for row in rows):
-        lines.append(later_layer(options, place["x"], group))
-    behind = floor_layer(floors(series, {group: errors}), options)
+        lines.append(_later_layer(options, place["x"], group))
+    behind = _floor_layer(_floors(series, group, errors), options)
     behind += _slope_guides(series, group, errors, data, options) if across == "h" else []
     return {"data": data.source, "transform": transform, "layer": [*behind, *lines]}
-
-
-def cost_tooltip(costs: Sequence[str]) -> list[vl.Spec]:
-    """Texts at a point: its costs."""
-    return [vl.quantity(name, title=ACROSS[name], format=".3g") for name in costs]
 
 
 def error_lines(
@@ -155,14 +151,14 @@ def error_lines(
     ]
 
 
-def times_layer(options: vl.ChartOptions, y: vl.Spec) -> vl.Spec:
+def _times_layer(options: vl.ChartOptions, y: vl.Spec) -> vl.Spec:
     """A bar from the fastest to the slowest sample of each run."""
     ends = {"x": vl.log_quantity("fastest"), "x2": {"field": "slowest"}, "y": y}
     looks = {"color": options.colors(), "opacity": options.opacity(0.45)}
     return {"mark": {"type": "rule", "strokeWidth": 1}, "encoding": ends | looks}
 
 
-def later_layer(options: vl.ChartOptions, x: vl.Spec, group: str) -> vl.Spec:
+def _later_layer(options: vl.ChartOptions, x: vl.Spec, group: str) -> vl.Spec:
     """A bar over the errors of each run from its start and from later ones, in their norm."""
     ends = {"y": vl.log_quantity(f"{group}_low"), "y2": {"field": f"{group}_high"}, "x": x}
     looks = {"color": options.colors(), "opacity": options.opacity(0.45)}
@@ -175,36 +171,30 @@ def later_layer(options: vl.ChartOptions, x: vl.Spec, group: str) -> vl.Spec:
 
 
 # ---- the reference's own error ------------------------------------------------------------
-def floors(
-    series: Sequence[Series], errors: Mapping[str, Mapping[str, Sequence[float]]]
-) -> RunRows:
-    """The reference's own error by group and norm; no rows if none can be seen.
+def _floors(series: Sequence[Series], group: str, errors: Mapping[str, Sequence[float]]) -> RunRows:
+    """The reference's own error in a group by norm; no rows if none can be seen.
 
-    It is hidden if it lies far below all ``errors``, which are by group and norm. The hidden line
-    stands at the lowest error: Vega warns of a scale without values.
+    It is hidden if it lies far below all ``errors``, which are by norm. The hidden line stands at
+    the lowest error: Vega warns of a scale without values.
     """
     rows = []
-    for group, by_norm in errors.items():
-        for norm, found in by_norm.items():
-            if found:
-                floor, lowest = reference_error(ok_runs(series), group, norm), min(found)
-                seen = floor > 0 and floor * _DEEP >= lowest
-                row = {"floor": vl.short(floor if seen else lowest), "seen": int(seen)}
-                rows.append({"group": group, "norm": norm, **row})
+    for norm, found in errors.items():
+        if found:
+            floor, lowest = reference_error(ok_runs(series), group, norm), min(found)
+            seen = floor > 0 and floor * _DEEP >= lowest
+            row = {"norm": norm, "floor": vl.short(floor if seen else lowest), "seen": int(seen)}
+            rows.append(row)
     return rows if any(row["seen"] for row in rows) else []
 
 
-def floor_layer(rows: RunRows, options: vl.ChartOptions, group: str = "") -> list[vl.Spec]:
-    """A dashed line at the reference's own error in the norm shown, and in a group of a menu."""
+def _floor_layer(rows: RunRows, options: vl.ChartOptions) -> list[vl.Spec]:
+    """A dashed line at the reference's own error in the norm shown."""
     if not rows:
         return []
-    chosen = " && ".join(
-        [f"datum.norm === {options.shown_norm}", *([f"datum.group === {group}"] if group else [])]
-    )
     return [
         {
             "data": {"values": rows},
-            "transform": [{"filter": chosen}],
+            "transform": [{"filter": f"datum.norm === {options.shown_norm}"}],
             "mark": {"type": "rule", "color": vl.GREY, "strokeDash": [5, 5]},
             "encoding": {
                 "y": vl.log_quantity("floor"),

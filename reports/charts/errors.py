@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import COST, COSTS, ERROR_NAMES, GROUP_NAMES, NORM, NORMS, VIOLATIONS
+from bench.results.quantities import COST, GROUP_NAMES, NORM, NORMS
 from reports.charts import vega_lite as vl
 from reports.charts.error_panels import (
-    ACROSS,
-    cost_tooltip,
     error_lines,
     error_panel,
-    errors_by_norm,
-    floor_layer,
-    floors,
     full_norm,
     run_rows,
-    times_layer,
 )
 from reports.charts.line_styles import LineStyle, styles_of
 from reports.formatting import order_text
 from reports.names import scene_name
 from reports.questions.question import Question
-from reports.series import Series, ok_runs
-
-#: What the menu of a chart offers.
-_MENU = [name for name in ACROSS if name not in ("solves", "rejected")]
+from reports.series import Series
 
 
 def convergence_chart(
@@ -47,7 +37,7 @@ def convergence_chart(
     norms = NORMS if interactive else (norm,)
     notes = {n: {s.label: _orders(s, groups, n) for s in constant_steps} for n in norms}
     options = vl.ChartOptions(styles_of(constant_steps, styles), norm, interactive, notes)
-    return _panels(constant_steps, groups, ["h"], options)
+    return error_charts(constant_steps, groups, ["h"], options)
 
 
 def _orders(series: Series, groups: Sequence[str], norm: str) -> str:
@@ -79,20 +69,25 @@ def error_against_cost(
 
 
 def work_precision_chart(
-    series: Sequence[Series], groups: Sequence[str], styles: Mapping[str, LineStyle]
+    series: Sequence[Series],
+    groups: Sequence[str],
+    styles: Mapping[str, LineStyle],
+    interactive: bool = False,
 ) -> vl.Spec | None:
     """Errors in the groups against seconds and residual evaluations, a panel each.
 
     None if there is nothing to draw.
     """
     series = [s for s in series if s.ok]
-    options = vl.ChartOptions(styles_of(series, styles))
-    return _panels(series, groups, ["seconds", "residuals"], options)
+    norm = full_norm(series, groups, NORM) if interactive else NORM
+    options = vl.ChartOptions(styles_of(series, styles), norm, interactive)
+    return error_charts(series, groups, ["seconds", "residuals"], options)
 
 
-def _panels(
+def error_charts(
     series: Sequence[Series], groups: Sequence[str], across: Sequence[str], options: vl.ChartOptions
 ) -> vl.Spec | None:
+    """Errors in the groups against some of `ACROSS`, a panel each; None if all are empty."""
     shown = dict.fromkeys([*across, "seconds", COST])
     data = vl.Dataset("runs", run_rows(series, groups, options.norms, [*shown]))
     panels: list[vl.Spec] = []
@@ -102,82 +97,6 @@ def _panels(
             panels += [panel] if panel else []
     columns = {1: 1, 2: 2, 4: 2, 8: 4}.get(len(panels), 3)
     return vl.arrange(panels, [data], columns, params=options.norm_buttons)
-
-
-def work_precision_with_menus(
-    series: Sequence[Series],
-    groups: Sequence[str],
-    styles: Mapping[str, LineStyle],
-    first_cost: str = COST,
-) -> vl.Spec | None:
-    """Error against cost; menus choose group, norm and cost. None if there is nothing to draw."""
-    series = [s for s in series if s.ok]
-    options = vl.ChartOptions(styles_of(series, styles), interactive=True)
-    known = {name for r in ok_runs(series) for name in r.errors}
-    asked = {*groups, *VIOLATIONS}
-    errors_of = [n for n in ERROR_NAMES if n in known and n.strip("|") in asked]
-    data = vl.Dataset("runs", run_rows(series, errors_of, options.norms, _MENU))
-    if not data.rows:
-        return None
-    costs = {c: ACROSS[c] for c in _MENU if any(row.get(c) for row in data.rows)}
-    first, cost = (
-        "a" if "a" in groups else groups[0],
-        first_cost if first_cost in costs else next(iter(costs)),
-    )
-    params = [
-        vl.menu("group", first, {name: ERROR_NAMES[name] for name in errors_of}, "error in "),
-        vl.menu("norm", NORM, NORMS, " taken "),
-        vl.menu("cost", cost, costs, " against "),
-    ]
-    # The range changes with the menus: the digits 1, 2, 5 have labels where they fit.
-    place = {
-        channel: vl.log_quantity(field, title=None, axis=vl.log_axis((1, 50), text, minExtent=40))
-        for channel, field, text in (("x", "across", "~g"), ("y", "error", ".0e"))
-    }
-    tooltip = vl.run_tooltip(
-        vl.quantity("error", title="error", format=".3g"),
-        *cost_tooltip([c for c in costs if c in COSTS]),
-    )
-    lines = error_lines(options, place, tooltip)
-    lines[0]["params"] = [vl.zoom("zoom_error"), vl.pick()]
-    errors = {group: errors_by_norm(data.rows, group, options.norms) for group in errors_of}
-    # A single view, not a grid of one: the titles need its width and height.
-    return {
-        "datasets": vl.datasets([data]),
-        "params": params,
-        "data": data.source,
-        "transform": [
-            {"calculate": "datum[group + '_' + norm]", "as": "error"},
-            {"calculate": "datum[cost]", "as": "across"},
-            {"filter": "datum.error > 0 && datum.across > 0"},
-            *(
-                {"calculate": f"cost === 'seconds' ? datum.{end} : datum.across", "as": end}
-                for end in ("fastest", "slowest")
-            ),
-        ],
-        "layer": [
-            *floor_layer(floors(series, errors), options, "group"),
-            *lines,
-            times_layer(options, vl.log_quantity("error")),
-            _title(f"{json.dumps(costs)}[cost]", x="width / 2", y="height + 34"),
-            _title(
-                f"'relative error in ' + {json.dumps(ERROR_NAMES)}[group]",
-                x="-56",
-                y="height / 2",
-                turn=270,
-            ),
-        ],
-        "width": 620,
-        "height": 340,
-        "config": vl.config(),
-    }
-
-
-def _title(text: str, x: str, y: str, turn: int = 0) -> vl.Spec:
-    """An axis title that depends on a menu; titles of Vega-Lite cannot."""
-    mark = {"type": "text", "text": {"expr": text}, "color": vl.GREY, "fontSize": 12, "angle": turn}
-    place = {"x": {"expr": x}, "y": {"expr": y}, "clip": False}
-    return {"data": {"values": [{}]}, "mark": mark | place}
 
 
 def acceleration_accuracy(

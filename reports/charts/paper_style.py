@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
 from problems.spec import SpecError
 from reports.charts.rendering import picture
-from reports.charts.vega_lite import Dataset, Spec, chart_json, datasets
+from reports.charts.vega_lite import Spec, chart_json
 
 #: Width of a column in points (88 mm), and height of the panel without its legend.
 _WIDTH, _HEIGHT = 250, 165
@@ -22,8 +21,9 @@ _THIN: dict[str, Spec] = {
 }
 
 
-def on_paper(panel: Spec, data: Sequence[Dataset], height: int | Spec = _HEIGHT) -> Spec:
-    """A chart as wide as a column from one panel; the panel's lines and points get thinner."""
+def on_paper(chart: Spec) -> Spec:
+    """The only panel of a chart, as wide as a column; its lines and points get thinner."""
+    (panel,) = chart["concat"]
     for layer in panel["layer"]:
         layer["encoding"].get("y", {}).get("axis", {}).pop("minExtent", None)
         mark = layer["mark"]
@@ -34,9 +34,9 @@ def on_paper(panel: Spec, data: Sequence[Dataset], height: int | Spec = _HEIGHT)
                 layer["encoding"][channel]["legend"]["symbolSize"] = 160
     return panel | {
         "$schema": _SCHEMA,
-        "datasets": datasets(data),
+        "datasets": chart["datasets"],
         "width": _WIDTH,
-        "height": height,
+        "height": _HEIGHT,
         "autosize": {"type": "fit-x", "contains": "padding"},
         "padding": 2,
         "config": _config(),

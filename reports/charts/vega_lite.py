@@ -209,13 +209,6 @@ def pick() -> Spec:
     return {"name": "pick", "select": {"type": "point", "fields": ["series"]}, "bind": "legend"}
 
 
-def menu(name: str, value: str, choices: Mapping[str, str], title: str) -> Spec:
-    """A menu over the keys of ``choices``, which shows their values."""
-    options, labels = list(choices), list(choices.values())
-    bind = {"input": "select", "options": options, "labels": labels, "name": title}
-    return {"name": name, "value": value, "bind": bind}
-
-
 def zoom(name: str) -> Spec:
     """Pan by mouse, zoom with Ctrl and the wheel: plain scrolling and touch move the page."""
     drag = "[pointerdown[event.pointerType === 'mouse'], window:pointerup] > window:pointermove!"

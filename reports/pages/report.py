@@ -109,7 +109,6 @@ class Report:
                 read_rows=store.rows,
                 ids=self.run_ids,
                 interactive=interactive,
-                cost=stored.first.cost,
             )
             own = [s for s in studies if (s.problem, s.t_end) == key]
             # The same scene over another interval is described once.

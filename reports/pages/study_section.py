@@ -17,7 +17,6 @@ from reports.charts.errors import (
     acceleration_accuracy,
     convergence_chart,
     work_precision_chart,
-    work_precision_with_menus,
 )
 from reports.charts.line_styles import LineStyle, line_styles
 from reports.charts.over_time import (
@@ -87,7 +86,7 @@ class StudySections:
     """Makes the sections of one scene's studies.
 
     ``read_rows`` reads the sampled values of a record by key, ``ids`` are the anchors of records
-    by key, ``styles`` the line styles by label, ``cost`` is that of the first question.
+    by key, ``styles`` the line styles by label.
     """
 
     name: str
@@ -97,7 +96,6 @@ class StudySections:
     read_rows: Callable[[str], Rows]
     ids: Mapping[str, str]
     interactive: bool
-    cost: str
 
     @property
     def component_names(self) -> Mapping[str, Sequence[str]]:
@@ -160,16 +158,12 @@ class StudySections:
     def _work_precision(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
         groups = groups_of(ok_runs(series))
         shown, left_out = self._few(series)
-        if self.interactive:
-            chart, where = work_precision_with_menus(series, groups, self.styles, self.cost), ""
-        else:
-            drawn = groups_of(ok_runs(series), ("q", "a", *VIOLATIONS))
-            chart = work_precision_chart(shown, drawn, self.styles)
-            where = f" {self._norms_text([NORM])}"
+        drawn = groups_of(ok_runs(series), ("q", "a", *VIOLATIONS))
+        chart = work_precision_chart(shown, drawn, self.styles, self.interactive)
         caption = (
-            f"Error{where} against cost: median seconds per run (bars: fastest to slowest sample) "
-            f"or counted work. A line joins the resolutions of one integrator. {ERROR_MEANING} "
-            f"{self._reference_error(groups)}{left_out}"
+            f"Error {self._norms_text([NORM])} against cost: median seconds per run (bars: fastest "
+            "to slowest sample) or counted work. A line joins the resolutions of one integrator. "
+            f"{ERROR_MEANING} {self._reference_error(groups)}{left_out}"
         )
         return captioned(caption, {name: chart})
 
