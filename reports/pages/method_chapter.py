@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import shlex
 from collections.abc import Mapping, Sequence
@@ -14,10 +13,9 @@ from bench.results.records import NOT_TRIED, Damping, IntegratorFacts
 from bench.results.table import Table
 from reports.charts.all_scenes import method_strip
 from reports.formatting import file_name, milliseconds, number
-from reports.names import BUILT_IN, form_name
+from reports.names import form_name
 from reports.pages.captioned_charts import captioned
 from reports.questions.method_card import stored_card
-from reports.questions.words import Words
 from reports.ranking import Answer
 from reports.scenes import StoredRuns
 from reports.series import Series, groups_of
@@ -42,8 +40,8 @@ class MethodChapter:
         The runs of the report.
     damping
         What is known of the damping of integrators, by printed name.
-    answer, words
-        The answer to the first question; names and tags of the report.
+    answer
+        The answer to the first question.
     experiments
         Results of the failure atlas.
     over
@@ -56,7 +54,6 @@ class MethodChapter:
         stored: StoredRuns,
         damping: Mapping[str, Damping],
         answer: Answer,
-        words: Words,
         experiments: Sequence[ExperimentResult],
         over: Sequence[Answer],
     ) -> None:
@@ -87,17 +84,9 @@ class MethodChapter:
             f"above {WRONG:g} and say nothing.",
             {f"{anchor}-strip": method_strip(label, over, by_scene)},
         )
-        families = {
-            s.records[0].integrator: s.family for own in stored.series.values() for s in own
-        }
-        # The nearest built-in method.
-        other = nearest(name, damping, families) if name in damping else ""
-        both = {label: damping[label] for label in (name, other) if label in damping}
-        beside = (
-            damping_table(both, list(stored.scenes.items())),
-            atlas_beside(name, other, experiments, words.names),
-        )
-        self.beside = [table for table in beside if table]
+        own = {name: damping[name]} if name in damping else {}
+        tables = damping_table(own, list(stored.scenes.items())), atlas_table(name, experiments)
+        self.studies = [table for table in tables if table]
 
 
 def _own(table: Table | None, caption: str) -> Table | None:
@@ -173,41 +162,13 @@ def _orders_table(series: Mapping[str, Series], facts: IntegratorFacts | None) -
     return Table("Orders measured, scene by scene", head, rows, note=note)
 
 
-def nearest(name: str, known: Mapping[str, Damping], families: Mapping[str, str]) -> str:
-    """The nearest other built-in method: of the same family if there is one, else of any.
-
-    Near is what has damping ratios with the smallest mean distance, over the steps that both have;
-    "" if there is none. ``families`` are those of the methods by printed name.
-    """
-    others = [k for k in known if k != name and k.partition("[")[0] in BUILT_IN]
-    found = [(d, k) for k in others if (d := _distance(known[name], known[k])) < math.inf]
-    own = [pair for pair in found if families.get(pair[1]) == families.get(name)]
-    return min(own or found, default=(0.0, ""))[1]
-
-
-def _distance(one: Damping, other: Damping) -> float:
-    ratios = dict(zip(other.omega_h, other.ratio, strict=False))
-    apart = [
-        abs(mine - theirs)
-        for at, mine in zip(one.omega_h, one.ratio, strict=False)
-        if mine is not None and (theirs := ratios.get(at)) is not None
-    ]
-    return sum(apart) / len(apart) if apart else math.inf
-
-
-def atlas_beside(
-    name: str, other: str, found: Sequence[ExperimentResult], names: Mapping[str, str]
-) -> Table | None:
-    """Parts of each experiment that spare both methods, of all that apply; None without any."""
-    both = [k for k in (name, other) if k]
+def atlas_table(name: str, experiments: Sequence[ExperimentResult]) -> Table | None:
+    """Parts of each experiment that spare a method, of all that apply; None without any."""
     rows = []
-    for f in found:
-        own = [[c for part in f.parts for c in part.cases if c.integrator == k] for k in both]
-        if any(own):
-            cells = [spared(cases) if cases else "not tried" for cases in own]
-            rows.append([f"{f.number}. {f.title}", *cells])
+    for found in experiments:
+        if cases := [c for part in found.parts for c in part.cases if c.integrator == name]:
+            rows.append([f"{found.number}. {found.title}", spared(cases)])
     if not rows:
         return None
-    head = ["failure", *(names.get(k, k) for k in both)]
     note = "Parts of an experiment of the failure atlas that spare the method, of all that apply."
-    return Table("Failures of the atlas", head, rows, code=(), note=note)
+    return Table("Failures of the atlas", ["failure", "spared"], rows, code=(), note=note)

@@ -91,7 +91,7 @@ class Report:
         self.timing, self.times = timing_table(series_of(runs)), times_sentence(stored.times)
         self.method = method_of_measurement(plan)
         self.methods = [
-            MethodChapter(label, stored, damping, self.answer, self.words, experiments, over)
+            MethodChapter(label, stored, damping, self.answer, experiments, over)
             for label in self.names
         ]
 
