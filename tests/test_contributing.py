@@ -1,4 +1,4 @@
-"""The examples printed in CONTRIBUTING.md and docs/integrators.md run exactly as printed."""
+"""Examples of the documents run as printed; README's numbers and commands are those there are."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from helpers import long
 
 from bench.check.checker import CHECKS, examine
 from bench.check.verdicts import FAILED
+from bench.commands.main import main
 from bench.plugins.registry import Registry
+from bench.running.profiles import built_in_profiles
 from integrators import Steps
 from integrators.native import step_work
 from integrators.native.step_work import EquationsFinder, StepWork
@@ -32,6 +34,13 @@ def test_the_lines_that_import_something_do():
     assert sum("integrators.native" in line for line in lines) > 4
     for line in dict.fromkeys(lines):
         exec(line, {})
+
+
+def test_readme_counts_what_there_is_and_names_commands_that_exist():
+    text, registry = (ROOT / "README.md").read_text(encoding="utf-8"), Registry()
+    counts = [int(number) for number in re.findall(r"\b(\d+) (?:scenes,|integrators:|suites)", text)]
+    assert counts == [len(registry.problems), len(registry.integrators), len(built_in_profiles())]
+    assert set(re.findall(r"^stepbench (\w+)", text, re.MULTILINE)) <= set(main.commands)
 
 
 @pytest.fixture(scope="module")
