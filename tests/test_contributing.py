@@ -38,7 +38,9 @@ def test_the_lines_that_import_something_do():
 
 def test_readme_counts_what_there_is_and_names_commands_that_exist():
     text, registry = (ROOT / "README.md").read_text(encoding="utf-8"), Registry()
-    counts = [int(number) for number in re.findall(r"\b(\d+) (?:scenes,|integrators:|suites)", text)]
+    counts = [
+        int(number) for number in re.findall(r"\b(\d+) (?:scenes,|integrators:|suites)", text)
+    ]
     assert counts == [len(registry.problems), len(registry.integrators), len(built_in_profiles())]
     assert set(re.findall(r"^stepbench (\w+)", text, re.MULTILINE)) <= set(main.commands)
 
