@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import time
@@ -24,6 +25,7 @@ from bench.commands import pages
 from bench.commands.pages import GrowingPage
 from bench.results.records import Record, Rows, Study
 from bench.results.store import Store
+from bench.running.measure import stored_rows
 from reports.pages.html_report import FILE, write_html_report
 from reports.pages.markdown_report import write_markdown_report
 
@@ -166,7 +168,8 @@ def test_a_run_that_left_no_finite_numbers_still_makes_a_page(tmp_path: Path) ->
     wild.errors["q"] = dict.fromkeys(("end", "max", "rms", "settled"))
     plant(tmp_path, [wild])
     with Store(tmp_path, create=True) as store:
-        store.save(wild, Rows(t=[0.0, 0.1], values={"q": [[1.0, 0.0], [9.0, 0.0]]}))
+        store.save(wild, stored_rows({"t": [0.0, 0.1], "q": [[1.0, 0.0], [math.inf, math.nan]]}))
+        assert store.rows(wild.key) == Rows(t=[0.0], values={"q": [[1.0, 0.0]]})
     text = whole_markdown(write_markdown_report(tmp_path).parent)
     assert "Some errors of runs that reached the end are not finite" in text
 

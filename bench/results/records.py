@@ -205,8 +205,9 @@ class Record(msgspec.Struct, kw_only=True):
 
 
 class Rows(msgspec.Struct, kw_only=True):
-    """Sampled values, as in integrators.Trajectory, ready to be stored: ``values[name][k][i]`` and
-    ``notes[name][k]``, None where there is none."""
+    """Sampled values, as in integrators.Trajectory, ready to be stored: ``values[name][k][i]``, all
+    finite (`bench.running.measure.stored_rows`), and ``notes[name][k]``, None where there is none.
+    """
 
     t: list[float]
     values: dict[str, list[list[float]]] = {}
