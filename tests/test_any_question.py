@@ -6,7 +6,7 @@ import math
 from bisect import bisect_right
 
 import pytest
-from chromium import chromium, in_chromium, waited
+from chromium import waited
 from planted import planted
 
 from bench.results.quantities import NORMS, RANKED_COSTS
@@ -124,12 +124,6 @@ def folder(tmp_path_factory):
     return path
 
 
-@pytest.fixture(scope="module")
-def page():
-    with chromium() as driver:
-        yield driver
-
-
 def visit(page, file, fragment=""):
     page.get("about:blank")
     page.get(file.as_uri() + fragment)
@@ -152,18 +146,17 @@ def profile_of(found, chosen):
     return len(scenes), {k: states for k, states in own.items() if states}
 
 
-@in_chromium
-def test_the_table_of_the_page_and_python_agree(page, folder):
+def test_the_table_of_the_page_and_python_agree(browser, folder):
     report = read_report(folder, interactive=False)
-    visit(page, folder / "report.html")
-    data = page.execute_script("return stepbench.data")
+    visit(browser, folder / "report.html")
+    data = browser.execute_script("return stepbench.data")
     names = [m["label"] for m in data["methods"]]
     groups, ids = list(data["group_names"]), [s["id"] for s in data["scenes"]]
     assert list(map(float, data["targets"])) == list(GRID)
     counted = answers(report.series, groups, GRID, tuple(NORMS))
     assert len(counted) == len(groups) * len(GRID) * len(RANKED_COSTS) * len(NORMS)
     both = dict.fromkeys((q.group, q.norm) for q in counted)
-    asked = {key: page.execute_script(ASK, *key) for key in both}
+    asked = {key: browser.execute_script(ASK, *key) for key in both}
     told = set()
     for question, found in counted.items():
         shown = asked[question.group, question.norm]
@@ -213,11 +206,10 @@ def test_the_table_of_the_page_and_python_agree(page, folder):
                     assert lines[label] == pytest.approx([n / len(states) for n in parts])
 
 
-@in_chromium
-def test_a_table_that_says_otherwise_is_found(page, folder):
+def test_a_table_that_says_otherwise_is_found(browser, folder):
     """The check above compares what the page looks up, not what it computes anew."""
-    visit(page, folder / "report.html")
-    first, after = page.execute_script(
+    visit(browser, folder / "report.html")
+    first, after = browser.execute_script(
         """
         const { data } = stepbench, before = stepbench.headline(stepbench.question);
         data.details = data.details.map((own) => Array.isArray(own) ? [0] : own);
@@ -229,12 +221,11 @@ def test_a_table_that_says_otherwise_is_found(page, folder):
     assert after == ["It is reached, but no costs can be compared."]
 
 
-@in_chromium
-def test_an_accuracy_is_typed_and_kept(page, folder):
-    visit(page, folder / "report.html", "#group=a&target=0.0002&cost=residuals&norm=rms")
+def test_an_accuracy_is_typed_and_kept(browser, folder):
+    visit(browser, folder / "report.html", "#group=a&target=0.0002&cost=residuals&norm=rms")
 
     def typed(text):
-        return page.execute_script(
+        return browser.execute_script(
             """
             const place = document.querySelector("[name=target]");
             place.value = arguments[0];
@@ -245,7 +236,9 @@ def test_an_accuracy_is_typed_and_kept(page, folder):
             text,
         )
 
-    assert page.execute_script("return [stepbench.question.target, stepbench.question.norm]") == [
+    assert browser.execute_script(
+        "return [stepbench.question.target, stepbench.question.norm]"
+    ) == [
         "2e-4",
         "rms",
     ]
@@ -264,41 +257,39 @@ def test_an_accuracy_is_typed_and_kept(page, folder):
         kept, said = typed(text)
         assert kept == "1e-1"
         assert "is no accuracy" in said
-    address = page.execute_script("return location.hash")
+    address = browser.execute_script("return location.hash")
     assert "target=1e-1" in address
     assert "norm=rms" in address
 
 
-@in_chromium
-def test_links_keep_the_question_from_page_to_page(page, folder):
+def test_links_keep_the_question_from_page_to_page(browser, folder):
     asked = "group=q&target=5e-4&norm=end&cost=residuals"
-    visit(page, folder / "report.html", f"#{asked}")
-    links = page.execute_script("return [...document.links].map((a) => a.getAttribute('href'))")
+    visit(browser, folder / "report.html", f"#{asked}")
+    links = browser.execute_script("return [...document.links].map((a) => a.getAttribute('href'))")
     own = [a for a in links if ".html" in a and not a.startswith("http")]
     assert own
     assert all(asked in a for a in own if "#" not in a or "#group" in a)
     scene = next(a for a in own if "scene-won" in a)
-    page.get(f"{folder.as_uri()}/{scene}")
-    assert page.execute_script("return location.hash").startswith(f"#{asked}")
+    browser.get(f"{folder.as_uri()}/{scene}")
+    assert browser.execute_script("return location.hash").startswith(f"#{asked}")
     file = folder / "report" / "scene-won.html"
     # A page that was reached by an anchor remembers it, and so does one without a bar.
-    page.get(file.as_uri() + "#run-1")
-    assert page.execute_script("return stepbench.question.target") == "5e-4"
-    page.get(file.as_uri() + "#target=1e-2")
-    assert page.execute_script("return stepbench.question.target") == "1e-2"
-    page.get((folder / "report" / "glossary.html").as_uri())
-    links = page.execute_script("return [...document.links].map((a) => a.getAttribute('href'))")
+    browser.get(file.as_uri() + "#run-1")
+    assert browser.execute_script("return stepbench.question.target") == "5e-4"
+    browser.get(file.as_uri() + "#target=1e-2")
+    assert browser.execute_script("return stepbench.question.target") == "1e-2"
+    browser.get((folder / "report" / "glossary.html").as_uri())
+    links = browser.execute_script("return [...document.links].map((a) => a.getAttribute('href'))")
     assert any("scene-won" in a and "target=1e-2" in a for a in links)
 
 
-@in_chromium
-def test_the_command_of_a_scene_follows_the_question(page, folder):
+def test_the_command_of_a_scene_follows_the_question(browser, folder):
     file = folder / "report" / "scene-won.html"
     found = []
     for target in ("1e-4", "1e-6", "1e-9"):
-        visit(page, file, f"#group=a&target={target}&cost=residuals")
+        visit(browser, file, f"#group=a&target={target}&cost=residuals")
         found.append(
-            page.execute_script(
+            browser.execute_script(
                 "const code = document.querySelector('[data-try]');"
                 "const note = code.closest('section').querySelector('.note');"
                 "return [code.textContent, note.textContent];"

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from chromium import chromium, in_chromium
 from helpers import reference
 from planted import plant, planted
 
@@ -258,30 +257,28 @@ def test_the_card_of_a_method_tells_its_own_violation():
     assert f"Cheapest alone by operations: s (|Φ| up to {OFF})." in card
 
 
-@in_chromium
-def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_violation(tmp_path):
+def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_violation(
+    browser, tmp_path
+):
     records = [won("pendulum"), won("pendulum", "two", cost=300, size=1e-9, error=1e-9)]
     records += [won("spring_mass", **FREE, formulation="unconstrained")]
     write_html_report(plant(tmp_path, records))
 
-    def asked(page, scene, question):
-        page.get("about:blank")
-        page.get((tmp_path / "report" / f"scene-{scene}.html").as_uri() + question)
+    def asked(scene, question):
+        browser.get("about:blank")
+        browser.get((tmp_path / "report" / f"scene-{scene}.html").as_uri() + question)
         said = "return [...document.querySelectorAll(arguments[0])].map((node) => node.innerText)"
-        return [page.execute_script(said, place) for place in ("[data-verdict]", ".methods tr")]
+        return [browser.execute_script(said, place) for place in ("[data-verdict]", ".methods tr")]
 
-    with chromium() as page:
-        (verdict,), rows = asked(page, "pendulum", "#group=constraint&target=1e-3&cost=operations")
-        assert verdict.startswith(
-            "To 1e-3 in constraints Φ: two (3000 operations at h=0.01; index 2;"
-        )
-        assert "one index 2 not reached" in rows[-1].replace("\t", " ")
-        _, (head, one, two) = asked(page, "pendulum", "#group=a&target=1e-4&cost=operations")
-        assert "form" in head
-        assert "violation of Φ" in head
-        assert one.endswith("0.0073 > 1e-4")
-        assert two.endswith("\t1e-9")
-        _, (head, one) = asked(page, "spring_mass", "#group=a&target=1e-4&cost=operations")
-        assert "violation" not in head
-        assert "index" not in one
-        assert page.get_log("browser") == []
+    (verdict,), rows = asked("pendulum", "#group=constraint&target=1e-3&cost=operations")
+    assert verdict.startswith("To 1e-3 in constraints Φ: two (3000 operations at h=0.01; index 2;")
+    assert "one index 2 not reached" in rows[-1].replace("\t", " ")
+    _, (head, one, two) = asked("pendulum", "#group=a&target=1e-4&cost=operations")
+    assert "form" in head
+    assert "violation of Φ" in head
+    assert one.endswith("0.0073 > 1e-4")
+    assert two.endswith("\t1e-9")
+    _, (head, one) = asked("spring_mass", "#group=a&target=1e-4&cost=operations")
+    assert "violation" not in head
+    assert "index" not in one
+    assert browser.get_log("browser") == []

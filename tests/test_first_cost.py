@@ -8,7 +8,7 @@ import shlex
 from pathlib import Path
 
 import pytest
-from chromium import chromium, in_chromium, waited
+from chromium import waited
 from planted import STEPS, plant, planted
 from small_stores import a_record
 
@@ -166,19 +166,15 @@ def test_times_of_two_machines_are_said_not_to_compare():
     assert none.endswith("so this report ranks by operations first.")
 
 
-@in_chromium
-def test_an_address_that_names_a_cost_wins_over_the_first_question(folders):
-    with chromium() as page:
-        for fragment, cost in (("", "seconds"), ("#cost=operations", "operations")):
-            page.get("about:blank")
-            page.get((folders["quiet"] / "report.html").as_uri() + fragment)
-            waited(lambda: page.execute_script("return stepbench.data.complete"))
-            assert page.execute_script("return document.forms.question.cost.value") == cost
-            said = page.execute_script("return document.getElementById('answer').textContent")
-            beside = {"seconds": "Fewest operations: lean", "operations": "Least time: swift"}
-            assert f"{beside[cost]} is cheapest on the scene." in said
-        # The same page, by a link in it.
-        page.execute_script("location.hash = '#cost=seconds'")
-        waited(
-            lambda: page.execute_script("return document.forms.question.cost.value") == "seconds"
-        )
+def test_an_address_that_names_a_cost_wins_over_the_first_question(browser, folders):
+    for fragment, cost in (("", "seconds"), ("#cost=operations", "operations")):
+        browser.get("about:blank")
+        browser.get((folders["quiet"] / "report.html").as_uri() + fragment)
+        waited(lambda: browser.execute_script("return stepbench.data.complete"))
+        assert browser.execute_script("return document.forms.question.cost.value") == cost
+        said = browser.execute_script("return document.getElementById('answer').textContent")
+        beside = {"seconds": "Fewest operations: lean", "operations": "Least time: swift"}
+        assert f"{beside[cost]} is cheapest on the scene." in said
+    # The same page, by a link in it.
+    browser.execute_script("location.hash = '#cost=seconds'")
+    waited(lambda: browser.execute_script("return document.forms.question.cost.value") == "seconds")
