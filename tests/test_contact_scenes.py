@@ -137,15 +137,14 @@ class KinkedStop(QuarterCarStop):
 
 
 def test_the_elastic_stop_of_a_quarter_car_is_that_of_a_kink():
-    times = np.linspace(0.0, 1.5, 301)
     stop = Reference(QuarterCarStop(), 1.5)
     kinked = run(RadauIIA(), KinkedStop(), Tolerances(1e-9), 1.5)
     assert len(stop.events) == 2
     q = stop(kinked.t)["q"]
     np.testing.assert_allclose(kinked.q, q, atol=1e-7)
     # Without the stop the suspension is pressed 8 mm further.
-    free = Reference(QuarterCar(bump=0.1), 1.5)(times)["q"]
-    assert (free @ [1.0, -1.0]).min() < (stop(times)["q"] @ [1.0, -1.0]).min() - 5e-3
+    free = run(RadauIIA(), KinkedStop(k_stop=0.0), Tolerances(1e-6), 1.5).q
+    assert (free @ [1.0, -1.0]).min() < (q @ [1.0, -1.0]).min() - 5e-3
 
 
 def test_a_rod_slides_on_rough_ground_as_its_reduced_equations_say():
