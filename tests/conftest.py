@@ -186,7 +186,7 @@ def without_processes(monkeypatch):
     """Do jobs of commands in this process, and take no times; where no process is the point."""
     from bench.guard import process
     from bench.guard.process import Refused
-    from bench.running import inventory, solve, worker
+    from bench.running import inventory, worker
     from bench.running.runner import Runner
     from problems.plain_text import said
     from problems.spec import SpecError
@@ -210,6 +210,5 @@ def without_processes(monkeypatch):
     monkeypatch.setattr(Runner, "time", lambda self, tasks, samples, have: iter(()))
     monkeypatch.setattr(process, "ask_once", ask_here)
     monkeypatch.setattr(worker, "use_threads", lambda callers: None)
-    monkeypatch.setattr(solve, "compile_sooner", lambda: None)
     # In this process tests patch functions: what is made here must not be kept.
     monkeypatch.setattr(inventory, "keep_references", lambda file_of, told: None)

@@ -77,7 +77,8 @@ def test_programs_of_which_no_times_are_taken_are_compiled_quickly(stepbench, mo
         result = stepbench(command, "pendulum", *asked, step)
         assert result.exit_code == 0, result.output
     assert stepbench("order", "pendulum", asked[0], "--steps", "0.01,0.005,0.0025").exit_code == 0
-    assert drafts == [False, True, False, False, True]  # solve plans by a run of its own
+    # solve plans by a run of its own, which compiles quickly; a long run has another process.
+    assert drafts == [True, True, True, False, True]
 
 
 @pytest.mark.usefixtures("without_processes")

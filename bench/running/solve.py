@@ -21,7 +21,6 @@ from bench.running.runner import Runner, Task, measure_task, time_task
 from bench.running.session import result_of
 from bench.running.worker import CellResult, Worker
 from integrators.resolutions import Steps, check_end
-from problems.runtime import compile_sooner
 from problems.spec import SpecError
 
 #: Constant steps from which on a well compiled program saves the time that it takes to compile;
@@ -87,12 +86,18 @@ def solve(
     """
     sources = Sources(plugin_files(plugins))
     with Runner(1, Limits(budget_s, memory_gib=4.0), progress) as runner:
+        # Programs of which no times are taken are compiled quickly rather than well: also those
+        # that check a model as it is loaded, and JAX reads its settings once.
+        runner.draft = not request.samples
         ((_, planned),) = runner.run([[Task(plan_run, (request,), sources=sources)]])
         if isinstance(planned, NoAnswer):
             raise SpecError(planned.message)
         if planned.remark:
             progress.note(planned.remark)
-        cell, runner.draft = planned.cell, not planned.samples
+        cell = planned.cell
+        if planned.samples and runner.draft:  # a long run: another process compiles well
+            runner.draft = False
+            runner.end_workers()
         components = Task(Worker.components, (cell.problem,), sources=sources)
         (_, measured), (_, named) = runner.run([[measure_task(cell, sources), components]])
         result = result_of(cell, measured, planned.scene, planned.method)
@@ -104,7 +109,7 @@ def solve(
 
 # ---- in the process of the run -----------------------------------------------------------
 def plan_run(worker: Worker, request: Request) -> PlannedRun:
-    """Plan a run; programs of which no times are taken are compiled quickly rather than well."""
+    """Plan a run with the plugins that this process has loaded."""
     registry = Inventory(registry=worker.registry)
     registry.require_files()
     scene = registry.problem(request.problem, **request.parameters)
@@ -124,7 +129,5 @@ def plan_run(worker: Worker, request: Request) -> PlannedRun:
     samples = request.samples
     if samples is None:
         samples = _SAMPLES if count >= _TIMED else 0
-    if not samples:
-        compile_sooner()
     cell = Cell(scene.spec, method.spec, end, resolution)
     return PlannedRun(cell, scene, method, samples, remark)
