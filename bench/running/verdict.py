@@ -101,19 +101,21 @@ class Verdict:
 
     def table(self) -> Table:
         """Return the table of the cheapest candidates, then of those that do not reach it if all
-        stay in the race, or if nobody does."""
+        stay in the race (it has energy and constraints, too), or if nobody does."""
         short = [] if self.order and self.race.margin < math.inf else self._by_error()
         missed = [c for c in short if not c.best(self.asked)]
-        missed = missed if self.race.margin == math.inf else missed[:MOST_TIMED]
+        named = self.race.margin == math.inf
+        missed = missed if named else missed[:MOST_TIMED]
         rows = []
         for c in (*self.order, *missed):
             run = c.best(self.asked) or c.nearest(self.asked)
             time = number(run.seconds) if c.best(self.asked) else NOT_MET
             figures = run.h or run.rtol, run.cost("operations"), self.asked.error(run)
-            more = map(number, (run.energy_drift, run.constraint.get("position")))
+            also = (run.energy_drift, run.constraint.get("position")) if named else ()
             told = self._next_cost(c), _failure(c)
-            rows.append([run.integrator, *map(number, figures), time, *more, *told])
-        head = ["integrator", "h [s] or rtol", "operations", "error", "time [s]", "energy", "Φ"]
+            rows.append([run.integrator, *map(number, figures), time, *map(number, also), *told])
+        head = ["integrator", "h [s] or rtol", "operations", "error", "time [s]"]
+        head += ["energy", "Φ"] if named else []
         why = [f"{c.method.spec}: {c.obstacle}" for c in missed]
         why.append("fails: the smallest step or tolerance at which a run did not reach the end.")
         title = f"{self.race.candidates[0].scene.spec}: {self.asked}"
