@@ -55,10 +55,8 @@ def test_the_tutorial_leaves_what_it_promises(folder):
     assert (folder / "first" / "report.html").stat().st_size > 0
     assert (folder / "cost.pdf").read_bytes().startswith(b"%PDF")
     assert (folder / "acceleration.png").read_bytes().startswith(b"\x89PNG")
-    for name in ("orders.svg", "steps.svg"):
-        words = " ".join(ElementTree.parse(folder / name).getroot().itertext())
-        assert "my_method" in words
-    assert "Pendulum" in words
+    words = " ".join(ElementTree.parse(folder / "orders.svg").getroot().itertext())
+    assert "my_method" in words
 
 
 @pytest.mark.long
