@@ -99,7 +99,7 @@ class ShortErrors(click.Group):
                 f"permissions and the free space."
             )
         except ValueError as error:  # of the system, before any command has begun
-            if "null byte" not in str(error):
+            if "embedded null" not in str(error):  # "byte" or "character", by the release
                 raise
             refusal = click.ClickException("A path has a null byte in it; name another one.")
         except MemoryError:
