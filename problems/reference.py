@@ -63,7 +63,7 @@ def keep_references(file_of: FileOf | None, told: Callable[[str, str], None]) ->
 
 
 def _once(scene: MechatronicSystem, t_end: float, make: Callable[[], bytes]) -> bytes:
-    """What is known of a scene: from its file, or made; of several processes one does."""
+    """Numbers of a scene from their file, or made; of several processes one makes them."""
     made = f"the reference of {scene.spec}"
 
     def anew() -> bytes:
