@@ -121,10 +121,13 @@ def program(function: Callable, *arguments: Any) -> Program:
 
     Parameters
     ----------
+    function
+        Traceable, or compiled by `jax.jit` with ``keep_unused``, which is not lowered again.
     arguments
         Arrays, or `jax.ShapeDtypeStruct`; only shapes and types matter.
     """
-    module: Any = jax.jit(function, keep_unused=True).lower(*arguments).compiler_ir("stablehlo")
+    jitted: Any = function if hasattr(function, "lower") else jax.jit(function, keep_unused=True)
+    module: Any = jitted.lower(*arguments).compiler_ir("stablehlo")
     reader, found = _Reader(), {}
     for one in module.body.operations:
         operation = one.operation

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from math import prod
 from typing import Any, NamedTuple, Self
 
@@ -82,7 +82,7 @@ class Kernel:
     """
 
     def __init__(self, loop: Callable, form: Form) -> None:
-        @jax.jit  # so that it is traced once
+        @partial(jax.jit, keep_unused=True)  # once, also for the bill
         def run(packed: Array, *wanted: Any) -> Any:
             return loop(*form.unpack(packed), *wanted)
 
