@@ -42,13 +42,9 @@ attack: .venv/tested  ## hostile plugins, signals, inputs and machines: tried an
 bench: .venv/tested  ## our time loop against C, exudyn and other solvers; microseconds per step; half an hour
 	$(BIN)/python tests/benchmarks/start_up.py
 	$(BIN)/python tests/benchmarks/race.py
-	$(BIN)/python tests/benchmarks/families.py
 	$(BIN)/python tests/benchmarks/ranks.py
 	$(BIN)/python tests/benchmarks/sizes.py
-	$(BIN)/python tests/benchmarks/callbacks.py
-	$(BIN)/python tests/benchmarks/models.py
-	$(BIN)/python tests/benchmarks/batches.py
-	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc --benchmark-json=stepbench-speed.json
+	$(BIN)/python tests/benchmarks/many_runs.py
 
 pictures: .venv/tested  ## README's picture and docs/iftomm.md; half an hour, in Chromium
 	$(BIN)/python tests/pictures.py

@@ -1,16 +1,16 @@
-"""The benchmarks of families of methods make their tables; times are not checked."""
+"""The benchmarks race every native method and make their tables; times are not checked."""
 
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bench.plugins.registry import Registry
 from integrators import Steps
-from integrators.native.step_method import NativeMethod
+from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.reference import Reference
 
 
@@ -20,40 +20,49 @@ def scripts(monkeypatch):
 
 
 def test_every_native_method_is_in_a_race():
-    import families
+    import frame
+    import race
 
-    registry = Registry()
-    native = {n for n in registry.integrators if isinstance(registry.integrator(n), NativeMethod)}
-    scenes = families.SCENE, families.FREE, families.LIE
-    raced = {scene: families.all_native(scene) for scene in scenes}
+    raced = {scene: race.all_native(scene) for scene in (race.SCENE, race.FREE, race.LIE)}
     names = {spec.partition("[")[0] for specs in raced.values() for spec in specs}
-    assert names == native > {"rodas5p", "stormer_verlet", "cr"}
-    assert {specs[0] for specs in raced.values()} == {families.OURS}
+    assert names == {*frame.native_methods()} > {"rodas5p", "stormer_verlet", "cr"}
+    assert {specs[0] for specs in raced.values()} == {frame.OURS}
 
 
 @pytest.mark.long
-def test_tables_of_families():
-    import families
+def test_tables_of_races():
+    import frame
+    import race
 
-    rows = families.same_step([families.OURS, "kr_alpha"], steps=5000, rounds=1)
-    lines = families.same_step_table(rows).splitlines()
+    rows = race.same_step([frame.OURS, "kr_alpha"], frame.SCENE, steps=5000, rounds=1)
+    ours, c, _ = rows
+    lines = frame.table(rows, peak=1e3).splitlines()
     cells = [cell.strip() for cell in lines[2].split("|")[1:-1]]
-    assert cells[0] == f"`{families.OURS}`"
-    step, run, operations, residuals = (float(cells[k].split()[0]) for k in (1, 2, 5, 7))
+    assert (cells[0], c["contestant"]) == (f"`{frame.OURS}`", "C")
+    step, run, operations, residuals = (float(cells[k].split()[0]) for k in (3, 4, 7, 9))
     assert operations > 100 * residuals > 100
     assert run == pytest.approx(5 * step, rel=0.1)  # ms of 5000 steps in µs
+    speed = 1e-9 * ours["operations"] / np.median(ours["seconds"])
+    assert cells[-1] == f"{speed:.2f} ({speed / 1e3:.1%})"
     assert lines[-1].startswith("- kr_alpha was left out: constraints")
+    rows = race.beside_python(race.CarAxis(), race.SOLVERS[0], rounds=1)
+    assert rows[0]["ratio"] == "1.00 (1.00 to 1.00)"
+    assert all(0 < row["error"] < 0.1 for row in rows)
+    assert 0 < race.residual_in_c(race.CarAxis(), 10) < 1e-3
 
-    rows = families.beside_ida(families.SCENE, 1e-3, rounds=1)
-    ida = next(row for row in rows if "parts_ms" in row)
-    assert ida["contestant"] == "ida[callbacks=python]"
-    assert min(ida["parts_ms"].values()) > 0
-    assert "the library" in families.ida_table(rows)
 
-    rows = families.beside_python(families.CarAxis(), 1e-6, families._SOLVERS[0], rounds=1)
-    assert rows[0]["ratio"]["median"] == 1.0
-    assert "arithmetic" in families.ida_table(rows)
-    assert all(0 < row["agreement"][families._ERROR] < 0.1 for row in rows)
+@pytest.mark.long
+def test_the_yardstick_in_c_solves_the_same_equations():
+    import frame
+    import opponents
+
+    try:
+        c = opponents.c_program()
+    except frame.NotHere as reason:
+        pytest.skip(str(reason))
+    steps = Steps(frame.T_END / frame.STEPS)
+    ours = GeneralizedAlpha().prepare(frame.SCENE, frame.T_END, steps).measure()
+    assert np.abs(c.q - ours.q[-1]).max() < 1e-11
 
 
 def test_programs_that_the_compiler_refuses_are_left_out_with_a_sentence(monkeypatch, capsys):
@@ -70,48 +79,31 @@ def test_programs_that_the_compiler_refuses_are_left_out_with_a_sentence(monkeyp
 
 @pytest.mark.long
 def test_a_method_meets_the_error_of_another():
-    import opponents
+    import frame
 
-    reference = Reference(opponents.SCENE, opponents.T_END)
-    wanted = opponents.stepbench(opponents.OURS, Steps(2e-3), reference).error
-    found = opponents.equally_accurate("park[newton=modified]", wanted, reference)
+    reference = Reference(frame.SCENE, frame.T_END)
+    wanted = frame.contestant(frame.OURS, Steps(2e-3), reference).error
+    found = frame.equally_accurate("park[newton=modified]", wanted, reference)
     assert wanted / 2 <= found.error <= 2 * wanted
-    with pytest.raises(opponents.NotHere, match="The nearest is"):
-        opponents.equally_accurate("semi_implicit_euler", 1e-9, reference)
-
-
-@pytest.mark.long
-def test_the_table_of_a_race_has_operations_per_second():
-    import opponents
-    import race
-
-    rows = race.race("short", "gap", [opponents.stepbench(opponents.OURS, Steps(1e-2))], rounds=2)
-    done = 1e-9 * rows[0]["work"]["operations"] / np.median(rows[0]["seconds"])
-    assert rows[0]["gflops"] == pytest.approx(done)
-    line = race.table(rows, race.Peak(2 * done, done)).splitlines()[-1]
-    assert line.endswith(f"| {done:.2f} (50.0%) |")
+    with pytest.raises(frame.NotHere, match="The nearest is"):
+        frame.equally_accurate("semi_implicit_euler", 1e-9, reference)
 
 
 def test_pairs_that_seconds_and_operations_order_differently_have_a_reason():
+    import frame
     import ranks
 
-    slow = ranks.Timed("slow", 3e-6, {"method": 90.0, "solves": 10.0})
-    fast = ranks.Timed("fast", 2e-6, {"factorisations": 150.0})
-    near = ranks.Timed("near", 2.5e-6, {"method": 120.0})
-    assert ranks.pairs([fast, near, slow]) == [
-        (slow, fast)
-    ]  # 1.5 by 1.5; 1.2 by 1.2 is less than 2
-    assert ranks.correlation([fast, near, slow]) == pytest.approx(-1)
-    lines = ranks.table("pendulum", [fast, near, slow]).splitlines()
-    assert lines[2] == "| `slow` | 100 | 3.00 | 30.00 |"
-    assert "takes 1.5 times as long as `fast`, which takes 1.5 times as many" in lines[-1]
-    assert "matrices are full" in lines[-1]
+    def row(name, seconds, bill):
+        made = partial(frame.Contestant, name, "", lambda: seconds, 1, np.ones(1), work={})
+        return frame.race("pendulum", [partial(made, bill=bill)], 1)[0]
 
-
-def test_of_the_same_readings_the_least_repeats_where_the_mean_does_not():
-    import widths
-
-    # A run of 1 s, and its readings in six rounds: alone, and with one that is disturbed.
-    quiet, busy = [[[1.0] * 4] * 6], [[[1.0, 1.0, 1.0, 1.0 + 4 * n] for n in range(6)]]
-    assert widths.row("least", (quiet, busy)) == "| least | 0.0 % | 1.00 | 0.0 % | 1.00 |"
-    assert widths.row("mean", (quiet, busy)) == "| mean | 0.0 % | 1.00 | 142.9 % | 3.50 |"
+    slow = row("slow", 3e-6, {"method": 90.0, "solves": 10.0})
+    fast = row("fast", 2e-6, {"factorisations": 150.0})
+    near = row("near", 2.5e-6, {"method": 120.0})
+    # 1.5 by 1.5; 1.2 by 1.2 is less than 2
+    assert ranks.pairs([fast, near, slow]) == [(slow, fast)]
+    said = ranks.comparison([fast, near, slow])
+    assert said.startswith("Rank correlation of seconds and operations: -1.000.")
+    assert "takes 1.5 times as long as `fast`, which takes 1.5 times as many" in said
+    assert "matrices are full" in said
+    assert "| `slow` |  | 1 | 3.00 (3.00) | 0.00 |" in frame.table([slow])

@@ -11,9 +11,7 @@ from collections import Counter
 from functools import cache
 
 import jax
-import numpy as np
 import pytest
-from benchmarks import opponents
 from helpers import forget_programs, long, nothing_compiled
 
 from integrators import Steps, Tolerances
@@ -160,13 +158,3 @@ def test_schemes_steps_and_parameters_compile_nothing_new():
         ):
             again.measure()
             assert again.kernel is run.kernel
-
-
-@pytest.mark.long
-def test_the_yardstick_in_c_solves_the_same_equations():
-    try:
-        c = opponents.c_program()
-    except opponents.NotHere as reason:
-        pytest.skip(str(reason))
-    ours = prepared(SliderCrank(), steps=opponents.STEPS).measure()
-    assert np.abs(c.q - ours.q[-1]).max() < 1e-11

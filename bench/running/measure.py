@@ -267,8 +267,7 @@ def readings(execute: Callable[[], object]) -> list[float]:
 def least_seconds(execute: Callable[[], object]) -> float:
     """Return the processor time of a call in s: a timing sample, the least of its `readings`.
 
-    Other processes make a call longer, never shorter (`tests/benchmarks/widths.py` tells by how
-    much).
+    Other processes make a call longer, never shorter.
     """
     return min(readings(execute))
 

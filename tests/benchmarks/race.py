@@ -1,195 +1,175 @@
-"""Times of our time loop against C, a C++ code, and general-purpose solvers.
+"""Native methods against C, exudyn and other solvers; families of methods; solvers in C and Python.
 
-``make bench`` prints a table and writes it as JSON. Contestants run in turn, round after round, so
-that a disturbance of the machine acts on all alike. A ratio is taken within a round; above 1 we are
-faster. The table has its median and quartiles over the rounds, and the ratio of the least times,
-which is steadier on a busy machine. The times are not checked; the agreement of the results is.
-Operations of our own methods per second stand beside those that one core can do at most.
+``make bench`` prints the tables of docs/performance.md: the same equations by others; every native
+method at the same step, and at the step or tolerance that gives the error of generalized-alpha in a
+(those that take no constraints on a scene without); and solvers of libraries with equations in C
+beside the same through Python.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+import ctypes
+import time
+from functools import partial
+from itertools import product
 
-import msgspec
 import numpy as np
-from exudyn_slider_crank import exudyn_run
-from opponents import (
+from frame import (
     OURS,
     RHO,
     SCENE,
     STEPS,
     T_END,
-    Contestant,
-    NotHere,
-    Peak,
-    c_program,
+    Row,
+    at_constant_steps,
+    contestant,
     equally_accurate,
-    peak,
-    stepbench,
+    native_methods,
+    options,
+    race,
+    table,
+    write,
 )
+from opponents import c_program, exudyn_run, peak
 
 from bench.plugins.registry import Registry
-from bench.results.environment import environment
 from integrators import Steps, Tolerances
+from integrators.adapters.ida import IDA
+from integrators.adapters.packed_functions import in_c
+from integrators.lowering.native import load_c
 from problems.reference import Reference
 from problems.runtime import use_threads
-from problems.scenes.pendulum import Pendulum
-from problems.scenes.spring_mass import SpringMass
+from problems.scenes.car_axis import CarAxis
+from problems.scenes.duffing import Duffing
+from problems.scenes.heavy_top_lie import HeavyTopR3SO3
+from problems.scenes.quarter_car import QuarterCar
+from problems.scenes.slider_crank import SliderCrankMinimal
+from problems.system import MechatronicSystem
 
-#: Steps of the races at equal error in a: a coarse and a fine one.
-_SIZES = (1e-3, 1e-4)
-_PEERS = ("ida", "kvaerno5", "radau")
-#: Methods on small scenes: steps of those at constant ones, and tolerance of the others.
-_SMALL_SCENES, _SMALL_STEPS, _SMALL_RTOL = (SpringMass(), Pendulum()), 20_000, 1e-8
-_METHODS = (
-    *("generalized_alpha", "generalized_alpha[newton=modified]", "hht", "newmark", "wbz"),
-    *("ida", "kvaerno5", "kencarp4"),
+#: One or two methods of each family; `all_native` adds the other native methods.
+MEMBERS = (
+    OURS,
+    "generalized_alpha[formulation=stabilised_index2,rho_inf=0.8,newton=modified]",
+    *(f"{name}[newton=modified]" for name in ("hht_i3", "park", "bdf2", "ali3p")),
+    "bdf2[formulation=stabilised_index2,newton=modified]",
+    "bathe[formulation=index2,newton=modified]",
+    "bathe[formulation=stabilised_index2,newton=modified]",
+    *("rattle", "rattle[newton=modified]", "semi_implicit_euler", "linearly_implicit_euler"),
+    *("half_explicit_euler", "phem56", "rodas5p", "radau_iia[stages=2,newton=modified]"),
+    "radau_iia[formulation=stabilised_index2,newton=modified]",
+    *(f"{name}[newton=modified]" for name in ("energy_momentum", "lobatto_iiia_iiib")),
+    *(f"{name}[newton=modified]" for name in ("bdf_adaptive", "generalized_alpha_adaptive")),
 )
+#: Solvers of other kinds, at equal error.
+PEERS = ("ida", "kvaerno5", "radau")
+#: A scene for methods that take no constraints, and one for those that take rotations alone.
+FREE, LIE = Duffing(), HeavyTopR3SO3()
+#: Steps of generalized-alpha in the races at equal error.
+SIZES = (1e-3, 1e-4)
+#: Solvers of libraries, the first of each with equations in C; scenes and tolerance.
+SOLVERS = (
+    ("ida", "ida[callbacks=python]", "ida[suppress_algebraic=true]", "bdf_adaptive"),
+    ("cvode", "cvode[callbacks=python]"),
+    ("radau", "radau[callbacks=python]"),
+)
+_IN_C, _RTOL = (SCENE, CarAxis(), SliderCrankMinimal(), QuarterCar()), 1e-6
 #: Solutions of the same discrete equations, solved to these tolerances, differ by less.
 _SAME = 1e-6
+_REPEAT = """
+void repeat(long n, void (*f)(void *, void *), void *given, void *out)
+{
+    while (n--)
+        f(given, out);
+}
+"""
 
 
-def present(*makers: Callable[[], Contestant]) -> list[Contestant]:
-    """Those contestants that can run here; of the others it is said why not."""
-    found = []
-    for make in makers:
-        try:
-            found.append(make())
-        except NotHere as reason:
-            print(reason)
-    return found
-
-
-def race(title: str, agreement: str, contestants: list[Contestant], rounds: int) -> list[dict]:
-    """Rows of the contestants, the first of whom is ours."""
-    seconds = np.array([[one.run() for one in contestants] for _ in range(rounds)])
-    ours, rows = contestants[0], []
-    for one, own in zip(contestants, seconds.T, strict=True):
-        ratios = np.quantile(own / seconds[:, 0], [0.5, 0.25, 0.75])
-        done = one.work.get("operations")
-        gap = np.linalg.norm(one.q - ours.q) / np.linalg.norm(ours.q)
-        rows.append(
-            {
-                "race": title,
-                "contestant": one.name,
-                "about": one.about,
-                "steps": one.steps,
-                "seconds": own.tolist(),
-                "work": one.work,
-                "us_per_step": {
-                    "median": 1e6 * float(np.median(own)) / one.steps,
-                    "least": 1e6 * float(own.min()) / one.steps,
-                },
-                "milliseconds": {
-                    "median": 1e3 * float(np.median(own)),
-                    "least": 1e3 * float(own.min()),
-                },
-                "ratio": dict(zip(("median", "low", "high"), map(float, ratios), strict=True))
-                | {"of_least": float(own.min() / seconds[:, 0].min())},
-                "gflops": done and 1e-9 * done / float(np.median(own)),
-                "agreement": {agreement: float(gap if one.error is None else one.error)},
-            }
-        )
-    return rows
-
-
-def same_equations(rounds: int) -> list[dict[str, Any]]:
+def same_equations(rounds: int) -> list[Row]:
     """Index 3, 20 000 steps: everybody solves the same discrete equations."""
-    spec, steps = f"generalized_alpha[rho_inf={RHO:g}]", Steps(T_END / STEPS)
-    contestants = present(
-        lambda: stepbench(OURS, steps),
-        lambda: stepbench(spec, steps),
-        c_program,
-        lambda: exudyn_run("full"),
-        lambda: exudyn_run("modified"),
-    )
-    title = f"the same {STEPS} steps"
-    rows = race(title, "difference of q at the end", contestants, rounds)
+    of = [OURS, f"generalized_alpha[rho_inf={RHO:g}]"]
+    makers = [partial(contestant, spec, Steps(T_END / STEPS)) for spec in of]
+    makers += [c_program, *(partial(exudyn_run, kind) for kind in ("full", "modified"))]
+    rows = race(f"the same {STEPS} steps", makers, rounds)
     for row in rows:
-        (gap,) = row["agreement"].values()
-        if not gap < _SAME:
-            raise SystemExit(f"{row['contestant']} ends elsewhere than {OURS}: by {gap:.1e}.")
+        if not row.get("gap", 0.0) < _SAME:
+            raise SystemExit(f"{row['contestant']} ends elsewhere than {OURS}: by {row['gap']:.1e}")
     return rows
 
 
-def same_error(h: float, rounds: int, reference: Reference) -> list[dict[str, Any]]:
-    """Solvers of other kinds at the tolerance that gives our error in a, within a factor of 2."""
-    ours = stepbench(OURS, Steps(h), reference)
-    peers = [lambda spec=spec: equally_accurate(spec, ours.error, reference) for spec in _PEERS]
-    contestants = [ours, *present(*peers)]
-    return race(f"equal error in a, h={h:g} s", "settled error in a", contestants, rounds)
+def all_native(scene: MechatronicSystem) -> list[str]:
+    """Native methods: those that take the slider crank, or the others that take this scene."""
+    registry = Registry()
+    refused = {name: registry.integrator(name).why_not for name in native_methods()}
+    if scene is SCENE:
+        members = {one.partition("[")[0] for one in MEMBERS}
+        return [*MEMBERS, *(n for n, of in refused.items() if n not in members and not of(SCENE))]
+    others = [one for one in (SCENE, FREE) if one is not scene]
+    taken = (n for n, of in refused.items() if not of(scene) and all(map(of, others)))
+    return [OURS, *taken]
 
 
-def methods(rounds: int) -> list[dict[str, Any]]:
-    """Methods and solvers on small scenes; they solve other discrete equations."""
-    rows = []
-    for scene in _SMALL_SCENES:
-        start, end = scene.interval
-        at = {"step": Steps((end - start) / _SMALL_STEPS), "tolerance": Tolerances(_SMALL_RTOL)}
-        makers = [
-            lambda spec=spec, at=at, scene=scene: stepbench(
-                spec, at[Registry().integrator(spec).controls], scene=scene
-            )
-            for spec in _METHODS
-        ]
-        rows += race(scene.name, "difference of q at the end", present(*makers), rounds)
-    return rows
+def same_step(members: list[str], scene: MechatronicSystem, steps: int, rounds: int) -> list[Row]:
+    """All methods with the same constant steps, and the program in C with its own."""
+    start, end = scene.interval
+    at, reference = Steps((end - start) / steps), Reference(scene, end)
+    makers = [partial(at_constant_steps, one, at, reference, scene) for one in members]
+    makers += [c_program] if scene is SCENE else []
+    return race(f"{scene.name}, the same step, h={at.h:g} s", makers, rounds)
 
 
-def table(rows: list[dict[str, Any]], most: Peak | None = None) -> str:
-    """The rows in Markdown, a table per race; operations beside the most that a core can do."""
-    lines: list[str] = []
-    for k, row in enumerate(rows):
-        ((agreement, gap),) = row["agreement"].items()
-        if k == 0 or row["race"] != rows[k - 1]["race"]:
-            times = "ms | µs/step (least) | its time/ours (quartiles) | of the least"
-            head = f"| {row['race']} | at | {times} | {agreement} | Gflop/s (of the peak) |"
-            lines += ["", head, "|---|---|---:|---:|---:|---:|---:|---:|"]
-        us, ratio = row["us_per_step"], row["ratio"]
-        lines.append(
-            f"| {row['contestant']} | {row['about']} | {row['milliseconds']['median']:.1f} "
-            f"| {us['median']:.2f} ({us['least']:.2f}) "
-            f"| {ratio['median']:.2f} ({ratio['low']:.2f} to {ratio['high']:.2f}) "
-            f"| {ratio['of_least']:.2f} | {gap:.1e} | {_speed(row['gflops'], most)} |"
-        )
-    return "\n".join(lines[1:])
+def same_error(racers: list[str], scene: MechatronicSystem, h: float, rounds: int) -> list[Row]:
+    """All methods at about the error of generalized-alpha in a; its row is the first."""
+    reference = Reference(scene, scene.interval[1])
+    ours = contestant(OURS, Steps(h), reference, scene)
+    assert ours.error is not None
+    others = [one for one in racers if one != OURS]
+    makers = [partial(equally_accurate, one, ours.error, reference) for one in others]
+    return race(f"{scene.name}, equal error in a, h={h:g} s", [lambda: ours, *makers], rounds)
 
 
-def _speed(rate: float | None, most: Peak | None) -> str:
-    if not rate:
-        return ""
-    return f"{rate:.2f}" if most is None else f"{rate:.2f} ({rate / most.wide:.1%})"
+def beside_python(scene: MechatronicSystem, solvers: tuple[str, ...], rounds: int) -> list[Row]:
+    """A library's solver with equations in C, the first, and through Python."""
+    reference, at = Reference(scene, scene.interval[1]), Tolerances(_RTOL)
+    makers = [partial(contestant, one, at, reference, scene) for one in solvers]
+    return race(f"{scene.name}, rtol={_RTOL:g}", makers, rounds)
+
+
+def residual_in_c(scene: MechatronicSystem, count: int = 20_000) -> float:
+    """Seconds of a residual of IDA in C, called by C: the least of some."""
+    run = IDA().prepare(scene, scene.interval[1], Tolerances(_RTOL))
+    given, (residual, _) = np.hstack([run.given.p, *run.given.start]), in_c(run.given.value)
+    places = [ctypes.c_void_p(array.ctypes.data) for array in (given, np.empty(run.given.size))]
+    repeat, taken = load_c(_REPEAT).repeat, []
+    for _ in range(50):
+        started = time.process_time()
+        repeat(ctypes.c_long(count), residual, *places)
+        taken.append((time.process_time() - started) / count)
+    return min(taken)
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    options.add_argument("--output", type=Path, default=Path("stepbench-bench.json"))
-    options.add_argument("--rounds", type=int, default=21, help="samples of each contestant")
-    given = options.parse_args()
-    machine = environment()
-    print(f"{machine.cpu}, {machine.cores} cores, {machine.platform}")
-    most = peak()
+    """Measure, print the tables, write the JSON."""
+    given = options(__doc__, 7, "stepbench-race.json")
+    most, rows = peak(), []
     if most is not None:
-        print(f"The peak of a core: {most.wide:.1f} Gflop/s, {most.single:.1f} by single numbers.")
-    rows = same_equations(given.rounds)
-    reference = Reference(SCENE, T_END)
-    for h in _SIZES:
-        rows += same_error(h, max(3, given.rounds // 4), reference)
-    rows += methods(max(3, given.rounds // 4))
-    print(table(rows, most))
-    record = {
-        "machine": msgspec.to_builtins(machine),
-        "peak_gflops": most and most._asdict(),
-        "rounds": given.rounds,
-        "rows": rows,
-    }
-    given.output.write_text(json.dumps(record, indent=1) + "\n")
-    print(f"\nWritten to {given.output}.")
+        print("The peak of a core: {:.1f} Gflop/s, {:.1f} by single numbers.".format(*most))
+
+    def show(more: list[Row]) -> None:
+        rows.extend(more)
+        print(table(more, most and most[0]), flush=True)
+
+    few = max(3, given.rounds // 2)
+    show(same_equations(3 * given.rounds))
+    for scene in (SCENE, FREE, LIE):
+        show(same_step(all_native(scene), scene, STEPS, given.rounds))
+    for scene, solvers in product(_IN_C, SOLVERS):
+        show(beside_python(scene, solvers, given.rounds))
+    for scene in _IN_C:
+        print(f"{scene.name}: a residual of IDA in C takes {1e6 * residual_in_c(scene):.3f} µs.")
+    for scene, h in product((SCENE, FREE, LIE), SIZES):
+        peers = PEERS if scene is SCENE else ()
+        show(same_error([*all_native(scene), *peers], scene, h, few))
+    write(rows, given.out)
 
 
 if __name__ == "__main__":

@@ -1,144 +1,117 @@
 """Seconds and operations of native methods: do they order the methods of a scene alike?
 
-``make bench`` prints a table for each scene, with time and operations of an attempted step, the
-rank correlation of both, and pairs of methods that they order differently by more than a factor of
-two, each with the reason. Methods take constant steps where they can. Times are the least of
-several runs; they are not checked.
+``make bench`` prints a table for each scene, the rank correlation of time and operations of an
+attempted step, and pairs of methods that they order differently by more than a factor of two, each
+with the reason. Methods take constant steps where they can.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from functools import partial
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
-from opponents import options, timed
+from frame import (
+    Contestant,
+    NotHere,
+    Row,
+    at_constant_steps,
+    contestant,
+    native_methods,
+    options,
+    race,
+    table,
+    write,
+)
+from scipy.stats import spearmanr
 
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
-from integrators.native.step_method import NativeMethod
 from problems.runtime import use_threads
-from problems.spec import SpecError
+from problems.system import MechatronicSystem
 
 #: Scenes: free and constrained, smooth and stiff, with and without a controller.
 SCENES = ("duffing", "pendulum", "car_axis", "slider_crank", "quarter_car")
-STEPS, RTOL, RUNS = 20_000, 1e-9, 9
+STEPS, RTOL = 20_000, 1e-9
 #: Methods beside all native ones with their default options.
-MORE = tuple(
-    f"{name}[newton=modified]" for name in ("generalized_alpha", "rattle", "lobatto_iiia_iiib")
-)
+MORE = [f"{name}[newton=modified]" for name in ("generalized_alpha", "rattle", "lobatto_iiia_iiib")]
 #: Pairs that are ordered differently by more than this factor are listed.
 _APART = 2.0
 
 
-class Timed(NamedTuple):
-    """A method on a scene: time in s and operations of an attempted step, these by part."""
-
-    method: str
-    seconds: float
-    bill: dict[str, float]
-
-    @property
-    def operations(self) -> float:
-        """All operations."""
-        return sum(self.bill.values())
-
-    def share(self, *parts: str) -> float:
-        """Parts of the bill over all of it."""
-        return sum(self.bill.get(part, 0.0) for part in parts) / self.operations
-
-
-def measured(spec: str, scene: str, runs: int) -> Timed | None:
-    """Time a method; None if it does not take the scene, or does not come to the end."""
-    registry = Registry()
-    problem, method = registry.problem(scene), registry.integrator(spec)
-    start, end = problem.interval
-    method = method.at_constant_steps() or method
-    size = Steps((end - start) / STEPS) if method.controls == "step" else Tolerances(RTOL)
+def made(spec: str, scene: MechatronicSystem) -> Contestant:
+    """A method at constant steps, or at a tolerance."""
+    start, end = scene.interval
     try:
-        run = method.prepare(problem, end, size)
-    except SpecError:
-        return None
-    found = run.measure()
-    if found.status != "ok":
-        return None
-    attempts = (found.work.steps or 0) + (found.work.rejected or 0)
-    least = min(timed(run.execute)() for _ in range(runs))
-    bill = {part: value / attempts for part, value in run.bill(found).items()}
-    return Timed(method.spec, least / attempts, bill)
+        return at_constant_steps(spec, Steps((end - start) / STEPS), None, scene)
+    except NotHere as reason:
+        if "no constant steps" not in str(reason):
+            raise
+    return contestant(spec, Tolerances(RTOL), None, scene)
 
 
-def natives() -> list[str]:
-    """All native methods with their default options, and some others."""
-    registry = Registry()
-    methods = map(registry.integrator, registry.integrators)
-    return [*(one.spec for one in methods if isinstance(one, NativeMethod)), *MORE]
+def costs(row: Row) -> tuple[float, float]:
+    """Least seconds and operations of an attempted step."""
+    attempts = row["steps"] + (row["work"].get("rejected") or 0)
+    return min(row["seconds"]) / attempts, row["operations"] / attempts
 
 
-def correlation(found: Sequence[Timed]) -> float:
-    """The rank correlation of seconds and operations (Spearman's)."""
-    from scipy.stats import spearmanr
-
-    return float(spearmanr([one.seconds for one in found], [one.operations for one in found])[0])
-
-
-def pairs(found: Sequence[Timed]) -> list[tuple[Timed, Timed]]:
+def pairs(rows: list[Row]) -> list[tuple[Row, Row]]:
     """Pairs of which the first takes fewer operations and more time, by more than a factor of two
     together."""
-    ordered = [sorted(two, key=lambda one: one.operations) for two in combinations(found, 2)]
-    return [
-        (few, many)
-        for few, many in ordered
-        if few.seconds > many.seconds
-        and few.seconds * many.operations > _APART * many.seconds * few.operations
-    ]
+    ordered = [sorted(two, key=lambda row: costs(row)[1]) for two in combinations(rows, 2)]
+    found = []
+    for few, many in ordered:
+        (slow, little), (fast, much) = costs(few), costs(many)
+        if slow > fast and slow * much > _APART * fast * little:
+            found.append((few, many))
+    return found
 
 
-def reason(slow: Timed, fast: Timed) -> str:
+def reason(slow: Row, fast: Row) -> str:
     """Why an operation of one method takes longer than one of another."""
-    if "newton=modified" in slow.method:
+
+    def more(one: Row, other: Row, *parts: str) -> bool:
+        shares = [sum(r["bill"].get(p, 0.0) for p in parts) / r["operations"] for r in (one, other)]
+        return shares[0] - shares[1] > 0.1
+
+    if "newton=modified" in slow["contestant"]:
         return "beside choices and branches, which are free, it does few operations by old tangents"
-    if slow.share("inner solves") - fast.share("inner solves") > 0.1:
+    if more(slow, fast, "inner solves"):
         return "it solves the equations of motion in each evaluation, with a search for pivots"
-    if fast.share("factorisations", "solves") - slow.share("factorisations", "solves") > 0.1:
+    if more(fast, slow, "factorisations", "solves"):
         return "the other's matrices are full, and go several numbers in an instruction"
-    if fast.share("Jacobians") - slow.share("Jacobians") > 0.1:
+    if more(fast, slow, "Jacobians"):
         return "the other's products with the tangent do not wait for each other"
     return "its vectors are short, and each operation waits for the one before"
 
 
-def row(one: Timed) -> str:
-    """A method in the table."""
-    speed = 1e9 * one.seconds / one.operations
-    return f"| `{one.method}` | {one.operations:.0f} | {1e6 * one.seconds:.2f} | {speed:.2f} |"
-
-
-def table(scene: str, found: Sequence[Timed]) -> str:
-    """Methods from few to many operations, the correlation, and the pairs."""
-    head = f"| {scene}: method | operations/step | µs/step | ns/operation |"
-    lines = [head, "|---|---:|---:|---:|", *map(row, sorted(found, key=lambda one: one.operations))]
-    lines += ["", f"Rank correlation of seconds and operations: {correlation(found):.3f}.", ""]
-    for few, many in pairs(found):
-        time, work = few.seconds / many.seconds, many.operations / few.operations
+def comparison(rows: list[Row]) -> str:
+    """The rank correlation (Spearman's) of seconds and operations, and the pairs."""
+    seconds, operations = zip(*map(costs, rows), strict=True)
+    found: Any = spearmanr(seconds, operations)[0]
+    lines = [f"Rank correlation of seconds and operations: {found:.3f}.", ""]
+    for few, many in pairs(rows):
+        (slow, little), (fast, much) = costs(few), costs(many)
         lines.append(
-            f"- `{few.method}` takes {time:.1f} times as long as `{many.method}`, which takes "
-            f"{work:.1f} times as many operations: {reason(few, many)}."
+            f"- `{few['contestant']}` takes {slow / fast:.1f} times as long as "
+            f"`{many['contestant']}`, which takes {much / little:.1f} times as many operations: "
+            f"{reason(few, many)}."
         )
     return "\n".join([*lines, ""])
 
 
 def main() -> None:
     """Measure, print the tables, write the JSON."""
-    given = options(__doc__, RUNS, "stepbench-ranks.json")
-    rows: dict[str, list[dict[str, Any]]] = {}
-    for scene in SCENES:
-        tried = (measured(one, scene, given.rounds) for one in natives())
-        found = [one for one in tried if one]
-        print(table(scene, found), flush=True)
-        rows[scene] = [one._asdict() for one in found]
-        given.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    print(f"Written to {given.out}.")
+    given, rows = options(__doc__, 9, "stepbench-ranks.json"), []
+    for name in SCENES:
+        scene = Registry().problem(name)
+        found = race(name, [partial(made, s, scene) for s in (*native_methods(), *MORE)],
+                     given.rounds)  # fmt: skip
+        found = [row for row in found if "left_out" not in row]
+        print(table(found), comparison(found), sep="\n", flush=True)
+        rows += found
+    write(rows, given.out)
 
 
 if __name__ == "__main__":

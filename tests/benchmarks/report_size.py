@@ -1,9 +1,6 @@
-"""Sizes of a large report's pages, and the time to write and to draw them.
+"""Sizes of a large report's pages: 18 scenes with 50 methods and 20 runs each.
 
-    python tests/benchmarks/report_size.py [FOLDER]
-
-It plants 18 scenes with 50 methods and 20 runs each, writes the report, and opens the front page
-and a scene's page in Chromium.
+python tests/benchmarks/report_size.py [FOLDER]
 """
 
 from __future__ import annotations
@@ -14,7 +11,6 @@ import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from chromium import chromium
 from planted import curves, planted
 
 from bench.results.records import Plan, SceneRecord
@@ -67,21 +63,8 @@ def plant_many(folder: Path) -> Path:
     return folder
 
 
-def drawn(page: Path) -> tuple[float, list[str]]:
-    """Seconds from the start of the navigation until the first drawing is done, and complaints."""
-    with chromium() as driver:
-        driver.get(page.as_uri())
-        time.sleep(1.0)
-        ready = driver.execute_script(
-            "const [visit] = performance.getEntriesByType('navigation');"
-            "return Math.max(visit.domContentLoadedEventEnd,"
-            " ...performance.getEntriesByType('paint').map(entry => entry.startTime))"
-        )
-        return ready / 1e3, [entry["message"] for entry in driver.get_log("browser")]
-
-
 def main() -> None:
-    """Plant, write, open, and print."""
+    """Plant, write, and print."""
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
     if not (folder / "stepbench.sqlite").exists():
         plant_many(folder)
@@ -89,12 +72,8 @@ def main() -> None:
     front = write_html_report(folder)
     print(f"written in {time.perf_counter() - start:.1f} s: {SCENES} x {METHODS * RUNS} runs")
     rest = folder / FOLDER
-    scene = rest / "scene-scene_1.html"
-    for file in (front, *rest.glob("data-*.js"), scene):
+    for file in (front, *rest.glob("data-*.js"), rest / "scene-scene_1.html"):
         print(f"{file.stat().st_size / 1e3:10.0f} kB  {file.name}")
-    for page in (front, scene):
-        seconds, complaints = drawn(page)
-        print(f"{seconds:10.2f} s   until {page.name} is drawn", *complaints, sep="\n")
 
 
 if __name__ == "__main__":
