@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from chromium import chromium, waited
+from chromium import chromium
 
 from bench.results.demands import overviews
 from bench.results.store import Store
@@ -41,7 +41,6 @@ def main() -> None:
     page.write_text(f"{page.read_text().partition(TIMES)[0]}{TIMES}\n\n{times}\n")
     with chromium("window-size=1400,1120") as page:
         page.get((full.absolute() / "report.html").as_uri())
-        waited(lambda: page.execute_script("return stepbench.data.complete"))
         page.save_screenshot(str(DOCS / "report.png"))
 
 

@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 from bench.results.quantities import NORMS
@@ -198,6 +199,12 @@ def whole_report(folder: Path) -> str:
     others = sorted((folder / "report").glob("*.html"))
     files = dict.fromkeys([*named, *(f"report/{file.name}" for file in others)])
     return first + "".join((folder / file).read_text(encoding="utf-8") for file in files)
+
+
+def page_data(folder: Path) -> dict[str, Any]:
+    """The data of a report's scripts."""
+    text = (folder / "report" / "data.js").read_text(encoding="utf-8")
+    return json.loads(text.partition("stepbenchData = ")[2].rstrip(";\n"))
 
 
 def whole_markdown(folder: Path) -> str:

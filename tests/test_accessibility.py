@@ -57,7 +57,6 @@ def visit(browser, page, scheme="light"):
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": seen})
     browser.get("about:blank")
     browser.get(page.as_uri())
-    waited(lambda: browser.execute_script("return window.stepbench?.data.complete ?? true"))
     # Charts are drawn when they come into sight, or all of them to be printed.
     browser.execute_script("window.dispatchEvent(new Event('beforeprint'))")
     waited(lambda: browser.execute_script(DRAWN))

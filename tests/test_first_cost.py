@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import re
 import shlex
 from pathlib import Path
 
 import pytest
 from chromium import waited
-from planted import STEPS, plant, planted
+from planted import STEPS, page_data, plant, planted
 from small_stores import a_record
 
 from bench.results.records import Environment
@@ -109,11 +107,6 @@ def test_times_of_two_machines_or_clocks_rank_nothing(other, cost):
     assert repeatability(records, places).cost == cost
 
 
-def first_of(folder: Path) -> dict:
-    text = (folder / "report.html").read_text(encoding="utf-8")
-    return json.loads(re.search(r'id="stepbench-data"[^>]*>(.*?)</script>', text, re.S).group(1))
-
-
 @pytest.mark.parametrize("name", COSTS)
 def test_page_markdown_and_terminal_take_the_same_cost_first(folders, name):
     folder, cost = folders[name], COSTS[name]
@@ -123,9 +116,9 @@ def test_page_markdown_and_terminal_take_the_same_cost_first(folders, name):
     found = report.answer
     assert found.question == stored_runs(folder).first == Question("a", 1e-4, cost)
     beside = "operations" if cost == "seconds" else "seconds"
-    data = first_of(folder)
+    data = page_data(folder)
     assert data["first"]["cost"] == cost
-    assert list(data["answers"]) == [f"a|max|{cost}", f"a|max|{beside}"]
+    assert {f"a|max|{cost}", f"a|max|{beside}"} <= {*data["answers"]}
     one, two = (plain(s) for s in headlines(report.answered, report.words))
     assert one == f"{least[cost]}: {winner} is cheapest on the scene."
     assert two == f"{least[beside]}: {other} is cheapest on the scene."
@@ -170,7 +163,6 @@ def test_an_address_that_names_a_cost_wins_over_the_first_question(browser, fold
     for fragment, cost in (("", "seconds"), ("#cost=operations", "operations")):
         browser.get("about:blank")
         browser.get((folders["quiet"] / "report.html").as_uri() + fragment)
-        waited(lambda: browser.execute_script("return stepbench.data.complete"))
         assert browser.execute_script("return document.forms.question.cost.value") == cost
         said = browser.execute_script("return document.getElementById('answer').textContent")
         beside = {"seconds": "Fewest operations: lean", "operations": "Least time: swift"}

@@ -16,7 +16,6 @@ from reports.pages.html_report import write_html_report
 def visit(page, folder, fragment=""):
     page.get("about:blank")
     page.get((folder / "report.html").as_uri() + fragment)
-    waited(lambda: page.execute_script("return stepbench.data.complete"))
     assert page.get_log("browser") == []
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 import time
 from pathlib import Path
 
@@ -172,28 +171,6 @@ def test_a_run_that_left_no_finite_numbers_still_makes_a_page(tmp_path: Path) ->
         assert store.rows(wild.key) == Rows(t=[0.0], values={"q": [[1.0, 0.0]]})
     text = whole_markdown(write_markdown_report(tmp_path).parent)
     assert "Some errors of runs that reached the end are not finite" in text
-
-
-def test_a_run_adds_its_error_and_both_costs_to_the_first_page(tmp_path):
-    def size(runs):
-        held = {"q": (1.0, 2), "a": (3.0, 2)}
-        records = [
-            planted("pendulum", f"m[rho_inf={m / 10}]", held, h=0.1 / 1.4**k)
-            for m in range(8)
-            for k in range(runs)
-        ]
-        folder = plant(tmp_path / str(runs), records, samples=1, plan=False)
-        return write_html_report(folder).stat().st_size
-
-    assert 9 <= (size(22) - size(12)) / (8 * 10) < 10
-
-
-@pytest.mark.long
-def test_a_large_report_opens_with_little(tmp_path):
-    sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
-    from report_size import plant_many
-
-    assert 200_000 < write_html_report(plant_many(tmp_path)).stat().st_size < 300_000
 
 
 @pytest.mark.parametrize("records", [list, failed_only, some])

@@ -68,9 +68,8 @@ def write_page(
         home=home,
         contents=[*report, *([("On this page", links)] if links else [])],
         pages=[page],
-        data=None,
+        single=True,
         programs=programs,
-        library="",
     )
     put(folder / page.file, text)
     return folder / page.file

@@ -34,7 +34,7 @@ def html(
     assets: str | None = None,
     address: Callable[[str], str] | None = None,
     names: Mapping[str, tuple[str, str]] = MappingProxyType({}),
-    linked: bool = False,
+    made: Mapping[str, str] = MappingProxyType({}),
     **values: object,
 ) -> str:
     """Fill in a template of HTML; all values are escaped.
@@ -52,10 +52,10 @@ def html(
     address
         Gives the address of an anchor, on another page of a report, too; None for a page without a
         glossary, whose anchors are its own.
-    linked
-        Whether a page that holds its scripts links others of its own site, too.
     names
         Anchors and short names of integrators and scenes, which stand for them in tables.
+    made
+        Scripts by name that are no files of assets.
     **values
         For the template.
     """
@@ -70,7 +70,7 @@ def html(
     def program(file: str) -> Markup:
         """A script of the folder of assets."""
         if assets is None:
-            return script(lambda: asset(file))
+            return script(lambda: made.get(file) or asset(file))
         return Markup(f'<script src="{escape(assets)}{file}" defer></script>')
 
     def style(file: str) -> Markup:
@@ -90,7 +90,7 @@ def html(
         prose=_prose(address) if address else _doi,
         **values,
     )
-    own = ["'self'"] if linked or assets is not None else []
+    own = [] if assets is None else ["'self'"]
     policy = {
         "default-src": "'none'",
         "script-src": " ".join([*own, *digests]) or "'none'",

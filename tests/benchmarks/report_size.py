@@ -72,7 +72,7 @@ def main() -> None:
     front = write_html_report(folder)
     print(f"written in {time.perf_counter() - start:.1f} s: {SCENES} x {METHODS * RUNS} runs")
     rest = folder / FOLDER
-    for file in (front, *rest.glob("data-*.js"), rest / "scene-scene_1.html"):
+    for file in (front, rest / "data.js", rest / "scene-scene_1.html"):
         print(f"{file.stat().st_size / 1e3:10.0f} kB  {file.name}")
 
 

@@ -28,15 +28,14 @@
     };
   };
 
-  // The answers on the scenes, null where none can be judged; nothing until the data are here.
-  let known = new Map(), of = null;
+  // The answers on the scenes, null where none can be judged.
+  const known = new Map();
   stepbench.answer = (question = stepbench.question) => {
-    if (of !== data.answers) [known, of] = [new Map(), data.answers];
     const key = [question.group, question.norm, question.cost].join("|"), whole = `${key}|${question.target}`;
-    if (data.answers[key] && !known.has(whole)) known.set(whole, data.answers[key].map((at, index) => onScene(index, at, question)));
+    if (!known.has(whole)) known.set(whole, data.answers[key].map((at, index) => onScene(index, at, question)));
     return known.get(whole);
   };
-  const judged = (question) => stepbench.chosen().map((k) => stepbench.answer(question)?.[k]).filter(Boolean);
+  const judged = (question) => stepbench.chosen().map((k) => stepbench.answer(question)[k]).filter(Boolean);
 
   // Rows of methods: on how many scenes each is the cheapest alone, or tied, reaches it, was tried.
   stepbench.standings = (question) => {

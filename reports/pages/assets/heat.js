@@ -32,7 +32,7 @@
   };
 
   const cell = (method, index, answer) => {
-    const scene = data.scenes[index], own = answer?.[index];
+    const scene = data.scenes[index], own = answer[index];
     const tried = data.runs_of[index].some((runs) => data.methods[runs.method] === method);
     const known = own?.states[data.methods.indexOf(method)] ?? (tried && !own ? "unjudged" : "untried");
     const reached = Array.isArray(known), state = reached ? "reached" : known, [ratio, k, cost] = reached ? known : [];

@@ -36,7 +36,7 @@
   const pointsOf = (scene, { group, cost }) => data.runs_of[scene].map((runs) => {
     const errors = stepbench.columnOf(runs, group), costs = stepbench.columnOf(runs, cost);
     const points = [];
-    for (let k = 0; k < stepbench.countOf(runs); k++) {
+    for (let k = 0; k < runs.resolutions.length; k++) {
       const ending = stepbench.endingOf(runs, k);
       if (!data.not_tried.includes(ending)) points.push({
         k, ending, failed: ending !== "ok", resolution: stepbench.resolutionOf(runs, k),
@@ -271,7 +271,7 @@
     const curves = pointsOf(index, question), narrow = large && wide < 560, names = large && !narrow;
     const fits = narrow ? { ...size, right: 14, left: 50, high: 380 }
       : names ? { ...size, right: 26 + stepbench.room(curves.filter((c) => c.points.some((o) => o.error > 0 && o.cost > 0)).map((c) => c.method.short)) } : size;
-    const answer = stepbench.answer()?.[index], floor = stepbench.floor(index);
+    const answer = stepbench.answer()[index], floor = stepbench.floor(index);
     const at = layoutOf(curves, fits, wide, question, floor);
     const chart = svg("svg", {
       class: `plot${large ? " large" : ""}${question.highlight ? " field" : ""}${curves.length > 16 ? " many" : ""}`,

@@ -15,7 +15,7 @@
     const families = menu.value === "families", own = new Map();
     let pairs = 0;
     for (const target of data.targets.filter((text) => text.startsWith("1e"))) for (const k of stepbench.chosen()) {
-      const scene = stepbench.answer({ ...question, target })?.[k], best = new Map();
+      const scene = stepbench.answer({ ...question, target })[k], best = new Map();
       if (!scene?.several) continue;
       pairs += 1;
       for (const m of scene.order) {

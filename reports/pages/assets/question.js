@@ -1,59 +1,24 @@
 // The question of the page: its bar, its place in the address, and whoever follows it.
 "use strict";
 (() => {
-  const ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_";
-  const VALUES = new Map([...ALPHABET].map((letter, k) => [letter, k]));
   const NAMES = ["group", "target", "norm", "cost", "scenes", "highlight"];
   const bar = document.getElementById("question");
   const followers = [];
-  const decoded = new Map();
-  const source = document.getElementById("stepbench-data");
-  const data = JSON.parse(source.textContent);
-  data.root = source.dataset.root || "";
-  data.complete = !source.dataset.more;
-  const single = source.dataset.single !== undefined;
+  const data = window.stepbenchData;
+  const single = "single" in document.body.dataset, root = document.body.dataset.page === "front" ? "report/" : "";
 
-  // A run of a method on a scene is a list.
-  const named = (scenes) => scenes.map((own) => own.map(
-    ([method, at, columns, endings, status]) => ({ method, at, columns, endings, status })));
-  data.runs_of = named(data.runs_of);
-
-  // Numbers of a column, so many characters each; NaN for none.
-  const numbers = (text, letters) => {
-    const found = new Float64Array(text.length / letters), none = "-".repeat(letters);
-    for (let k = 0; k < found.length; k++) {
-      const part = text.slice(letters * k, letters * (k + 1));
-      let bits = 0;
-      for (const letter of part) bits = 64 * bits + VALUES.get(letter);
-      // A fourth character that was left out is taken as its middle.
-      if (letters === 3) bits = 64 * bits + 31.5;
-      found[k] = part === none ? NaN : 10 ** (80 * bits / (2 ** 24 - 1) - 40);
-    }
-    return found;
+  // The numbers of a column for the runs of one method on one scene, NaN for none: a cost, or errors
+  // in the norm that is asked for; nothing if no run has one.
+  const columnOf = (runs, name) => {
+    const own = name in data.cost_names || stepbench.question.norm === data.first.norm;
+    const k = data.columns.indexOf(own ? name : `${name}|${stepbench.question.norm}`);
+    return k < 0 ? null : runs.resolutions.map((_, run) => runs.columns[k]?.[run] ?? NaN);
   };
-
-  const decode = (text, letters = 4) => {
-    const key = letters + text;
-    if (!decoded.has(key)) decoded.set(key, numbers(text, letters));
-    return decoded.get(key);
-  };
-  // How many runs a method has on a scene.
-  const countOf = (runs) => data.resolutions[runs.at].replace(/^(h|rtol)/, "").length / 4;
-  const stored = (runs, name) => {
-    const k = data.columns.indexOf(name);
-    if (k < 0) return null;
-    return runs.columns[k] ? decode(runs.columns[k], data.letters) : new Float64Array(countOf(runs)).fill(NaN);
-  };
-  // The numbers of a column for the runs of one method on one scene, if the page has them: a cost,
-  // or errors in the norm that is asked for.
-  const columnOf = (runs, name) =>
-    stored(runs, name in data.cost_names || stepbench.question.norm === data.first.norm ? name : `${name}|${stepbench.question.norm}`);
-  const endingOf = (runs, k) => runs.endings ? runs.endings[runs.status[k]] : "ok";
+  const endingOf = (runs, k) => runs.endings?.[k] ?? "ok";
   // The step or tolerance of a run in words.
   const resolutionOf = (runs, k, digits = 4) => {
-    const [, control, text] = data.resolutions[runs.at].match(/^(h|rtol)(.*)$/);
-    const value = Number(decode(text)[k].toPrecision(digits));
-    return `${control}=${value < 1e-3 ? value.toExponential() : value}`;
+    const value = Number(runs.resolutions[k].toPrecision(digits));
+    return `${runs.control}=${value < 1e-3 ? value.toExponential() : value}`;
   };
 
   // The next accuracy that is no larger, of those that can be asked for; nothing if there is none.
@@ -90,18 +55,13 @@
     "#" + new URLSearchParams(told(question).map((name) => [name, question[name]]));
 
   const stepbench = {
-    data, columnOf, countOf, endingOf, resolutionOf, address,
+    data, columnOf, endingOf, resolutionOf, address,
     question: asked(),
-    // Call a function with the question, now and whenever it or the data change: soon if it
-    // draws in a place that is out of sight.
+    // Call a function with the question, now and whenever it changes: soon if it draws in a place
+    // that is out of sight.
     onChange(draw, place) {
       followers.push({ draw, place });
       draw(stepbench.question);
-    },
-    // Take in the data of all other questions.
-    more(rest) {
-      Object.assign(data, rest, { runs_of: named(rest.runs_of), complete: true });
-      follow();
     },
     ask(change) {
       history.replaceState(null, "", address({ ...stepbench.question, ...change }));
@@ -119,7 +79,7 @@
       (parts) => stepbench.html("p", { class: "wrong" }, ...parts.map(stepbench.part))),
     chosen: () => data.filters.find((filter) => filter.id === stepbench.question.scenes).scenes,
     // The address of a page; one file that holds all pages has anchors instead.
-    page: (file) => single ? "#" + encodeURI(file.split("#")[1] || file.replace(/\.html$/, "")) : data.root + encodeURI(file) + (file.includes("#") ? "" : address()),
+    page: (file) => single ? "#" + encodeURI(file.split("#")[1] || file.replace(/\.html$/, "")) : root + encodeURI(file) + (file.includes("#") ? "" : address()),
     // Whether the question is about constraints; methods hold them up to the rounding of Φ.
     violation: ({ group }) => group.startsWith("constraint"),
     costName: (question = stepbench.question) => data.cost_names[question.cost],
@@ -186,14 +146,5 @@
   window.addEventListener("hashchange", () => {
     const said = new URLSearchParams(location.hash.slice(1));
     if (NAMES.some((name) => said.has(name))) follow();
-  });
-
-  // The data of the other questions come after the first drawing.
-  window.addEventListener("load", () => {
-    const place = source.dataset.more;
-    if (!place) return;
-    const script = document.createElement("script");
-    script.src = place;
-    requestAnimationFrame(() => setTimeout(() => document.body.append(script)));
   });
 })();

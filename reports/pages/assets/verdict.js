@@ -38,7 +38,7 @@
   const joined = (items, by = " and ") => items.flatMap((item, k) => [...(k ? [k < items.length - 1 ? ", " : by] : []), ...item]);
   // 'A (100 at h=0.1) and B (105 at h=0.2) tie; next: C, 2 times', as reports/questions/verdict.py says it.
   stepbench.verdict = (scene, question = stepbench.question) => {
-    const own = stepbench.answer(question)?.[scene];
+    const own = stepbench.answer(question)[scene];
     if (!own) return [stepbench.unjudged(scene, question)];
     if (!own.first.length) {
       const near = nearest(scene, question), at = near && ` (${stepbench.number(near.error)} at ${stepbench.resolutionOf(runsOf(scene, near.index), near.k)}).`;
@@ -59,7 +59,7 @@
   // A command that repeats the run of the verdict, or else the one that came nearest.
   const quoted = (word) => /[^\w@%+=:,./-]/.test(word) ? `'${word}'` : word;
   for (const place of document.querySelectorAll("[data-try]")) stepbench.onChange((question) => {
-    const scene = Number(place.dataset.try), own = stepbench.answer()?.[scene];
+    const scene = Number(place.dataset.try), own = stepbench.answer()[scene];
     const best = winner(own), chosen = best || nearest(scene, question);
     const note = place.closest("section").querySelector(".note"), even = chosen && !/ x [\d./]+$/.test(data.methods[chosen.index].label);
     place.closest("section").hidden = !even;
@@ -74,7 +74,7 @@
   });
 
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
-    const scene = Number(place.dataset.verdict), aim = stepbench.answer()?.[scene] ? [`To ${question.target} in ${data.group_names[question.group]}: `] : [];
+    const scene = Number(place.dataset.verdict), aim = stepbench.answer()[scene] ? [`To ${question.target} in ${data.group_names[question.group]}: `] : [];
     const verdict = [...aim, ...stepbench.verdict(scene, question)].map(stepbench.part);
     place.replaceChildren(html("p", {}, ...verdict), ...stepbench.wrong("scenes", place.dataset.verdict));
   });
@@ -87,7 +87,7 @@
     const form = held ? [html("td", {}, method.form)] : [];
     if (!Array.isArray(state)) {
       const runs = runsOf(scene, index), near = state === "far" && nearest(scene, question, index);
-      const tried = near ? ` down to ${stepbench.resolutionOf(runs, stepbench.countOf(runs) - 1)}; least error: ${stepbench.number(near.error)}` : "";
+      const tried = near ? ` down to ${stepbench.resolutionOf(runs, runs.resolutions.length - 1)}; least error: ${stepbench.number(near.error)}` : "";
       return html("tr", { class: "out" }, head, ...form, html("td", { colspan: 3 + held }, STATES[state] + tried));
     }
     const [multiple, k, cost] = state, runs = runsOf(scene, index), error = stepbench.columnOf(runs, question.group)[k];
@@ -99,7 +99,7 @@
       html("td", {}, stepbench.number(error)), ...violation);
   };
   for (const table of document.querySelectorAll("[data-methods]")) stepbench.onChange((question) => {
-    const scene = Number(table.dataset.methods), states = stepbench.answer()?.[scene]?.states || [];
+    const scene = Number(table.dataset.methods), states = stepbench.answer()[scene]?.states || [];
     const multiple = ([, state]) => Array.isArray(state) ? state[0] : Infinity;
     const found = Object.entries(states).filter(([, state]) => state !== null).sort((one, two) => multiple(one) - multiple(two) || 0);
     table.closest("section").hidden = !found.length;
