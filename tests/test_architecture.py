@@ -35,10 +35,10 @@ LAYERS = [
     {"bench.running"},
     {"bench.sweeps", "bench.stability"},
     {"bench.check", "bench.atlas"},
+    {"reports"},
     {"bench.commands"},
     {"bench.notebook"},
     {"bench.__main__"},
-    {"reports"},
 ]
 LEVEL = {folder: level for level, folders in enumerate(LAYERS) for folder in folders}
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import re
 import subprocess
 import sys
 import webbrowser
@@ -15,7 +14,7 @@ import pytest
 from small_stores import a_record
 
 from bench.commands import results
-from bench.commands.main import _GONE, main
+from bench.commands.main import main
 from bench.commands.single_runs import _end_values
 from bench.results.records import Rows
 from bench.results.store import Store
@@ -235,14 +234,6 @@ def test_an_added_integrator_goes_into_the_first_study_of_a_scene_alone():
     assert sum("newmark" in key for key in first.cells) == 6
     assert not any("newmark" in key for key in second.cells)
     assert all("index3" in key for key in second.cells)
-
-
-def test_a_command_that_went_names_the_new_one(refused):
-    for name in _GONE:
-        told = refused(name, "--help")
-        assert told.startswith(f"Error: The command {name} is ")
-        assert name not in main.commands
-        assert set(re.findall(r"stepbench (\S+)", told)) <= set(main.commands)
 
 
 def test_report_shows_its_page_in_the_browser(refused, stepbench, tmp_path, monkeypatch):

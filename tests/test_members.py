@@ -148,19 +148,15 @@ def test_what_is_run_so_far_is_told_when_the_command_is_ended(asked):
     assert interrupts._remark == []
 
 
-def test_a_worker_gets_parts_in_groups_and_a_gpu_large_ones(asked, monkeypatch):
-    runner = Here()
-    run_members(runner, asked, Sources(), 2)
-    assert runner.sizes == [2, 1]
+def test_a_cluster_gets_parts_in_groups_that_all_its_threads_share_and_a_gpu_large_ones(
+    asked, monkeypatch
+):
     assert parts_of(COUNT) == [(0, 13), (13, 13), (26, 14)]
     monkeypatch.setenv("JAX_PLATFORMS", "cuda")
     assert parts_of(100_000) == [(0, 50_000), (50_000, 50_000)]
-
-
-@pytest.mark.parametrize(("count", "together"), [(1, 1), (15, 1), (16, 2), (1000, 16)])
-def test_a_cluster_gets_groups_that_all_its_threads_share(count, together):
     pair = SimpleNamespace(_client=SimpleNamespace(nthreads=lambda: {"a": 1, "b": 1}))
-    assert ClusterRunner.together(pair, count) == together
+    for count, together in (1, 1), (15, 1), (16, 2), (1000, 16):
+        assert ClusterRunner.together(pair, count) == together
 
 
 def test_jax_computes_with_64_bits_or_the_ensemble_is_refused(asked, monkeypatch):

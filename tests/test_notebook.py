@@ -122,7 +122,7 @@ def answered(monkeypatch):
         (result,), names = solve_cells([cell], registry, request.samples)
         return result, names
 
-    monkeypatch.setattr("bench.notebook.functions.run_one", run_one)
+    monkeypatch.setattr("bench.notebook.run_one", run_one)
     monkeypatch.setattr("bench.running.session.solve_cells", solve_cells)
     return asked
 

@@ -11,9 +11,16 @@ import pytest
 from helpers import long
 
 from bench.plugins.registry import Registry
-from bench.results.realtime import RealTimeRun, realtime_sentence, realtime_tables, times_of
 from bench.results.table import NO_VALUE
-from bench.running.realtime import realtime_job, stepping, timed
+from bench.running.realtime import (
+    RealTimeRun,
+    realtime_job,
+    realtime_sentence,
+    realtime_tables,
+    stepping,
+    timed,
+    times_of,
+)
 from bench.running.worker import Worker
 from integrators.native.single_step import SingleStep
 from integrators.resolutions import Steps

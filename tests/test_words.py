@@ -171,13 +171,12 @@ def test_mine_is_run_reported_and_told(stepbench, monkeypatch, tmp_path):
         asked.append(suite.plan.mine)
         return Outcome([ended("ok")], 1, [], ())
 
-    def view(name):
-        assert name == "method_card"
-        return lambda folder, integrator: [f"{integrator or 'All'} wins in {folder.name}."]
+    def card(folder, integrator):
+        return [f"{integrator or 'All'} wins in {folder.name}."]
 
     monkeypatch.setattr("bench.commands.suite.run_suite", run_suite)
     monkeypatch.setattr("bench.commands.suite.write_reports", lambda folder: None)
-    monkeypatch.setattr("bench.commands.suite.view", view)
+    monkeypatch.setattr("reports.questions.method_card.method_card", card)
     result = stepbench("run", "--mine", "wbz", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert asked == ["wbz[rho_inf=0.8]"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,10 +11,11 @@ import click
 import msgspec
 
 from bench.commands import completion, options
-from bench.commands.pages import view
+from bench.commands.options import BUDGET_S, Given
 from bench.plugins.facts import SceneFacts
 from bench.plugins.registry import Plugin
 from bench.results.table import Table
+from bench.running.inventory import Inventory
 from bench.running.profiles import built_in_profiles, read_profile, suite_titles
 from problems.spec import SpecError, split_spec, suggest
 
@@ -27,29 +27,16 @@ _ALL_OF = {kind: [kind] for kind in WORDS} | {"scenes": ["problems"], "all": [*W
 _LONGEST_NAME = 40
 
 
-@click.command("list")
-@click.argument("names", nargs=-1, metavar="[KIND|NAME]...", shell_complete=completion.everything)
-@click.option("--draw", is_flag=True, help="Write pages of these scenes, or of all.")
-@click.option(
-    "--out",
-    type=options.PathName("folder"),
-    help="Folder of the pages; stepbench-catalogue if not given.",
+@options.command(
+    "list",
+    options.argument("names", "[KIND|NAME]...", nargs=-1, shell_complete=completion.everything),
+    options.option("--draw", is_flag=True, help="Write pages of these scenes, or of all."),
+    options.folder("Folder of the pages.", "stepbench-catalogue"),
+    *options.SET,
+    options.PLUGINS,
+    options.JSON,
 )
-@options.with_given_budget(
-    "Processor time in s after which a page's scene is given up; 300 if not given."
-)
-@options.with_set
-@options.with_plugins
-@options.with_as_json
-def list_(
-    names: tuple[str, ...],
-    draw: bool,
-    out: Path | None,
-    budget: float | None,
-    settings: dict[str, str],
-    plugins: tuple[str, ...],
-    as_json: bool,
-) -> None:
+def list_(o: Given) -> None:
     """List scenes, integrators and suites.
 
     Each has a line; one that is not available has a reason. KIND is scenes, integrators or suites.
@@ -67,34 +54,32 @@ def list_(
       stepbench list --draw
       stepbench list pendulum car_axis --draw --out mechanisms
     """
-    registry = options.usable_registry(plugins) if draw else options.inventory(plugins)
+    registry = options.usable_registry(o.plugins) if o.draw else Inventory(o.plugins)
     every = {kind: getattr(registry, kind, built_in_profiles()) for kind in WORDS}
-    whole, named = _chosen(names or (("scenes",) if draw else ("all",)), every)
-    if settings:
+    whole, named = _chosen(o.names or (("scenes",) if o.draw else ("all",)), every)
+    if o.settings:
         if whole or not named["problems"]:
             raise SpecError("--set belongs to scenes: name one.")
         every["problems"] = {
-            name: _at(plugin, registry.problem(name, **settings).spec)
+            name: _at(plugin, registry.problem(name, **o.settings).spec)
             for name, plugin in every["problems"].items()
             if name in named["problems"]
         }
-    if draw:
-        if as_json or any(kind != "problems" for kind in (*whole, *(k for k in named if named[k]))):
+    if o.draw:
+        if o.as_json or any(k != "problems" for k in (*whole, *filter(named.get, named))):
             raise SpecError(
                 "--draw writes pages of scenes alone; name scenes, and leave out --json."
             )
         usable = [name for name, plugin in registry.problems.items() if not plugin.reason]
         scenes = usable if whole else named["problems"]
-        drawn = [registry.problem(name, **settings) for name in scenes]
-        _draw(drawn, budget or 300.0, out or Path("stepbench-catalogue"))
+        _draw([registry.problem(name, **o.settings) for name in scenes], o.out)
         return
-    options.refuse("goes with --draw.", out=out, budget=budget)
-    if as_json:
+    options.refuse("goes with --draw.", "out")
+    if o.as_json:
         told = {kind: every[kind] if kind in whole else named[kind] for kind in WORDS}
-        rows = {
-            kind: [_row(kind, n, every[kind]) for n in own] for kind, own in told.items() if own
-        }
-        click.echo(json.dumps(rows, indent=2))
+        options.print_json(
+            {k: [_row(k, n, every[k]) for n in own] for k, own in told.items() if own}
+        )
         return
     from bench.commands.terminal import show
 
@@ -109,16 +94,17 @@ def list_(
             show(*(_suite(name) if kind == "suites" else _plugin(kind, every[kind][name])))
 
 
-def _draw(scenes: list[SceneFacts], budget: float, out: Path) -> None:
+def _draw(scenes: list[SceneFacts], out: Path) -> None:
     """Write pages of scenes."""
     from bench.commands.terminal import RunProgress
     from bench.running.session import describe_scenes
+    from reports.pages.catalogue import write_catalogue
 
     with RunProgress() as progress:
-        records = describe_scenes(scenes, budget, progress)
+        records = describe_scenes(scenes, BUDGET_S, progress)
     if not records:
         raise SpecError("No scene could be described.")
-    for page in view("catalogue")(records, out):
+    for page in write_catalogue(records, out):
         click.echo(f"Catalogue: {page}")
 
 
@@ -169,12 +155,11 @@ def _plugin(kind: str, plugin: Plugin) -> list[Table | str]:
     first = f"{WORDS[kind]} {plugin.name} ({plugin.origin})"
     parts: list[Table | str] = [first, _reason(plugin) or plugin.summary]
     parts += [f"\n{text}" for text in plugin.description]
-    if plugin.options:
-        rows = []
-        for option in plugin.options:
-            unit = option.get("unit", "-")
-            meaning = str(option["doc"]) + (f" in {unit}" if unit not in ("", "-") else "")
-            rows.append([option["name"], _text(option["default"]), _allowed(option), meaning])
+    rows = [
+        [o["name"], _text(o["default"]), _allowed(o), f"{o['doc']}{_unit(o.get('unit', ''))}"]
+        for o in plugin.options
+    ]
+    if rows:
         word = "parameter" if kind == "problems" else "option"
         head = [word, "value" if "[" in plugin.name else "default", "allowed", "meaning"]
         parts += ["", Table("", head, rows)]
@@ -183,6 +168,10 @@ def _plugin(kind: str, plugin: Plugin) -> list[Table | str]:
 
 def _reason(plugin: Plugin) -> str:
     return f"unavailable: {plugin.reason}" if plugin.reason else ""
+
+
+def _unit(unit: str) -> str:
+    return f" in {unit}" if unit not in ("", "-") else ""
 
 
 def _text(value: Any) -> str:
@@ -201,6 +190,5 @@ def _suite(name: str) -> list[Table | str]:
     suite = read_profile(name)[1]
     rows = [[s.title, "\n".join(s.problems), "\n".join(s.integrators)] for s in suite.study]
     limits = f"{suite.samples} timings per run, at most {suite.budget_s:g} s of processor time each"
-    parts: list[Table | str] = [f"suite {name}", suite.title, limits, ""]
-    parts.append(Table("", ["study", "scenes", "integrators"], rows))
-    return parts
+    table = Table("", ["study", "scenes", "integrators"], rows)
+    return [f"suite {name}", suite.title, limits, "", table]

@@ -26,32 +26,22 @@ from bench.results.store import StoreError
 from problems.plain_text import shortened
 from problems.spec import SpecError, suggest
 
+#: The modules with commands.
 _MODULES = (
-    listing,
-    plugins,
-    single_runs,
-    orders,
-    suite,
-    recommendations,
-    results,
-    studies,
-    sweeps,
-)
-#: The answer to commands of the release before, by name; for one release.
-_GONE = {
-    "export": "is an option of report now: stepbench report FOLDER --csv (or --json)",
-    "figure": "is an option of report now: stepbench report FOLDER --figure KIND",
-    "open": "is an option of report now: stepbench report FOLDER --open",
-    "catalogue": "is an option of list now: stepbench list [SCENE]... --draw",
-    "rate": "is recommend with names now (stepbench recommend SCENE|SUITE INTEGRATOR...)",
-    "orders-table": "is order with several integrators now: stepbench order SCENE|SUITE "
-    "INTEGRATOR... (stepbench order orders for all)",
-    "card": "is gone: stepbench run ends with the answer, and the report begins with it",
-    "choose": "is gone: stepbench recommend SCENE names an integrator and its step",
-    "history": "is gone: stepbench compare OLD NEW compares two folders",
-    "gradient": "is gone: runs have no derivatives any more",
-    "precision": "is gone: integrators run in 64 bits alone",
-}
+    listing, plugins, single_runs, orders, suite, recommendations, results, studies, sweeps
+)  # fmt: skip
+#: The answer to `stepbench` alone.
+_FIRST = """\
+stepbench compares time integrators for mechanical and mechatronic systems. First:
+
+  stepbench run                                    a small suite, in a minute; ends with its page
+  stepbench list                                   scenes, integrators and suites
+  stepbench recommend pendulum --error a:1e-3      the integrator that is accurate for the least
+  stepbench new integrator my_method               a method of your own; then: check, run --mine
+  stepbench order pendulum newmark bdf2            orders, beside those that are claimed
+
+All commands: stepbench --help; examples of one: stepbench run --help.\
+"""
 #: Exit code of a command that Ctrl-C ended.
 _INTERRUPTED = 130
 
@@ -62,11 +52,7 @@ class ShortErrors(click.Group):
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
             told = suggest(args[0], self.list_commands(ctx))
-            raise click.ClickException(
-                f"The command {args[0]} {_GONE[args[0]]}."
-                if args[0] in _GONE
-                else f"There is no command {args[0]!r}; {told}."
-            )
+            raise click.ClickException(f"There is no command {args[0]!r}; {told}.")
         return super().resolve_command(ctx, args)
 
     def main(self, *args: Any, **more: Any) -> Any:
@@ -92,6 +78,8 @@ class ShortErrors(click.Group):
             return super().main(*args, **more) or 0
         except click.ClickException as error:
             refusal = error
+        except (SpecError, StoreError) as error:
+            refusal = click.ClickException(str(error))
         except OSError as error:
             name = f" ({error.filename})" if error.filename else ""
             refusal = click.ClickException(
@@ -114,15 +102,10 @@ class ShortErrors(click.Group):
         click.echo(shortened(told.getvalue()), err=True, nl=False)
         return refusal.exit_code
 
-    def invoke(self, ctx: click.Context) -> Any:
-        try:
-            return super().invoke(ctx)
-        except (SpecError, StoreError) as error:
-            raise click.ClickException(str(error)) from error
-
 
 @click.group(
     cls=ShortErrors,
+    invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="""\b
 Examples:
@@ -136,12 +119,15 @@ Examples:
     + completion.SWITCH_ON,
 )
 @click.version_option(package_name="stepbench")
-def main() -> None:
+@click.pass_context
+def main(context: click.Context) -> None:
     """Compare time integrators for mechanical and mechatronic systems.
 
     Positions, velocities, accelerations, multipliers and controller states are compared
     separately, against the work that each integrator does for them.
     """
+    if context.invoked_subcommand is None:
+        click.echo(_FIRST)
 
 
 for module in _MODULES:

@@ -1,4 +1,7 @@
-"""Options and arguments that several commands share."""
+"""Options and arguments: one list, of which each command takes its own.
+
+A command is a function of one namespace, which has the values of all its parameters by name.
+"""
 
 from __future__ import annotations
 
@@ -6,30 +9,63 @@ import math
 import os
 import re
 import stat
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from functools import wraps
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Literal
 
 import click
+import msgspec
+from click.core import ParameterSource
 
 from bench.commands import completion
 from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.plugins.registry import Sources
 from bench.running.inventory import Inventory
 from bench.running.plan import LARGEST_BUDGET
-from integrators.resolutions import Tolerances, check_end
+from integrators.resolutions import Tolerances
 from problems.spec import SpecError
 
+#: Folder of `stepbench run`, which other commands read if none is named.
+RESULTS = "stepbench-results"
+#: Processor time in s after which a run is stopped, if nothing else is said.
+BUDGET_S = 300.0
 #: Most worker processes that can be asked for.
-MOST_JOBS = 1000
+_MOST_JOBS = 1000
 _KINDS = {
-    stat.S_IFREG: "file",
-    stat.S_IFDIR: "folder",
-    stat.S_IFIFO: "named pipe",
-    stat.S_IFSOCK: "socket",
-    stat.S_IFCHR: "device",
-    stat.S_IFBLK: "device",
-}
+    stat.S_IFREG: "file", stat.S_IFDIR: "folder", stat.S_IFIFO: "named pipe",
+    stat.S_IFSOCK: "socket", stat.S_IFCHR: "device", stat.S_IFBLK: "device",
+}  # fmt: skip
+
+
+class Given(SimpleNamespace):
+    """The values of a command line by the names of parameters."""
+
+
+def command(
+    name: str, *parameters: click.Parameter, **more: Any
+) -> Callable[[Callable[[Given], None]], click.Command]:
+    """Make a command of a function, whose docstring is its help."""
+
+    def made(function: Callable[[Given], None]) -> click.Command:
+        @wraps(function)
+        def call(**values: Any) -> None:
+            function(Given(**values))
+
+        return click.command(name, params=[*parameters], **more)(call)
+
+    return made
+
+
+def argument(name: str, metavar: str | None = None, **more: Any) -> click.Argument:
+    """Return an argument of a command."""
+    return click.Argument([name], metavar=metavar, **more)
+
+
+def option(*names: str, **more: Any) -> click.Option:
+    """Return an option of a command."""
+    return click.Option(names, **more)
 
 
 # ---- values of options -------------------------------------------------------------------
@@ -79,25 +115,22 @@ class ClusterAddress(click.ParamType):
         return value
 
 
-def numbers(
-    context: click.Context, parameter: click.Parameter, text: str | None
-) -> tuple[float, ...] | None:
+def _numbers(_: click.Context, __: click.Parameter, text: str | None) -> tuple[float, ...] | None:
     """Read "0.1,0.05" as a tuple of floats."""
-    if text is None:
-        return None
     try:
-        return tuple(float(part) for part in text.split(","))
+        return None if text is None else tuple(map(float, text.split(",")))
     except ValueError:
         raise click.BadParameter(f"{text!r} is not a list of numbers such as 0.1,0.05.") from None
 
 
-def name_values(
+def _settings(
     context: click.Context, parameter: click.Parameter, items: Sequence[str]
 ) -> dict[str, str]:
-    """Read name=value pairs, each name once."""
+    """Read name=value pairs, each name once, and the keyframe, which is such a pair."""
+    keyframe = context.meta.get("keyframe")
     pairs: dict[str, str] = {}
-    for item in items:
-        name, _, value = (part.strip() for part in item.partition("="))
+    for item in items if keyframe is None else [*items, f"keyframe={keyframe}"]:
+        name, _, value = map(str.strip, item.partition("="))
         if not (name and value):
             raise click.BadParameter(f"{item!r} is not of the form name=value.")
         if name in pairs:
@@ -106,42 +139,145 @@ def name_values(
     return pairs
 
 
-def not_nan(
-    context: click.Context, parameter: click.Parameter, value: float | None
-) -> float | None:
+def _not_nan(_: click.Context, __: click.Parameter, value: float | None) -> float | None:
     """Refuse NaN, which every comparison with a limit lets through."""
     if value is not None and math.isnan(value):
         raise click.BadParameter("nan is not a number of seconds.")
     return value
 
 
-def inventory(plugins: Sequence[str]) -> Inventory:
-    """List all plugins, usable or not."""
-    return Inventory(plugins)
+# ---- arguments and options ---------------------------------------------------------------
+PROBLEM = argument("problem", "SCENE", shell_complete=completion.scenes)
+INTEGRATOR = argument("integrator", shell_complete=completion.integrators)
+METHODS = argument(
+    "names", "INTEGRATOR...", nargs=-1, required=True, shell_complete=completion.integrators
+)
+FOLDER = argument("folder", type=PathName("folder"), default=RESULTS)
+STEP = option("--step", type=float, help="Step size h in s (with --pattern: the macro step H).")
+PATTERN = option(
+    "--pattern", callback=_numbers, metavar="F1,F2,...",
+    help="Divide each macro step into these fractions, for example 0.3,0.7.",
+)  # fmt: skip
+TOLERANCES = (
+    option("--rtol", type=float, help=f"Relative tolerance; {Tolerances().rtol:g} if not given."),
+    option("--atol", type=float, help="Absolute tolerance; rtol/100 if not given."),
+)
+T_END = option("--t-end", type=float, help="End time in s; the scene's own if not given.")
+SET = (
+    option(
+        "--set", "settings", multiple=True, callback=_settings, metavar="NAME=VALUE",
+        shell_complete=completion.settings,
+        help="Set a parameter of the scene, or start.NAME, a coordinate at its start; repeatable.",
+    ),
+    option(  # it is read before the settings, of which it is one
+        "--keyframe", metavar="NAME", is_eager=True, expose_value=False,
+        callback=lambda context, _, value: context.meta.update(keyframe=value),
+        help="Keyframe at which a model of MuJoCo starts.",
+    ),
+)  # fmt: skip
+SCENES = option(
+    "-p", "--problem", "problems", multiple=True, shell_complete=completion.scenes,
+    help="Only this scene; repeatable.",
+)  # fmt: skip
+FRESH = option("--fresh", is_flag=True, help="Forget earlier results in that folder.")
+PLUGINS = option(
+    "--plugins", multiple=True, metavar="FILE_OR_FOLDER",
+    help="Python file, or folder of them, with more scenes or integrators; repeatable.",
+)  # fmt: skip
+JSON = option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
 
 
-def usable_registry(plugins: Sequence[str]) -> Inventory:
+def steps(words: str, name: str = "--steps", metavar: str = "H1,H2,...") -> click.Option:
+    """Return an option for a list of numbers."""
+    return option(name, callback=_numbers, metavar=metavar, help=words)
+
+
+def integrators(words: str) -> click.Option:
+    """Return -i, which may be repeated."""
+    names = "-i", "--integrator", "integrators"
+    return option(*names, multiple=True, shell_complete=completion.integrators, help=words)
+
+
+def folder(words: str, default: str | None = None) -> click.Option:
+    """Return --out for a folder."""
+    shown = default is not None
+    return option("--out", type=PathName("folder"), default=default, show_default=shown, help=words)
+
+
+def file(words: str) -> click.Option:
+    """Return --out for a file."""
+    return option("--out", "-o", type=PathName("file"), help=words)
+
+
+def jobs(words: str, default: int | None = 2) -> click.Option:
+    """Return --jobs."""
+    shown = default is not None
+    many = click.IntRange(1, _MOST_JOBS)
+    return option("--jobs", type=many, default=default, show_default=shown, help=words)
+
+
+def cluster(words: str) -> click.Option:
+    """Return --cluster."""
+    return option("--cluster", type=ClusterAddress(), metavar="ADDRESS", help=words)
+
+
+def budget(
+    words: str = "Processor time in s after which a run is stopped.",
+    default: float | None = BUDGET_S,
+) -> click.Option:
+    """Return --budget; without a default where a file may state one."""
+    seconds, shown = click.FloatRange(0, LARGEST_BUDGET, min_open=True), default is not None
+    return option(
+        "--budget", type=seconds, callback=_not_nan, default=default, show_default=shown, help=words
+    )
+
+
+# ---- what commands share -----------------------------------------------------------------
+def is_given(name: str) -> bool:
+    """Return whether the command line gives a parameter."""
+    return click.get_current_context().get_parameter_source(name) is ParameterSource.COMMANDLINE
+
+
+def refuse(why: str, *names: str) -> None:
+    """Refuse the first of these parameters that the command line gives, with the reason why.
+
+    Raises
+    ------
+    SpecError
+        If one of them is given.
+    """
+    for parameter in click.get_current_context().command.params:
+        if parameter.name in names and is_given(parameter.name):
+            raise SpecError(f"{max(parameter.opts, key=len)} {why}")
+
+
+def json_text(value: Any) -> str:
+    """Return a value as JSON; numbers that are not finite are null."""
+    text = msgspec.json.encode(value, enc_hook=lambda scalar: scalar.item()).decode()
+    return msgspec.json.format(text, indent=2)
+
+
+def print_json(value: Any) -> None:
+    """Print a value as JSON."""
+    click.echo(json_text(value))
+
+
+def usable_registry(plugins: Sequence[str | Path]) -> Inventory:
     """List all plugins; raise PluginError if a file named with --plugins cannot be used."""
-    registry = inventory(plugins)
+    registry = Inventory(list(map(str, plugins)))
     registry.require_files()
     return registry
 
 
-def asked_for(
-    problem: str,
-    integrator: str,
-    settings: Mapping[str, Any] | None,
-    plugins: Sequence[str | Path],
-) -> tuple[Inventory, SceneFacts, MethodFacts]:
-    """Return all plugins, and the facts of a scene with parameters and of an integrator."""
-    registry = usable_registry(list(map(str, plugins)))
-    scene = registry.problem(problem, **(settings or {}))
-    return registry, scene, registry.integrator(integrator)
+def sizes(o: Given) -> dict[str, Any]:
+    """Return the values of the options for steps and tolerances."""
+    return {name: getattr(o, name) for name in ("step", "pattern", "rtol", "atol")}
 
 
-def end_time(scene: SceneFacts, t_end: float | None) -> float:
-    """Return the end time in s: the given one or the scene's own."""
-    return check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
+def asked_for(o: Given) -> tuple[SceneFacts, MethodFacts]:
+    """Return the facts of the scene with its parameters and of the integrator that are named."""
+    registry = usable_registry(o.plugins)
+    return registry.problem(o.problem, **o.settings), registry.integrator(o.integrator)
 
 
 def guarded(
@@ -168,134 +304,3 @@ def guarded(
         advice="give it less to do, or a larger --budget",
     )
     return ask_once(about, start_worker, (sources, processors), limits, job, *arguments)
-
-
-def refuse(why: str, **given: Any) -> None:
-    """Refuse the first option that is given, with the reason why; raises SpecError."""
-    for name, value in given.items():
-        if value is not None and value is not False and value not in ((), {}):
-            raise SpecError(f"--{name.replace('_', '-')} {why}")
-
-
-# ---- options -----------------------------------------------------------------------------
-#: Folder of `stepbench run`, which other commands read if none is named.
-RESULTS = "stepbench-results"
-with_results = click.argument("folder", type=PathName("folder"), default=RESULTS)
-
-
-def with_folder(default: str, words: str) -> Callable:
-    """Add --out for a folder with a default name."""
-    return click.option(
-        "--out", type=PathName("folder"), default=default, show_default=True, help=words
-    )
-
-
-def with_file(words: str) -> Callable:
-    """Add --out for a file."""
-    return click.option("--out", "-o", type=PathName("file"), help=words)
-
-
-with_scenes = click.option(
-    "-p",
-    "--problem",
-    "problems",
-    multiple=True,
-    help="Only this scene; repeatable.",
-    shell_complete=completion.scenes,
-)
-
-
-def with_integrators(words: str) -> Callable:
-    """Add -i, which may be repeated."""
-    return click.option(
-        "-i",
-        "--integrator",
-        "integrators",
-        multiple=True,
-        help=words,
-        shell_complete=completion.integrators,
-    )
-
-
-def with_jobs(words: str) -> Callable:
-    """Add --jobs."""
-    return click.option(
-        "--jobs", type=click.IntRange(1, MOST_JOBS), default=2, show_default=True, help=words
-    )
-
-
-def with_cluster(words: str) -> Callable:
-    """Add --cluster."""
-    return click.option("--cluster", type=ClusterAddress(), metavar="ADDRESS", help=words)
-
-
-def with_tolerances(command: Callable) -> Callable:
-    """Add --rtol and --atol."""
-    for name, words in (
-        ("--atol", "Absolute tolerance; rtol/100 if not given."),
-        ("--rtol", f"Relative tolerance; {Tolerances().rtol:g} if not given."),
-    ):
-        command = click.option(name, type=float, help=words)(command)
-    return command
-
-
-with_fresh = click.option("--fresh", is_flag=True, help="Forget earlier results in that folder.")
-with_plugins = click.option(
-    "--plugins",
-    multiple=True,
-    metavar="FILE_OR_FOLDER",
-    help="Python file, or folder of them, with more scenes or integrators; repeatable.",
-)
-with_pattern = click.option(
-    "--pattern",
-    callback=numbers,
-    metavar="F1,F2,...",
-    help="Divide each macro step into these fractions, for example 0.3,0.7.",
-)
-with_t_end = click.option(
-    "--t-end", type=float, help="End time in s; the scene's own if not given."
-)
-
-
-def _settings(
-    context: click.Context, parameter: click.Parameter, items: Sequence[str]
-) -> dict[str, str]:
-    """Read name=value pairs, and the keyframe, which is such a pair."""
-    keyframe = context.meta.get("keyframe")
-    named = items if keyframe is None else [*items, f"keyframe={keyframe}"]
-    return name_values(context, parameter, named)
-
-
-def with_set(command: Callable) -> Callable:
-    """Add --set, and --keyframe, which is read before it."""
-    command = click.option(
-        "--keyframe",
-        is_eager=True,
-        expose_value=False,
-        callback=lambda context, _, value: context.meta.update(keyframe=value),
-        metavar="NAME",
-        help="Keyframe at which a model of MuJoCo starts.",
-    )(command)
-    return click.option(
-        "--set",
-        "settings",
-        multiple=True,
-        callback=_settings,
-        shell_complete=completion.settings,
-        metavar="NAME=VALUE",
-        help="Set a parameter of the scene, or start.NAME, a coordinate at its start; repeatable.",
-    )(command)
-
-
-def with_given_budget(words: str, **default: Any) -> Callable:
-    """Add --budget; without a default, as a file may state one."""
-    seconds = click.FloatRange(0, LARGEST_BUDGET, min_open=True)
-    return click.option("--budget", type=seconds, callback=not_nan, help=words, **default)
-
-
-with_budget = with_given_budget(
-    "Processor time in s after which a run is stopped.", default=300.0, show_default=True
-)
-with_as_json = click.option(
-    "--json", "as_json", is_flag=True, help="Print JSON instead of a table."
-)

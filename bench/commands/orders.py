@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import click
 from msgspec.structs import replace
 
 from bench.commands import completion, options
-from bench.commands.pages import view, write_reports
+from bench.commands.options import BUDGET_S, Given
+from bench.commands.pages import write_reports
 from bench.commands.suite import in_common, run_suite
 from bench.plugins.facts import SceneFacts
 from bench.plugins.reasons import Unavailable
@@ -25,56 +24,35 @@ from bench.running.profiles import ProfileFile, StudyFile, is_suite, read_profil
 from bench.running.progress import Progress
 from problems.spec import SpecError
 
-#: Processor time of a run in s, if no other is given.
-_BUDGET_S = 300.0
 #: What a report shows of runs that were made for their orders.
 _FIGURES = ("orders", "convergence")
 
 
-@click.command("order")
-@click.argument("problem", metavar="SCENE|SUITE", shell_complete=completion.scenes)
-@click.argument(
-    "integrators", nargs=-1, metavar="[INTEGRATOR]...", shell_complete=completion.integrators
+@options.command(
+    "order",
+    options.argument("problem", "SCENE|SUITE", shell_complete=completion.scenes),
+    options.argument(
+        "integrators", "[INTEGRATOR]...", nargs=-1, shell_complete=completion.integrators
+    ),
+    options.steps("Step sizes in s; five halvings of the scene's nominal step if not given."),
+    options.PATTERN,
+    options.T_END,
+    *options.SET,
+    options.budget(
+        f"Processor time in s after which a run is stopped; {BUDGET_S:g}, or a suite's own, if not "
+        "given.",
+        None,
+    ),
+    options.PLUGINS,
+    options.JSON,
+    options.option(
+        "--markdown", is_flag=True, help="Print the table in Markdown, and write no report."
+    ),
+    options.folder("Folder of the runs of a table and their report.", "stepbench-orders"),
+    options.FRESH,
+    options.jobs("Worker processes for a table."),
 )
-@click.option(
-    "--steps",
-    callback=options.numbers,
-    metavar="H1,H2,...",
-    help="Step sizes in s; five halvings of the scene's nominal step if not given.",
-)
-@options.with_pattern
-@options.with_t_end
-@options.with_set
-@options.with_given_budget(
-    f"Processor time in s after which a run is stopped; {_BUDGET_S:g}, or a suite's own, if not "
-    "given."
-)
-@options.with_plugins
-@options.with_as_json
-@click.option("--markdown", is_flag=True, help="Print the table in Markdown, and write no report.")
-@click.option(
-    "--out",
-    type=options.PathName("folder"),
-    help="Folder of the runs of a table and their report; stepbench-orders if not given.",
-)
-@options.with_fresh
-@click.option(
-    "--jobs",
-    type=click.IntRange(1, options.MOST_JOBS),
-    help="Worker processes for a table; 2 if not given.",
-)
-def order_(
-    problem: str,
-    integrators: tuple[str, ...],
-    budget: float | None,
-    plugins: tuple[str, ...],
-    as_json: bool,
-    markdown: bool,
-    out: Path | None,
-    fresh: bool,
-    jobs: int | None,
-    **given: Any,
-) -> None:
+def order_(o: Given) -> None:
     """Measure the order of integrators at constant steps.
 
     Of one INTEGRATOR on a SCENE, errors and fitted orders are shown for each group of variables and
@@ -93,45 +71,59 @@ def order_(
     """
     from bench.commands.terminal import RunProgress, show
 
-    if len(integrators) == 1 and not (markdown or is_suite(problem)):
-        options.refuse("is for a table; name several integrators.", out=out, fresh=fresh, jobs=jobs)
+    sizes = {"steps": o.steps, "pattern": o.pattern, "t_end": o.t_end}
+    if len(o.integrators) == 1 and not (o.markdown or is_suite(o.problem)):
+        options.refuse("is for a table; name several integrators.", "out", "fresh", "jobs")
+        registry = options.usable_registry(o.plugins)
+        scene = registry.problem(o.problem, **o.settings)
         with RunProgress() as progress:
-            seconds = budget or _BUDGET_S
-            found = order_records(problem, integrators[0], plugins, seconds, progress, **given)
-        _show_one(found, as_json)
+            found = order_records(
+                registry, scene, o.integrators[0], o.budget or BUDGET_S, progress, **sizes
+            )
+        _show_one(found, o.as_json)
         return
-    if as_json:
+    if o.as_json:
         raise SpecError(
             "--json is for one integrator; for a table, `stepbench report FOLDER --json` has "
             "the runs."
         )
-    registry, out = Inventory(plugins), out or Path("stepbench-orders")
-    suite = _suite(registry, problem, integrators, budget, **given)
-    outcome = run_suite(suite, registry, out, fresh, jobs or 2, drawn=not markdown)
-    tables = view("order_tables")(out)
+    registry = Inventory(o.plugins)
+    if is_suite(o.problem):
+        options.refuse(
+            "belongs to one scene; a suite has its own.",
+            *("steps", "pattern", "t_end", "settings", "keyframe"),
+        )
+        suite = _of_suite(registry, o.problem, o.integrators, o.budget)
+    else:
+        scene = registry.problem(o.problem, **o.settings)
+        suite = _on_scene(registry, scene, o.integrators, o.budget or BUDGET_S, **sizes)
+    outcome = run_suite(suite, registry, o.out, o.fresh, o.jobs, drawn=not o.markdown)
+    from reports.pages.order_tables import markdown_order_tables
+    from reports.text.order_table import stored_order_tables
+
+    tables = stored_order_tables(o.out)
     if not tables:
         raise click.ClickException(f"No order was measured. {in_common(outcome.records)}")
-    if markdown:
-        click.echo(view("order_tables_in_markdown")(out))
+    if o.markdown:
+        click.echo(markdown_order_tables(o.out))
         return
     show(*tables)
     for sentence in outcome.sentences:
         click.echo(sentence)
-    write_reports(out)
+    write_reports(o.out)
 
 
 # ---- one method --------------------------------------------------------------------------
 def order_records(
-    problem: str,
+    registry: Inventory,
+    scene: SceneFacts,
     integrator: str,
-    plugins: Sequence[str | Path],
     budget: float,
     progress: Progress,
     *,
     steps: Sequence[float] | None,
-    pattern: tuple[float, ...] | None,
+    pattern: Sequence[float] | None,
     t_end: float | None,
-    settings: Mapping[str, Any] | None,
 ) -> list[Record]:
     """Run a method at all steps to which an order is fitted.
 
@@ -142,10 +134,8 @@ def order_records(
     """
     from bench.running.session import solve_cells
 
-    registry, scene, _ = options.asked_for(problem, integrator, settings, plugins)
-    cells = [
-        *_on_scene(registry, scene, [integrator], budget, steps, pattern, t_end).cells.values()
-    ]
+    suite = _on_scene(registry, scene, [integrator], budget, steps, pattern, t_end)
+    cells = [*suite.cells.values()]
     results, _ = solve_cells(cells, registry, 0, budget_s=budget, progress=progress)
     return [record for record, _ in results]
 
@@ -157,7 +147,7 @@ def _show_one(records: Sequence[Record], as_json: bool) -> None:
     orders = order_summary(records)
     failed = [record for record in records if record.status != "ok"]
     if as_json:
-        click.echo(json.dumps(orders, indent=2))
+        options.print_json(orders)
     elif len(failed) < len(records):
         show(*_tables(records, orders))
     first = records[0]
@@ -174,11 +164,10 @@ def _show_one(records: Sequence[Record], as_json: bool) -> None:
 def _tables(records: Sequence[Record], orders: Mapping[str, Any]) -> tuple[Table, Table]:
     """Errors at each step in the norm "settled", and the orders fitted in every norm."""
     name = f"{records[0].integrator} on {records[0].problem}"
+    settled = zip(*(own["settled"] for own in orders["errors"].values()), strict=True)
     errors = [
-        [record.resolution.removeprefix("h="), *(formatted(e, ".2e") for e in settled)]
-        for record, *settled in zip(
-            records, *(own["settled"] for own in orders["errors"].values()), strict=True
-        )
+        [record.resolution.removeprefix("h="), *(formatted(e, ".2e") for e in own)]
+        for record, own in zip(records, settled, strict=True)
     ]
     fits = []
     for group, by_norm in orders["orders"].items():
@@ -196,45 +185,13 @@ def _tables(records: Sequence[Record], orders: Mapping[str, Any]) -> tuple[Table
 
 
 # ---- many methods ------------------------------------------------------------------------
-def _suite(
-    registry: Inventory,
-    name: str,
-    integrators: Sequence[str],
-    budget: float | None,
-    *,
-    steps: tuple[float, ...] | None,
-    pattern: tuple[float, ...] | None,
-    t_end: float | None,
-    settings: Mapping[str, str],
-) -> Suite:
-    """The runs of methods on a scene, or on the scenes of a suite."""
-    if not is_suite(name):
-        scene = registry.problem(name, **settings)
-        return _on_scene(registry, scene, integrators, budget or _BUDGET_S, steps, pattern, t_end)
-    why = "belongs to one scene; a suite has its own."
-    options.refuse(why, steps=steps, pattern=pattern, t_end=t_end, set=settings)
-    title, profile = read_profile(name)
-    files = [
-        replace(
-            file,
-            figures=_FIGURES,
-            integrators=[text for text in file.integrators if _is_measured(registry, text)],
-        )
-        for file in profile.study
-    ]
-    if integrators:
-        files = _of_methods(files, registry, _of_constant_steps(registry, integrators))
-    profile = replace(profile, study=files, samples=0, atlas=False)
-    return make_suite(title, profile, registry, (), integrators, budget)
-
-
 def _on_scene(
     registry: Inventory,
     scene: SceneFacts,
     integrators: Sequence[str],
     budget: float,
     steps: Sequence[float] | None,
-    pattern: tuple[float, ...] | None,
+    pattern: Sequence[float] | None,
     t_end: float | None,
 ) -> Suite:
     """The runs of methods on one scene."""
@@ -248,11 +205,36 @@ def _on_scene(
         integrators=list(integrators),
         t_end=t_end,
         steps=list(steps) if steps else None,  # halvings of the scene's own
-        pattern=pattern or (1.0,),
+        pattern=tuple(pattern or (1.0,)),
         figures=_FIGURES,
     )
     profile = ProfileFile(study=[study], samples=0, budget_s=budget)
     return make_suite("orders", profile, registry, [scene.spec])
+
+
+def _of_suite(
+    registry: Inventory, name: str, integrators: Sequence[str], budget: float | None
+) -> Suite:
+    """The runs of methods, or of those of a suite that take constant steps, on its scenes."""
+    title, profile = read_profile(name)
+    named = _of_constant_steps(registry, integrators)
+    files = []
+    for problem in dict.fromkeys(p for file in profile.study for p in file.problems):
+        studies = [file for file in profile.study if problem in file.problems]
+        # Methods that no study of a scene has get one more.
+        more = StudyFile(
+            problems=[problem], integrators=[*named], title=f"{problem}: methods named"
+        )
+        rest = {*named.values()}
+        for file in [*studies, *([more] if named else [])]:
+            specs = {text: _at_constant_steps(registry, text) for text in file.integrators}
+            own = [text for text, spec in specs.items() if (spec in rest if named else spec)]
+            rest -= {specs[text] for text in own}
+            if own:
+                changes = {"problems": [problem], "integrators": own, "figures": _FIGURES}
+                files.append(replace(file, **changes))
+    profile = replace(profile, study=files, samples=0, atlas=False)
+    return make_suite(title, profile, registry, (), integrators, budget)
 
 
 def _of_constant_steps(registry: Inventory, integrators: Sequence[str]) -> dict[str, str]:
@@ -270,25 +252,11 @@ def _of_constant_steps(registry: Inventory, integrators: Sequence[str]) -> dict[
     return named
 
 
-def _is_measured(registry: Inventory, text: str) -> bool:
-    """Whether a method of a suite takes constant steps, or is of no use, as the suite then says."""
+def _at_constant_steps(registry: Inventory, text: str) -> str:
+    """The printed name of a method of a suite that takes constant steps, else nothing; the name as
+    it is of one that is of no use, as the suite then says."""
     try:
-        return registry.integrator(text).controls == "step"
+        method = registry.integrator(text)
     except (PluginFailed, Unavailable):
-        return True
-
-
-def _of_methods(
-    studies: Sequence[StudyFile], registry: Inventory, named: Mapping[str, str]
-) -> list[StudyFile]:
-    """The studies of these methods alone; those that none of a scene has get one more."""
-    files = []
-    for problem in dict.fromkeys(problem for file in studies for problem in file.problems):
-        rest = {*named.values()}
-        more = StudyFile(problems=[problem], integrators=[*named], figures=_FIGURES)
-        more.title = f"{problem}: methods named"
-        for file in [*(file for file in studies if problem in file.problems), more]:
-            own = [text for text in file.integrators if registry.integrator(text).spec in rest]
-            rest -= {registry.integrator(text).spec for text in own}
-            files += [replace(file, problems=[problem], integrators=own)] if own else []
-    return files
+        return text
+    return method.spec if method.controls == "step" else ""

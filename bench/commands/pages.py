@@ -1,4 +1,4 @@
-"""Pages and pictures. The bench imports no writer of pages: entry points name them."""
+"""Reports of a folder: pages that writers make (entry points `stepbench.reports`)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,14 +22,8 @@ _FIRST_SECONDS = 15.0
 _SELDOM = 20.0
 
 
-def view(name: str) -> Callable[..., Any]:
-    """Load the writer of one kind of page or picture (entry points `stepbench.views`)."""
-    (entry,) = entry_points(group="stepbench.views", name=name)
-    return entry.load()
-
-
 def write_reports(folder: Path, single_file: bool = False) -> None:
-    """Write all reports (entry points `stepbench.reports`) of the results in a folder.
+    """Write all reports of the results in a folder.
 
     Parameters
     ----------
@@ -46,10 +40,9 @@ def write_reports(folder: Path, single_file: bool = False) -> None:
     from bench.guard.process import NoAnswer
 
     # One process for each page: they do not wait for each other, and each may fail alone.
-    pages: dict[str, GuardedProcess] = {}
+    names = sorted(entry_points(group="stepbench.reports").names)
+    pages = {name: _writing(name, folder, single_file and name == "html") for name in names}
     failed = []
-    for name in sorted(entry_points(group="stepbench.reports").names):
-        pages[name] = _writing(name, folder, single_file and name == "html")
     for name, page in pages.items():
         answer = page.answer()
         page.end()
@@ -108,7 +101,7 @@ class GrowingPage:
         finally:
             self._resting = False
 
-    def _take(self, answer: _Written | NoAnswer) -> None:
+    def _take(self, answer: tuple[bytes, float] | NoAnswer) -> None:
         self._end()
         if not isinstance(answer, tuple):
             self._give_up(answer.message)
@@ -130,27 +123,20 @@ class GrowingPage:
 
 
 def _writing(name: str, folder: Path, single_file: bool = False) -> GuardedProcess:
-    """Begin to write a report in a process of its own, which answers with `_Written`."""
+    """Begin to write a report in a process of its own; it answers with the file and the seconds."""
     from bench.guard.process import GuardedProcess
 
-    writer = next(iter(entry_points(group="stepbench.reports", name=name)))
-    process = GuardedProcess(_load_writer, (writer.value,))
+    process = GuardedProcess(_load_writer, (name,))
     process.start(_write_report, str(folder), single_file)
     return process
 
 
 # ---- in the process of a page ------------------------------------------------------------
-_Writer = Callable[..., Path]
-#: The file, and the seconds that it took.
-_Written = tuple[bytes, float]
+def _load_writer(notify: Any, name: str) -> Callable[..., Path]:
+    return next(iter(entry_points(group="stepbench.reports", name=name))).load()
 
 
-def _load_writer(notify: Any, value: str) -> _Writer:
-    return EntryPoint("report", value, "stepbench.reports").load()
-
-
-def _write_report(writer: _Writer, folder: str, single_file: bool) -> _Written:
+def _write_report(writer: Callable[..., Path], folder: str, single: bool) -> tuple[bytes, float]:
     begun = time.monotonic()
-    more = {"single_file": True} if single_file else {}
-    path = writer(Path(folder), **more)
+    path = writer(Path(folder), **({"single_file": True} if single else {}))
     return os.fsencode(path), time.monotonic() - begun  # a name may be no text

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import keyword
 import re
 import shlex
@@ -17,9 +16,10 @@ import click
 from bench.check.verdicts import FAILED, NOT_APPLICABLE, PASSED, CheckResult
 from bench.commands import completion, options
 from bench.commands.listing import WORDS
-from bench.commands.pages import view
+from bench.commands.options import Given
 from bench.plugins.registry import KINDS, SUFFIXES
 from bench.running.inventory import Inventory
+from integrators.resolutions import check_end
 from problems.spec import START, SpecError, snake_case
 
 if TYPE_CHECKING:
@@ -44,19 +44,15 @@ from problems import from_mjcf
 '''
 
 
-@click.command()
-@click.argument("names", nargs=-1, metavar="NAME_OR_FILE...", shell_complete=completion.everything)
-@click.option("--all", "everything", is_flag=True, help="Check all scenes and integrators.")
-@options.with_budget
-@options.with_plugins
-@options.with_as_json
-def check(
-    names: tuple[str, ...],
-    everything: bool,
-    budget: float,
-    plugins: tuple[str, ...],
-    as_json: bool,
-) -> None:
+@options.command(
+    "check",
+    options.argument("names", "NAME_OR_FILE...", nargs=-1, shell_complete=completion.everything),
+    options.option("--all", "everything", is_flag=True, help="Check all scenes and integrators."),
+    options.budget(),
+    options.PLUGINS,
+    options.JSON,
+)
+def check(o: Given) -> None:
     """Check scenes and integrators against the rules for plugins.
 
     A name may have options; of a Python file everything in it is checked. One line per check
@@ -71,27 +67,26 @@ def check(
     from bench.check.checker import Checker, chosen, is_file
     from bench.commands.terminal import say
 
-    registry = options.inventory([*plugins, *(name for name in names if is_file(name))])
-    subjects = chosen(registry, names, everything)
+    registry = Inventory([*o.plugins, *filter(is_file, o.names)])
     answers, count, failed = [], 0, 0
-    with Checker(registry, budget) as checker:
-        for kind, text in subjects:
-            if not as_json:
+    with Checker(registry, o.budget) as checker:
+        for kind, text in chosen(registry, o.names, o.everything):
+            if not o.as_json:
                 say(f"{WORDS[kind]} {text}")
             results = []
             for result in checker.check(kind, text):
                 results.append(result)
-                if not as_json:
+                if not o.as_json:
                     say(_line(result))
             wrong = sum(result.verdict == FAILED for result in results)
             count, failed = count + len(results), failed + wrong
             about = {"name": text, "kind": WORDS[kind], "passed": not wrong}
             answers.append(about | {"checks": [vars(result) for result in results]})
-    if as_json:
-        click.echo(json.dumps(answers, indent=2))
+    if o.as_json:
+        options.print_json(answers)
     if failed:
         raise click.ClickException(f"{failed} of {count} checks failed.")
-    if not as_json:
+    if not o.as_json:
         click.echo(f"All {count} checks passed or do not apply.")
 
 
@@ -104,30 +99,25 @@ def _line(result: CheckResult) -> Text:
     return Text.assemble((f"  {sign} {result.check}: ", style), why, result.text)
 
 
-@click.command()
-@click.argument("kind", type=click.Choice(list(_SKELETONS)))
-@click.argument("name")
-@options.with_file("File; NAME.py if not given.")
-@click.option(
-    "--from",
-    "model",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Model of MuJoCo or URDF that the scene is made of.",
+@options.command(
+    "new",
+    options.argument("kind", type=click.Choice(list(_SKELETONS))),
+    options.argument("name"),
+    options.file("File; NAME.py if not given."),
+    options.option(
+        "--from",
+        "model",
+        type=click.Path(exists=True, dir_okay=False, path_type=Path),
+        help="Model of MuJoCo or URDF that the scene is made of.",
+    ),
+    options.option(
+        "--meshes",
+        type=click.Path(exists=True, file_okay=False, path_type=Path),
+        help="Folder in which meshes of the model are looked for, too.",
+    ),
+    *options.SET,
 )
-@click.option(
-    "--meshes",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Folder in which meshes of the model are looked for, too.",
-)
-@options.with_set
-def new(
-    kind: str,
-    name: str,
-    out: Path | None,
-    model: Path | None,
-    meshes: Path | None,
-    settings: dict[str, str],
-) -> None:
+def new(o: Given) -> None:
     """Write a small scene or integrator, which runs at once.
 
     \b
@@ -137,12 +127,12 @@ def new(
       stepbench new problem my_robot --from robot.xml --set contacts=left_out
       stepbench new problem my_robot --from robot.xml --keyframe home --set start.hip=0.3
     """
-    if model is not None and (kind != "problem" or model.suffix not in SUFFIXES):
+    if o.model is not None and (o.kind != "problem" or o.model.suffix not in SUFFIXES):
         raise SpecError(f"--from takes a model ({', '.join(SUFFIXES)}) for a new problem.")
-    if model is None and (meshes or settings):
+    if o.model is None and (o.meshes or o.settings):
         raise SpecError("--set and --meshes belong to a model: name it by --from.")
-    _require_free(name)
-    path = out or Path(f"{name}.py")
+    _require_free(o.name)
+    path = o.out or Path(f"{o.name}.py")
     if path.suffix != ".py":
         raise SpecError(f"{path} is not the name of a Python file; give one that ends with .py.")
     if _shadows(path):
@@ -150,25 +140,25 @@ def new(
             f"A file {path.name} would hide the module {path.stem!r} from scripts beside it; give "
             f"another name or --out."
         )
-    skeleton = resources.files("bench.plugins.skeletons") / f"{kind}.py"
-    text = skeleton.read_text(encoding="utf-8").replace(_SKELETONS[kind], _class_name(name))
-    if model is not None:
-        starts = {key: value for key, value in settings.items() if key.startswith(START)}
+    skeleton = resources.files("bench.plugins.skeletons") / f"{o.kind}.py"
+    text = skeleton.read_text(encoding="utf-8").replace(_SKELETONS[o.kind], _class_name(o.name))
+    if o.model is not None:
+        starts = {key: value for key, value in o.settings.items() if key.startswith(START)}
         given: dict[str, Any] = {
-            "meshes": meshes and str(meshes.resolve()),
-            "keyframe": settings.pop("keyframe", None),
+            "meshes": o.meshes and str(o.meshes.resolve()),
+            "keyframe": o.settings.pop("keyframe", None),
             "start": {k.removeprefix(START): _number(k, text) for k, text in starts.items()},
-            "defaults": {key: value for key, value in settings.items() if key not in starts},
+            "defaults": {key: value for key, value in o.settings.items() if key not in starts},
         }
         more = "".join(f"    {key}={value!r},\n" for key, value in given.items() if value)
-        file = str(model.resolve())
-        text = _FROM_MODEL.format(cls=_class_name(name), name=name, file=file, more=more)
+        named = {"cls": _class_name(o.name), "name": o.name, "file": str(o.model.resolve())}
+        text = _FROM_MODEL.format(**named, more=more)
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
         raise SpecError(f"{path} is there already; give another name or --out.") from None
-    run = f"pendulum {name}" if kind == "integrator" else f"{name} newmark"
+    run = f"pendulum {o.name}" if o.kind == "integrator" else f"{o.name} newmark"
     file = shlex.quote(str(path))
     trial = f"stepbench solve {run} --plugins {file}"
     click.echo(f"{path} is written. Next:\n  {trial}\n  stepbench check {file}")
@@ -188,11 +178,9 @@ def _require_free(name: str) -> None:
             word = f"my_{word}".strip("_")
         raise SpecError(f"{name!r} is not a name in small letters, digits and '_'; try {word!r}.")
     registry = Inventory()
-    for kind in KINDS:
-        plugins = getattr(registry, kind)
-        if name in plugins:
-            taken = plugins[name].origin
-            raise SpecError(f"The name {name!r} is taken by {taken}; try 'my_{name}'.")
+    for plugin in (getattr(registry, kind).get(name) for kind in KINDS):
+        if plugin:
+            raise SpecError(f"The name {name!r} is taken by {plugin.origin}; try 'my_{name}'.")
 
 
 def _shadows(path: Path) -> bool:
@@ -213,23 +201,17 @@ def _class_name(name: str) -> str:
     return joined if snake_case(joined) == name else "_".join(parts)
 
 
-@click.command("show")
-@click.argument("problem", shell_complete=completion.scenes)
-@options.with_file("File; NAME.svg or NAME.html if not given.")
-@click.option("--animate", is_flag=True, help="Write a page that plays the motion, offline.")
-@options.with_t_end
-@options.with_set
-@options.with_budget
-@options.with_plugins
-def show_(
-    problem: str,
-    out: Path | None,
-    animate: bool,
-    t_end: float | None,
-    settings: dict[str, str],
-    budget: float,
-    plugins: tuple[str, ...],
-) -> None:
+@options.command(
+    "show",
+    options.PROBLEM,
+    options.file("File; NAME.svg or NAME.html if not given."),
+    options.option("--animate", is_flag=True, help="Write a page that plays the motion, offline."),
+    options.T_END,
+    *options.SET,
+    options.budget(),
+    options.PLUGINS,
+)
+def show_(o: Given) -> None:
     """Draw or animate a scene.
 
     A picture (SVG or PNG) shows it at several times, an animation is a page (HTML).
@@ -242,12 +224,13 @@ def show_(
     """
     from bench.running.scene_records import GHOSTS
     from bench.running.worker import Worker
+    from reports.pages.catalogue import write_animation, write_picture
 
-    scene = options.usable_registry(plugins).problem(problem, **settings)
-    end = options.end_time(scene, t_end)
-    path = out or Path(f"{scene.name}.{'html' if animate else 'svg'}")
-    task = scene.spec, end, _FRAMES if animate else GHOSTS
-    about = f"{scene.spec} cannot be shown"
-    pictures = options.guarded(about, Worker.pictures, scene.sources, budget, *task)
-    written = view("animation" if animate else "still")(scene.spec, pictures, path)
-    click.echo(f"Picture: {written}")
+    scene = options.usable_registry(o.plugins).problem(o.problem, **o.settings)
+    start, end = scene.interval
+    end = check_end(start, end if o.t_end is None else o.t_end)
+    ending, count = ("html", _FRAMES) if o.animate else ("svg", GHOSTS)
+    about, task = f"{scene.spec} cannot be shown", (scene.spec, end, count)
+    drawings = options.guarded(about, Worker.pictures, scene.sources, o.budget, *task)
+    write = write_animation if o.animate else write_picture
+    click.echo(f"Picture: {write(scene.spec, drawings, o.out or Path(f'{scene.name}.{ending}'))}")

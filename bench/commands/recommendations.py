@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections import Counter
@@ -14,6 +13,7 @@ import click
 import msgspec
 
 from bench.commands import completion, options
+from bench.commands.options import Given
 from bench.commands.pages import write_reports
 from bench.guard.interrupts import remark
 from bench.guard.limits import Limits
@@ -36,66 +36,46 @@ from problems.whole_files import put
 RULES = {"work-precision": ("a:1e-3",), "iftomm": (f"{POINTS}:1e-1", f"{POINTS}:1e-3")}
 #: File of a recommendation in its folder.
 FILE = "recommendation.json"
+_STORED = "Finished runs are stored; the same command goes on."
 #: Parts of the budget after which the search, that among other forms of the best, that for the
 #: next digit, and timing end, by the cost.
 _PARTS = {"seconds": (0.45, 0.57, 0.66, 0.9), "operations": (0.6, 0.75, 0.85, 0.9)}
 
 
-@click.command("recommend")
-@click.argument("name", metavar="SCENE|FILE|SUITE")
-@click.argument(
-    "methods", nargs=-1, metavar="[INTEGRATOR]...", shell_complete=completion.integrators
-)
-@click.option(
-    "--error",
-    "errors",
-    multiple=True,
-    metavar="QUANTITY:LIMIT",
-    help="Largest error that is allowed, such as a:1e-3 (if not given), q:end:1e-6, energy:1e-4 or "
-    "points:1e-3; repeatable where integrators are named.",
-)
-@click.option(
-    "--rule",
-    type=click.Choice([*RULES]),
-    default="work-precision",
-    show_default=True,
-    help="Errors that are asked for if none is given; iftomm: of the named points, 0.1 and 0.001.",
-)
-@click.option(
-    "--cost",
-    type=click.Choice(["seconds", "operations"]),
-    default="seconds",
-    show_default=True,
-    help="Cost by which integrators are ranked.",
-)
-@options.with_given_budget(
-    "Time in s for all runs together; where integrators are named, processor time after which a "
-    "run is stopped.",
-    default=60.0,
-    show_default=True,
-)
-@options.with_t_end
-@options.with_set
-@options.with_folder("stepbench-recommendation", "Folder of the results.")
-@options.with_fresh
-@options.with_jobs("Worker processes; timing is done by one at a time.")
-@options.with_plugins
-@options.with_as_json
-def recommend_(
-    name: str,
-    methods: tuple[str, ...],
-    errors: tuple[str, ...],
-    rule: str,
-    cost: str,
-    budget: float,
-    t_end: float | None,
-    settings: dict[str, str],
-    out: Path,
-    fresh: bool,
-    jobs: int,
-    plugins: tuple[str, ...],
-    as_json: bool,
-) -> None:
+@options.command(
+    "recommend",
+    options.argument("name", "SCENE|FILE|SUITE"),
+    options.argument(
+        "methods", "[INTEGRATOR]...", nargs=-1, shell_complete=completion.integrators
+    ),
+    options.option(
+        "--error", "errors", multiple=True, metavar="QUANTITY:LIMIT",
+        help="Largest error that is allowed, such as a:1e-3 (if not given), q:end:1e-6, "
+        "energy:1e-4 or points:1e-3; repeatable where integrators are named.",
+    ),
+    options.option(
+        "--rule", type=click.Choice([*RULES]), default="work-precision", show_default=True,
+        help="Errors that are asked for if none is given; iftomm: of the named points, 0.1 and "
+        "0.001.",
+    ),
+    options.option(
+        "--cost", type=click.Choice([*_PARTS]), default="seconds", show_default=True,
+        help="Cost by which integrators are ranked.",
+    ),
+    options.budget(
+        "Time in s for all runs together; where integrators are named, processor time after which "
+        "a run is stopped.",
+        60.0,
+    ),
+    options.T_END,
+    *options.SET,
+    options.folder("Folder of the results.", "stepbench-recommendation"),
+    options.FRESH,
+    options.jobs("Worker processes; timing is done by one at a time."),
+    options.PLUGINS,
+    options.JSON,
+)  # fmt: skip
+def recommend_(o: Given) -> None:
     """Find the integrator, and its step or tolerance, that reaches an accuracy at the least cost.
 
     Without names all that take the scene are tried, and dropped as soon as they cannot win. The
@@ -118,38 +98,36 @@ def recommend_(
       stepbench recommend quick --error q:1e-4 --error energy:1e-5
       stepbench recommend iftomm --rule iftomm
     """
-    own = [name] if name.endswith((".py", *SUFFIXES)) else []
-    registry = options.usable_registry([*plugins, *own])
-    name = _scene_in(registry, name) if own else name
-    out_of_all = not (methods or is_suite(name))
-    tried = methods
+    from bench.commands.terminal import RunProgress, show
+
+    own = [o.name] if o.name.endswith((".py", *SUFFIXES)) else []
+    registry = options.usable_registry([*o.plugins, *own])
+    name = _scene_in(registry, o.name) if own else o.name
+    out_of_all = not (o.methods or is_suite(name))
+    methods, settings = o.methods, o.settings
     if out_of_all:
-        name = registry.problem(name, **settings).spec
-        tried, settings = tuple(_methods(registry, registry.problem(name))), {}
-    suite = _suite_of(registry, name, tried, t_end, settings, budget)
-    places = dict.fromkeys((c.problem, c.t_end) for c in suite.cells.values())
-    remarks: list[str] = []
-    every, races = [], []
-    start = time.monotonic()
-    margin = (SPREAD if cost == "seconds" else TIE) if out_of_all else math.inf
-    search_end, forms_end, next_end, over = (
-        start + part * budget if out_of_all else math.inf for part in _PARTS[cost]
-    )
-    for spec, end in places:
-        scene = registry.problem(spec)
-        demands = _demands_on(scene, errors, rule, remarks)
+        scene = registry.problem(name, **settings)
+        name, methods, settings = scene.spec, _methods(registry, scene), {}
+    suite = _suite_of(registry, name, methods, o.t_end, settings, o.budget)
+    start, margin, ends = time.monotonic(), math.inf, [math.inf] * 4
+    if out_of_all:
+        margin = SPREAD if o.cost == "seconds" else TIE
+        ends = [start + part * o.budget for part in _PARTS[o.cost]]
+    search_end, forms_end, next_end, over = ends
+    every, races, remarks = [], [], []
+    for place in dict.fromkeys((c.problem, c.t_end) for c in suite.cells.values()):
+        scene = registry.problem(place[0])
+        demands = _demands_on(scene, o.errors, o.rule, remarks)
         if out_of_all and len(demands) > 1:
             raise SpecError(
                 f"All integrators are ranked by one error, and {len(demands)} are asked for; give "
                 "one by --error, or name integrators."
             )
-        own = dict.fromkeys(
-            c.integrator for c in suite.cells.values() if (c.problem, c.t_end) == (spec, end)
-        )
-        refused = registry.refusals(spec, [*own]) if demands else {}
+        own = [c.integrator for c in suite.cells.values() if (c.problem, c.t_end) == place]
+        refused = registry.refusals(scene.spec, own) if demands else {}
         candidates = [
-            Candidate(scene, registry.integrator(m), end, demands, refused=refused.get(m, ""))
-            for m in own
+            Candidate(scene, registry.integrator(m), place[1], demands, refused=refused.get(m, ""))
+            for m in dict.fromkeys(own)
         ]
         every += candidates if demands else []
         races += [Race(_in_turns(candidates), margin, search_end, asked) for asked in demands]
@@ -161,72 +139,50 @@ def recommend_(
         raise SpecError(f"No integrator takes {name}: {every[0].refused}")
     title = ", ".join(dict.fromkeys(str(race.asked) for race in races))
     plan = msgspec.structs.replace(suite.plan, title=f"Recommendation for {name}: {title}")
-    suite = replace(suite, plan=plan)
-    verdicts = [Verdict(race, cost) for race in races]
+    suite, verdicts = replace(suite, plan=plan), [Verdict(race, o.cost) for race in races]
     until = next_end  # processes are ended with all that they do then
-    from bench.commands.terminal import RunProgress, show
+    limits = Limits(o.budget / (4 if out_of_all else 1), suite.memory_gib)
+    leaders: dict[int, Candidate] = {}
+    asked: list[Candidate] = []
 
-    def report(store: Store) -> None:
-        """Write and show what was found."""
-        found = {
-            "cost": cost,
-            "machine": msgspec.to_builtins(store.environments()),
-            "sentences": [text for verdict in verdicts for text in verdict.sentences()],
-            "ratings": [rating for verdict in verdicts for rating in verdict.ratings()],
-            "runs": sum(len(c.runs) for c in every),
-        }
-        put(out / FILE, text := json.dumps(found, indent=2))
-        if as_json:
-            click.echo(text)
-            return
-        for verdict in verdicts:
-            show(verdict.table(), *verdict.sentences())
-        show(*(overviews(store.plan(), store.records()) if len(places) > 1 else []))
+    def tell() -> None:
+        for k, verdict in enumerate(verdicts):
+            if (order := verdict.order) and order[0] is not leaders.get(k):
+                leaders[k] = order[0]
+                remark(f"So far: {verdict.first} {_STORED}")
+                progress.note(f"{time.monotonic() - start:.0f} s: {verdict.first}")
+
+    def choose() -> list[Cell]:
+        """Runs of the races; of all integrators also those of other forms of the best, and of
+        the winners for the next digit."""
+        cells = [cell for race in races for cell in race.next()]
+        if cells or not out_of_all:
+            return cells
+        (race,), (verdict,) = races, verdicts
+        if not asked and time.monotonic() < forms_end:
+            race.end = forms_end
+            for leader in verdict.leading if race.leader else ():
+                forms = _other_forms(registry, leader, every)
+                every[:0] = forms
+                race.candidates[:0] = forms
+            if cells := race.next():
+                return cells
+        harder = demand(f"{race.asked.text.rpartition(':')[0]}:{race.asked.limit / 10:g}")
+        if not asked:
+            asked.extend(verdict.order[:MOST_ASKED])
+            for candidate in asked:
+                candidate.demands = [race.asked, harder]
+        return Race(asked, math.inf, next_end, harder).next() if asked else []
 
     with (
         RunProgress(lines=False) as progress,
-        Runner(
-            jobs, Limits(budget / (4 if out_of_all else 1), suite.memory_gib), progress,
-            lambda: time.monotonic() < until,
-        ) as runner,
-        Store(out, create=True, fresh=fresh) as store,
-    ):  # fmt: skip
+        Runner(o.jobs, limits, progress, lambda: time.monotonic() < until) as runner,
+        Store(o.out, create=True, fresh=o.fresh) as store,
+    ):
         search = Search(every, suite, store, registry, runner)
-        remark(stored := "Finished runs are stored; the same command goes on.")
-        count = f"{len(every)} methods and forms on {name}"
-        progress.note(f"{count}{f', within {budget:g} s' if out_of_all else ''}:")
-        leaders: dict[int, Candidate] = {}
-        asked: list[Candidate] = []
-
-        def tell() -> None:
-            for k, verdict in enumerate(verdicts):
-                if (order := verdict.order) and order[0] is not leaders.get(k):
-                    leaders[k] = order[0]
-                    remark(f"So far: {verdict.first} {stored}")
-                    progress.note(f"{time.monotonic() - start:.0f} s: {verdict.first}")
-
-        def choose() -> list[Cell]:
-            """Runs of the races; of all integrators also those of other forms of the best, and of
-            the winners for the next digit."""
-            cells = [cell for race in races for cell in race.next()]
-            if cells or not out_of_all:
-                return cells
-            (race,), (verdict,) = races, verdicts
-            if not asked and time.monotonic() < forms_end:
-                race.end = forms_end
-                for leader in verdict.leading if race.leader else ():
-                    forms = _other_forms(registry, leader, every)
-                    every[:0] = forms
-                    race.candidates[:0] = forms
-                if cells := race.next():
-                    return cells
-            harder = demand(f"{race.asked.text.rpartition(':')[0]}:{race.asked.limit / 10:g}")
-            if not asked:
-                asked.extend(verdict.order[:MOST_ASKED])
-                for candidate in asked:
-                    candidate.demands = [race.asked, harder]
-            return Race(asked, math.inf, next_end, harder).next() if asked else []
-
+        remark(_STORED)
+        within = f", within {o.budget:g} s" if out_of_all else ""
+        progress.note(f"{len(every)} methods and forms on {name}{within}:")
         try:
             runner.draft = True
             search.run(choose, tell)
@@ -237,14 +193,28 @@ def recommend_(
             most = MOST_TIMED if out_of_all else None
             search.take_times(v.best(c) for v in verdicts for c in v.order[:most])
         finally:  # what was found before an error is not lost by it
-            if any(c.runs for c in every):
-                report(store)
-    if not any(c.runs for c in every):
+            if runs := sum(len(c.runs) for c in every):
+                found = {
+                    "cost": o.cost,
+                    "machine": store.environments(),
+                    "sentences": [text for verdict in verdicts for text in verdict.sentences()],
+                    "ratings": [rating for verdict in verdicts for rating in verdict.ratings()],
+                    "runs": runs,
+                }
+                put(o.out / FILE, options.json_text(found))
+                if o.as_json:
+                    options.print_json(found)
+                else:
+                    for verdict in verdicts:
+                        show(verdict.table(), *verdict.sentences())
+                    several = len({race.candidates[0].place for race in races}) > 1
+                    show(*(overviews(store.plan(), store.records()) if several else []))
+    if not runs:
         raise click.ClickException(
-            f"{budget:g} s were over before the first run had ended; give a larger --budget."
+            f"{o.budget:g} s were over before the first run had ended; give a larger --budget."
         )
-    if not as_json:
-        write_reports(out)
+    if not o.as_json:
+        write_reports(o.out)
     if not any(verdict.order for verdict in verdicts):
         raise click.ClickException(f"No integrator reaches {title} on {name}.")
 

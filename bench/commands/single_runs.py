@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import click
 import msgspec
 import numpy as np
 
-from bench.commands import completion, options, sweeps
+from bench.commands import options, sweeps
+from bench.commands.options import Given
 from bench.results.published import published_table
 from bench.results.quantities import IMPACTS, NORMS
 from bench.results.records import Record, Rows
@@ -19,38 +18,27 @@ from bench.results.table import NO_VALUE, Table, formatted
 
 #: Components of a group that a table has at most: those of a planar mechanism of three bodies.
 _SHOWN = 9
+#: Facts of a record that are answered in JSON, before its values and after them.
+_BEFORE = ("problem", "integrator", "resolution", "formulation", "status", "message", "notes")
+_AFTER = ("events", "points", "errors", "reference_error", "constraint", "energy_drift")
+_AFTER += ("history_error", "work")
 
 
-@click.command("solve")
-@click.argument("problem", shell_complete=completion.scenes)
-@click.argument("integrator", shell_complete=completion.integrators)
-@click.option("--step", type=float, help="Step size h in s (with --pattern: the macro step H).")
-@options.with_pattern
-@options.with_tolerances
-@options.with_t_end
-@options.with_set
-@sweeps.with_ensemble
-@options.with_budget
-@options.with_plugins
-@options.with_as_json
-def solve_(
-    problem: str,
-    integrator: str,
-    step: float | None,
-    pattern: tuple[float, ...] | None,
-    rtol: float | None,
-    atol: float | None,
-    t_end: float | None,
-    settings: dict[str, str],
-    ensemble: int | None,
-    vary: tuple[str, ...],
-    seed: int | None,
-    cluster: str | None,
-    out: Path | None,
-    budget: float,
-    plugins: tuple[str, ...],
-    as_json: bool,
-) -> None:
+@options.command(
+    "solve",
+    options.PROBLEM,
+    options.INTEGRATOR,
+    options.STEP,
+    options.PATTERN,
+    *options.TOLERANCES,
+    options.T_END,
+    *options.SET,
+    *sweeps.ENSEMBLE,
+    options.budget(),
+    options.PLUGINS,
+    options.JSON,
+)
+def solve_(o: Given) -> None:
     """Run one integrator on one scene.
 
     The table has the values at the end, errors and work. With --ensemble, run many members; --vary
@@ -63,25 +51,18 @@ def solve_(
       stepbench solve quarter_car generalized_alpha --ensemble 1000 --vary k:2e4..3e4 -o cars.csv
       stepbench solve quarter_car newmark --ensemble 1000000 --vary k:2e4..3e4 -o cars.parquet
     """
-    given = {"step": step, "pattern": pattern, "rtol": rtol, "atol": atol}
-    if ensemble is not None:
-        from bench.sweeps.jobs import EnsembleRequest
-
-        _, scene, method = options.asked_for(problem, integrator, settings, plugins)
-        common = scene.spec, method.spec, given, t_end, budget
-        request = EnsembleRequest(*common, ensemble, vary, seed or 0)
-        sources = scene.sources | method.sources
-        sweeps.solve_ensemble(sources, request, cluster, out, as_json)
+    if o.ensemble is not None:
+        sweeps.solve_ensemble(o)
         return
-    sweeps.refuse_alone(vary, seed, cluster, out)
+    options.refuse("is for an ensemble; give --ensemble N, too.", "vary", "seed", "cluster", "out")
     from bench.commands.terminal import RunProgress, show
     from bench.running.solve import Request, solve
 
-    request = Request(problem, integrator, settings, **given, t_end=t_end)
+    request = Request(o.problem, o.integrator, o.settings, **options.sizes(o), t_end=o.t_end)
     with RunProgress() as progress:
-        (record, rows), names = solve(request, plugins, budget, progress)
-    if as_json:
-        click.echo(json.dumps(_solution(record, rows), indent=2))
+        (record, rows), names = solve(request, o.plugins, o.budget, progress)
+    if o.as_json:
+        options.print_json(_solution(record, rows))
     else:
         published = published_table(record.published)
         show(_end_values(record, rows, names), *filter(None, [published]), *_facts(record))
@@ -92,34 +73,15 @@ def solve_(
 def _solution(record: Record, rows: Rows) -> dict[str, Any]:
     """Return end values, errors, work and times of a run, for JSON."""
     last = {name: values[-1] for name, values in rows.values.items() if rows.t}
+    digits = [msgspec.to_builtins(d) | {"difference": d.difference} for d in record.published]
+    seconds = {"compile_s": record.compile_s, "run_s": record.run_s, "run_s_median": record.seconds}
     return {
-        "problem": record.problem,
-        "integrator": record.integrator,
-        "resolution": record.resolution,
-        "formulation": record.formulation,
-        "status": record.status,
-        "message": record.message,
-        "notes": record.notes,
+        **{name: getattr(record, name) for name in _BEFORE},
         "t": rows.t[-1] if rows.t else None,
-        **{name: last.get(name, []) for name in ("q", "v", "a", "lam", "x", "xdot", "y")},
-        "xd": last.get("xd", []),
-        "events": record.events,
-        "points": record.points,
-        "published": [
-            msgspec.to_builtins(digits) | {"difference": digits.difference}
-            for digits in record.published
-        ],
-        "errors": record.errors,
-        "reference_error": record.reference_error,
-        "constraint": record.constraint,
-        "energy_drift": record.energy_drift,
-        "history_error": record.history_error,
-        "work": record.work,
-        "time": {
-            "compile_s": record.compile_s,
-            "run_s": record.run_s,
-            "run_s_median": record.seconds,
-        },
+        **{name: last.get(name, []) for name in ("q", "v", "a", "lam", "x", "xdot", "y", "xd")},
+        **{name: getattr(record, name) for name in _AFTER},
+        "published": digits,
+        "time": seconds,
     }
 
 

@@ -5,22 +5,18 @@ A job of a worker gives the data of a study, from which a table and a page are m
 
 from __future__ import annotations
 
-import json
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import click
-import msgspec
 
 from bench.commands import completion, options
-from bench.commands.pages import view
+from bench.commands.options import Given
 from bench.guard.interrupts import remark
-from bench.plugins.facts import MethodFacts
-from bench.running.inventory import Inventory
+from bench.plugins.facts import MethodFacts, SceneFacts
 from integrators.resolutions import Steps, check_end
 from problems.spec import SpecError
 
@@ -29,71 +25,59 @@ _MOST_STEPS = 10**9
 #: Largest limit of iterations that can be asked for.
 _MOST_ITERATIONS = 1000
 _SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
-with_names = click.argument(
-    "names", nargs=-1, required=True, metavar="INTEGRATOR...", shell_complete=completion.integrators
-)
 
 
-def of_each(
-    methods: Sequence[MethodFacts], one: Callable[[MethodFacts], Any]
-) -> tuple[list[Any], list[str]]:
-    """Call a function for each integrator; return what it gave, and what failed."""
-    results, faults = [], []
-    for method in methods:
-        try:
-            results.append(one(method))
-        except SpecError as error:
-            faults.append(str(error))
-    return results, faults
+class _Study:
+    """A scene, if there is one, and integrators, each of which a worker measures."""
 
+    def __init__(self, o: Given) -> None:
+        self._budget, self.faults = o.budget, list[str]()
+        registry = options.usable_registry(o.plugins)
+        self.scenes: list[SceneFacts] = []
+        if hasattr(o, "problem"):
+            self.scenes = [registry.problem(o.problem, **o.settings)]
+        self._methods: list[MethodFacts] = []
+        for name in o.names:
+            if (method := registry.integrator(name)) in self._methods:
+                raise SpecError(f"{method.spec} is named twice.")
+            self._methods.append(method)
 
-def once_each(registry: Inventory, names: Sequence[str]) -> list[MethodFacts]:
-    """Return the facts of integrators; raise SpecError if one is named twice."""
-    methods = [registry.integrator(name) for name in names]
-    for k, method in enumerate(methods):
-        if method in methods[:k]:
-            raise SpecError(f"{method.spec} is named twice.")
-    return methods
+    def measured(self, job: Callable[..., Any], *task: Any) -> Iterator[Any]:
+        """Yield what a job gives of each integrator; the reasons of others become faults."""
+        for method in self._methods:
+            parts = [*self.scenes, method]
+            sources = frozenset().union(*(part.sources for part in parts))
+            named = [part.spec for part in parts]
+            try:
+                yield options.guarded(method.spec, job, sources, self._budget, *named, *task)
+            except SpecError as error:
+                self.faults.append(str(error))
 
-
-def _fail(faults: Sequence[str]) -> None:
-    """Tell what failed, each once, and end with exit code 1."""
-    if faults:
-        raise click.ClickException(" ".join(dict.fromkeys(faults)))
-
-
-def print_json(value: Any) -> None:
-    click.echo(json.dumps(msgspec.to_builtins(value), indent=2, allow_nan=False))
+    def end(self) -> None:
+        """Tell what failed, each once, with exit code 1."""
+        if self.faults:
+            raise click.ClickException(" ".join(dict.fromkeys(self.faults)))
 
 
 # ---- long runs ---------------------------------------------------------------------------
-@click.command()
-@click.argument("problem", shell_complete=completion.scenes)
-@with_names
-@click.option(
-    "--steps",
-    type=click.IntRange(2, _MOST_STEPS),
-    default=100_000,
-    show_default=True,
-    help="Number of steps.",
-)
-@click.option("--step", type=float, help="Step size h in s; the scene's nominal one if not given.")
-@options.with_set
-@options.with_budget
-@options.with_folder("stepbench-drift", "Folder of the long runs and their page.")
-@options.with_plugins
-@options.with_as_json
-def drift(
-    problem: str,
-    names: tuple[str, ...],
-    steps: int,
-    step: float | None,
-    settings: dict[str, str],
-    budget: float,
-    out: Path,
-    plugins: tuple[str, ...],
-    as_json: bool,
-) -> None:
+@options.command(
+    "drift",
+    options.PROBLEM,
+    options.METHODS,
+    options.option(
+        "--steps", type=click.IntRange(2, _MOST_STEPS), default=100_000, show_default=True,
+        help="Number of steps.",
+    ),
+    options.option(
+        "--step", type=float, help="Step size h in s; the scene's nominal one if not given."
+    ),
+    *options.SET,
+    options.budget(),
+    options.folder("Folder of the long runs and their page.", "stepbench-drift"),
+    options.PLUGINS,
+    options.JSON,
+)  # fmt: skip
+def drift(o: Given) -> None:
     """Measure what drifts over many constant steps.
 
     It measures: the energy, relative to the motion's largest kinetic energy; conserved momenta;
@@ -109,36 +93,34 @@ def drift(
       stepbench drift pendulum "dopri8[constraints=projected]" dopri8 --step 0.02 --out drift
       stepbench drift oscillator newmark bdf2 --json > drift.json
     """
-    registry = options.usable_registry(plugins)
-    scene, methods = registry.problem(problem, **settings), once_each(registry, names)
-    if step is not None:
-        check_end(scene.interval[0], scene.interval[0] + steps * Steps(step).h)
-
+    study = _Study(o)
+    (scene,) = study.scenes
+    if o.step is not None:
+        check_end(scene.interval[0], scene.interval[0] + o.steps * Steps(o.step).h)
     from bench.commands.terminal import show
-    from bench.results.drift import LongRun, drift_table
+    from bench.results.drift import drift_table
     from bench.results.store import Store
     from bench.running.drift import drift_job
+    from reports.pages.drift import write_drift_page
 
-    with Store(out, create=True) as store:
-
-        def kept(method: MethodFacts) -> LongRun:
-            sources, task = scene.sources | method.sources, (scene.spec, method.spec, step, steps)
-            found = options.guarded(method.spec, drift_job, sources, budget, *task)
-            store.keep(found)
-            return found
-
-        results, faults = of_each(methods, kept)
-        if results and as_json:
-            print_json(results)
-        elif results:
-            show(f"{scene.spec}, h={results[0].h:g} s", drift_table(results))
+    results = []
+    with Store(o.out, create=True) as store:
+        for run in study.measured(drift_job, o.step, o.steps):
+            store.keep(run)
+            results.append(run)
         if results:
-            click.echo(f"Page: {view('drift')(store.long_runs(), out)}", err=as_json)
+            if o.as_json:
+                options.print_json(results)
+            else:
+                show(f"{scene.spec}, h={results[0].h:g} s", drift_table(results))
+            click.echo(f"Page: {write_drift_page(store.long_runs(), o.out)}", err=o.as_json)
             if store.plan():
                 said = "The report of this folder has it as a chapter after `stepbench report`."
-                click.echo(said, err=as_json)
-    faults += [f"{r.integrator}: {r.status}: {r.message}" for r in results if r.status != "ok"]
-    _fail(faults)
+                click.echo(said, err=o.as_json)
+    study.faults += [
+        f"{r.integrator}: {r.status}: {r.message}" for r in results if r.status != "ok"
+    ]
+    study.end()
 
 
 # ---- runs at a fixed rate ----------------------------------------------------------------
@@ -154,36 +136,27 @@ def _rate(context: click.Context, parameter: click.Parameter, text: str) -> floa
     )
 
 
-@click.command()
-@click.argument("problem", metavar="SCENE", shell_complete=completion.scenes)
-@with_names
-@options.with_set
-@click.option(
-    "--rate", required=True, callback=_rate, help="Steps per second: 1kHz, 500Hz or 1000."
-)
-@click.option(
-    "--iterations",
-    type=click.IntRange(1, _MOST_ITERATIONS),
-    help="Most iterations in each call of Newton's method; 1 and unlimited side by side if not "
-    "given.",
-)
-@click.option(
-    "--duration", type=float, help="Length of the run in s; the scene's interval if not given."
-)
-@options.with_budget
-@options.with_plugins
-@options.with_as_json
-def realtime(
-    problem: str,
-    names: tuple[str, ...],
-    settings: dict[str, str],
-    rate: float,
-    iterations: int | None,
-    duration: float | None,
-    budget: float,
-    plugins: tuple[str, ...],
-    as_json: bool,
-) -> None:
+@options.command(
+    "realtime",
+    options.PROBLEM,
+    options.METHODS,
+    *options.SET,
+    options.option(
+        "--rate", required=True, callback=_rate, help="Steps per second: 1kHz, 500Hz or 1000."
+    ),
+    options.option(
+        "--iterations", type=click.IntRange(1, _MOST_ITERATIONS),
+        help="Most iterations in each call of Newton's method; 1 and unlimited side by side if not "
+        "given.",
+    ),
+    options.option(
+        "--duration", type=float, help="Length of the run in s; the scene's interval if not given."
+    ),
+    options.budget(),
+    options.PLUGINS,
+    options.JSON,
+)  # fmt: skip
+def realtime(o: Given) -> None:
     """Run methods with a fixed budget per step, as in real time.
 
     Each step of 1/RATE takes at most so many iterations of Newton's method and goes on, converged
@@ -197,76 +170,51 @@ def realtime(
       stepbench realtime quarter_car bdf2 --rate 500Hz --iterations 2
       stepbench realtime pendulum half_explicit_euler stormer_verlet --rate 1000 --duration 1 --json
     """
-    registry = options.usable_registry(plugins)
-    scene, methods = registry.problem(problem, **settings), once_each(registry, names)
-    length = scene.interval[1] - scene.interval[0]
-    duration = length if duration is None else duration
+    study = _Study(o)
     from bench.commands.terminal import show
-    from bench.results.realtime import MOST_STEPS, realtime_sentence, realtime_tables
-    from bench.running.realtime import realtime_job
+    from bench.running.realtime import (
+        realtime_job,
+        realtime_sentence,
+        realtime_tables,
+        steps_of,
+    )
 
-    if not 0 < duration <= length * (1 + 1e-9):
-        raise SpecError(
-            f"The duration {duration:g} s is not allowed; give a positive one of at most "
-            f"{length:g} s, the interval of {scene.spec}, where the reference is known."
-        )
-    steps = math.floor(min(duration * rate * (1 + 1e-9), 2.0 * MOST_STEPS))
-    if not 2 <= steps <= MOST_STEPS:
-        raise SpecError(
-            f"{rate:g} Hz over {duration:g} s is not allowed; give a rate and a duration that make "
-            f"from 2 to {MOST_STEPS} steps."
-        )
-
-    def measured(method: MethodFacts) -> Any:
-        sources, task = scene.sources | method.sources, (scene.spec, method.spec, rate, steps)
-        return options.guarded(method.spec, realtime_job, sources, budget, *task, iterations)
-
-    answers, faults = of_each(methods, measured)
-    runs = [run for answer in answers for run in answer]
-    if runs and as_json:
-        print_json({"runs": runs, "summary": realtime_sentence(runs)})
+    (scene,) = study.scenes
+    steps = steps_of(scene, o.rate, o.duration)
+    runs = [
+        run for runs in study.measured(realtime_job, o.rate, steps, o.iterations) for run in runs
+    ]
+    if runs and o.as_json:
+        options.print_json({"runs": runs, "summary": realtime_sentence(runs)})
     elif runs:
         show(*realtime_tables(runs), realtime_sentence(runs))
-    faults += [f"{run.name}: {run.status}: {run.message}" for run in runs if run.status != "ok"]
-    _fail(faults)
+    study.faults += [
+        f"{run.name}: {run.status}: {run.message}" for run in runs if run.status != "ok"
+    ]
+    study.end()
 
 
 # ---- stability ---------------------------------------------------------------------------
-@click.command()
-@with_names
-@click.option(
-    "--at", callback=options.numbers, metavar="WH1,WH2,...", help="Values of omega h to report."
-)
-@options.with_pattern
-@click.option("--zeta", type=float, help="Damping ratio of the oscillator; 0 if not given.")
-@click.option(
-    "--system",
-    type=click.Choice(_SYSTEMS),
-    default=_SYSTEMS[0],
-    show_default=True,
-    help="Linear test system; for relaxation, omega is the decay rate.",
-)
-@click.option(
-    "--ratios/--no-ratios",
-    default=True,
-    help="Seek the largest safe ratio of two steps in turns, which takes seconds.",
-)
-@options.with_budget
-@options.with_folder("stepbench-stability", "Folder of the page.")
-@options.with_plugins
-@options.with_as_json
-def stability(
-    names: tuple[str, ...],
-    at: tuple[float, ...] | None,
-    pattern: tuple[float, ...] | None,
-    zeta: float | None,
-    system: str,
-    ratios: bool,
-    budget: float,
-    out: Path,
-    plugins: tuple[str, ...],
-    as_json: bool,
-) -> None:
+@options.command(
+    "stability",
+    options.METHODS,
+    options.steps("Values of omega h to report.", "--at", "WH1,WH2,..."),
+    options.PATTERN,
+    options.option("--zeta", type=float, help="Damping ratio of the oscillator; 0 if not given."),
+    options.option(
+        "--system", type=click.Choice(_SYSTEMS), default=_SYSTEMS[0], show_default=True,
+        help="Linear test system; for relaxation, omega is the decay rate.",
+    ),
+    options.option(
+        "--ratios/--no-ratios", default=True,
+        help="Seek the largest safe ratio of two steps in turns, which takes seconds.",
+    ),
+    options.budget(),
+    options.folder("Folder of the page.", "stepbench-stability"),
+    options.PLUGINS,
+    options.JSON,
+)  # fmt: skip
+def stability(o: Given) -> None:
     """Analyse stability at constant steps.
 
     The amplification matrix of each integrator is found by taking its step on a linear system. From
@@ -282,55 +230,47 @@ def stability(
       stepbench stability "newmark[beta=0]" --at 1,1.9,2.1 --json
       stepbench stability my_method --plugins my_method.py
     """
-    for value in at or ():
-        if not 0 < value < float("inf"):
+    for value in o.at or ():
+        if not 0 < value < math.inf:
             raise SpecError(f"omega h = {value:g} is not allowed; give a positive number.")
-    if zeta is not None and system != _SYSTEMS[0]:
-        raise SpecError(f"--zeta damps the oscillator; the system {system} has no such number.")
-    registry = options.usable_registry(plugins)
+    if o.zeta is not None and o.system != _SYSTEMS[0]:
+        raise SpecError(f"--zeta damps the oscillator; the system {o.system} has no such number.")
+    study = _Study(o)
     from bench.commands.terminal import show
     from bench.stability.analysis import analysis_job
     from bench.stability.tables import stability_tables
+    from reports.pages.stability import write_stability_page
 
-    def analysed(method: MethodFacts) -> dict[str, Any]:
-        task = method.spec, system, zeta, pattern or (1.0,), at or (), ratios
-        return options.guarded(method.spec, analysis_job, method.sources, budget, *task)
-
-    results, faults = of_each(once_each(registry, names), analysed)
-    if results and as_json:
-        print_json(results)
+    task = o.system, o.zeta, o.pattern or (1.0,), o.at or (), o.ratios
+    results = [*study.measured(analysis_job, *task)]
+    if results and o.as_json:
+        options.print_json(results)
     elif results:
         facts, *tables = stability_tables(results)
         for name, *cells in facts.rows:  # of many columns, which a terminal has no room for
             lines = (f"  {head}: {cell}" for head, cell in zip(facts.head[1:], cells, strict=True))
             show(f"{name}, {results[0]['system']}", *lines)
         show(*tables)
-        click.echo(f"Page: {view('stability')(results, out)}")
-    _fail(faults)
+        click.echo(f"Page: {write_stability_page(results, o.out)}")
+    study.end()
 
 
 # ---- the failure atlas -------------------------------------------------------------------
-@click.command()
-@click.argument("names", nargs=-1, metavar="[EXPERIMENT]...", shell_complete=completion.experiments)
-@options.with_integrators("Put this integrator through every experiment, too; repeatable.")
-@click.option("--list", "only_list", is_flag=True, help="Name the experiments and stop.")
-@options.with_folder("stepbench-atlas", "Folder of the results and the page.")
-@options.with_fresh
-@options.with_jobs("Worker processes.")
-@options.with_given_budget("Processor time in s after which a run is stopped; 60 if not given.")
-@options.with_plugins
-@options.with_as_json
-def atlas(
-    names: tuple[str, ...],
-    integrators: tuple[str, ...],
-    only_list: bool,
-    out: Path,
-    fresh: bool,
-    jobs: int,
-    budget: float | None,
-    plugins: tuple[str, ...],
-    as_json: bool,
-) -> None:
+@options.command(
+    "atlas",
+    options.argument(
+        "names", "[EXPERIMENT]...", nargs=-1, shell_complete=completion.experiments
+    ),
+    options.integrators("Put this integrator through every experiment, too; repeatable."),
+    options.option("--list", "only_list", is_flag=True, help="Name the experiments and stop."),
+    options.folder("Folder of the results and the page.", "stepbench-atlas"),
+    options.FRESH,
+    options.jobs("Worker processes."),
+    options.budget(default=60.0),
+    options.PLUGINS,
+    options.JSON,
+)  # fmt: skip
+def atlas(o: Given) -> None:
     """Show where methods fail, and what helps.
 
     Every experiment of the failure atlas predicts numbers and measures them. The exit code is 1 if
@@ -349,27 +289,26 @@ def atlas(
     from bench.results.experiments import part_table
     from bench.results.store import Store
     from bench.results.table import Table
+    from reports.pages.atlas import write_atlas_page
 
-    experiments = read_experiments(names)
-    if only_list:
+    experiments = read_experiments(o.names)
+    if o.only_list:
         rows = [[str(e.number), e.name, e.title] for e in experiments]
         show(Table("Failure atlas", ["", "name", "what fails"], rows))
         return
-    registry = options.usable_registry(plugins)
-    added = [registry.integrator(name).spec for name in integrators]
-    with Store(out, create=True, fresh=fresh) as store, RunProgress() as progress:
+    registry = options.usable_registry(o.plugins)
+    added = [registry.integrator(name).spec for name in o.integrators]
+    with Store(o.out, create=True, fresh=o.fresh) as store, RunProgress() as progress:
         remark("Finished experiments are stored; the same command goes on.")
         results = complete_experiments(
-            experiments, added, store, registry, jobs, progress, budget or 60.0
+            experiments, added, store, registry, o.jobs, progress, o.budget
         )
-    if as_json:
-        print_json(results)
+    if o.as_json:
+        options.print_json(results)
     else:
-        for result in results:
-            show(
-                f"{result.number}. {result.title}: {result.verdict}", *map(part_table, result.parts)
-            )
-        click.echo(f"Page: {view('atlas')(results, out)}")
+        for r in results:
+            show(f"{r.number}. {r.title}: {r.verdict}", *map(part_table, r.parts))
+        click.echo(f"Page: {write_atlas_page(results, o.out)}")
     differ = [f"{result.name} ({result.verdict})" for result in results if not result.as_predicted]
     if differ:
         raise click.ClickException(f"Not all is as predicted: {', '.join(differ)}.")

@@ -10,7 +10,8 @@ from pathlib import Path
 import click
 
 from bench.commands import completion, options
-from bench.commands.pages import GrowingPage, view, write_reports
+from bench.commands.options import Given
+from bench.commands.pages import GrowingPage, write_reports
 from bench.guard.interrupts import remark
 from bench.results.experiments import ExperimentResult
 from bench.results.records import INTERRUPTED, Record, counted, endings
@@ -110,41 +111,32 @@ def run_suite(
     return Outcome(records, measured, results, suite.lost, others)
 
 
-@click.command("run", cls=_WithSuites)
-@click.argument("suite", default="quick", shell_complete=completion.suites)
-@options.with_scenes
-@options.with_integrators("Only this integrator; repeatable. One that the suite lacks is added.")
-@click.option(
-    "--mine",
-    metavar="INTEGRATOR",
-    shell_complete=completion.integrators,
-    help="Your integrator: it is run beside the others, and the report opens with it highlighted.",
-)
-@options.with_set
-@options.with_folder(options.RESULTS, "Folder of the results.")
-@options.with_fresh
-@options.with_jobs("Worker processes; timing is done by one at a time.")
-@options.with_cluster(
-    "Measure on the workers of a dask scheduler, such as tcp://host:8786; timing stays here."
-)
-@options.with_given_budget(
-    "Processor time of a run in s, after which it is stopped; the suite's if not given. Runs "
-    "that a smaller budget stopped are run again.",
-)
-@options.with_plugins
-def run_(
-    suite: str,
-    problems: tuple[str, ...],
-    integrators: tuple[str, ...],
-    mine: str | None,
-    settings: dict[str, str],
-    out: Path,
-    fresh: bool,
-    jobs: int,
-    cluster: str | None,
-    budget: float | None,
-    plugins: tuple[str, ...],
-) -> None:
+@options.command(
+    "run",
+    options.argument("suite", default="quick", shell_complete=completion.suites),
+    options.SCENES,
+    options.integrators("Only this integrator; repeatable. One that the suite lacks is added."),
+    options.option(
+        "--mine", metavar="INTEGRATOR", shell_complete=completion.integrators,
+        help="Your integrator: it is run beside the others, and the report opens with it "
+        "highlighted.",
+    ),
+    *options.SET,
+    options.folder("Folder of the results.", options.RESULTS),
+    options.FRESH,
+    options.jobs("Worker processes; timing is done by one at a time."),
+    options.cluster(
+        "Measure on the workers of a dask scheduler, such as tcp://host:8786; timing stays here."
+    ),
+    options.budget(
+        "Processor time of a run in s, after which it is stopped; the suite's if not given. Runs "
+        "that a smaller budget stopped are run again.",
+        None,
+    ),
+    options.PLUGINS,
+    cls=_WithSuites,
+)  # fmt: skip
+def run_(o: Given) -> None:
     """Run a suite and write its report.
 
     SUITE is the name of a built-in suite (below) or a TOML file. A run that was stopped goes on
@@ -158,20 +150,27 @@ def run_(
       stepbench run --mine my_method --plugins my_method.py
       stepbench run full --cluster tcp://head:8786
     """
-    registry = Inventory(plugins)  # a file that cannot be used costs its own cells
-    if settings and not problems:
+    registry = Inventory(o.plugins)  # a file that cannot be used costs its own cells
+    if o.settings and not o.problems:
         raise SpecError("--set and --keyframe belong to scenes; name them with -p.")
-    problems = tuple(registry.problem(p, **settings).spec if settings else p for p in problems)
-    planned = make_suite(*read_profile(suite), registry, problems, integrators, budget, mine)
-    outcome = run_suite(planned, registry, out, fresh, jobs, cluster)
+    scenes = [registry.problem(p, **o.settings).spec if o.settings else p for p in o.problems]
+    suite = make_suite(*read_profile(o.suite), registry, scenes, o.integrators, o.budget, o.mine)
+    if not options.is_given("suite"):
+        click.echo(
+            f"The suite quick: {len(suite.cells)} runs, which take about a minute; results go to "
+            f"{o.out}. Other suites: stepbench run --help",
+            err=True,
+        )
+    outcome = run_suite(suite, registry, o.out, o.fresh, o.jobs, o.cluster)
     for sentence in outcome.sentences:
         click.echo(sentence)
-    write_reports(out)
-    # The answer, runs that are wrong without warning, and where one's own integrator stands.
+    write_reports(o.out)
     from bench.commands.terminal import say
+    from reports.questions.method_card import method_card
 
-    for integrator in dict.fromkeys(("", planned.plan.mine)):
-        for line in view("method_card")(out, integrator):
+    # The answer, runs that are wrong without warning, and where one's own integrator stands.
+    for integrator in dict.fromkeys(("", suite.plan.mine)):
+        for line in method_card(o.out, integrator):
             say(line)
     if not any(record.status == "ok" for record in outcome.records):
         raise click.ClickException(f"No cell succeeded. {in_common(outcome.records)}")

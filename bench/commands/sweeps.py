@@ -2,99 +2,66 @@
 
 from __future__ import annotations
 
-import json
 import re
 import time
 from collections import Counter
-from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from bench.commands import completion, options
-from bench.commands.pages import view
+from bench.commands import options
+from bench.commands.options import Given
 from bench.results.table import Table
 from problems.spec import SpecError
 
 if TYPE_CHECKING:
-    from bench.plugins.registry import Sources
     from bench.sweeps.ensemble import Ensemble
-    from bench.sweeps.jobs import EnsembleRequest
 
 #: Most points of a map, and members of an ensemble: all are in memory.
 _MOST = 1_000_000
 
 
 # ---- maps --------------------------------------------------------------------------------
-@click.command("map")
-@click.argument("problem", shell_complete=completion.scenes)
-@click.argument("integrator", shell_complete=completion.integrators)
-@click.option(
-    "--over",
-    required=True,
-    metavar="X,Y",
-    help="Two quantities: the step h (or rtol or atol of a method that chooses its steps), an "
-    "option of the integrator, or a parameter of the scene.",
-)
-@click.option(
-    "--range",
-    "ranges",
-    multiple=True,
-    metavar="NAME:LOW..HIGH",
-    help="Range of one of them; repeatable. An option is taken over all allowed values, a "
-    "parameter over a tenth to tenfold, h around the scene's nominal step, rtol from 1e-6 to "
-    "1e-1, if not given.",
-)
-@click.option(
-    "--grid",
-    metavar="NXxNY",
-    help="Points along both; 100x100 if not given, 25 along a "
-    "parameter of a scene without a closed form.",
-)
-@click.option("--step", type=float, help="Step size h in s, if h does not vary.")
-@options.with_pattern
-@options.with_tolerances
-@click.option(
-    "--error",
-    metavar="GROUP:NORM",
-    default="a:end",
-    show_default=True,
-    help="Relative error to show, as in the report.",
-)
-@click.option(
-    "--threshold",
-    type=float,
-    default=0.1,
-    show_default=True,
-    help="A run with a larger error is called inaccurate.",
-)
-@options.with_t_end
-@options.with_set
-@options.with_budget
-@options.with_folder("stepbench-map", "Folder of the page.")
-@options.with_plugins
-@options.with_as_json
-def map_(
-    problem: str,
-    integrator: str,
-    over: str,
-    ranges: tuple[str, ...],
-    grid: str | None,
-    step: float | None,
-    pattern: tuple[float, ...] | None,
-    rtol: float | None,
-    atol: float | None,
-    error: str,
-    threshold: float,
-    t_end: float | None,
-    settings: dict[str, str],
-    budget: float,
-    out: Path,
-    plugins: tuple[str, ...],
-    as_json: bool,
-) -> None:
+@options.command(
+    "map",
+    options.PROBLEM,
+    options.INTEGRATOR,
+    options.option(
+        "--over", required=True, metavar="X,Y",
+        help="Two quantities: the step h (or rtol or atol of a method that chooses its steps), an "
+        "option of the integrator, or a parameter of the scene.",
+    ),
+    options.option(
+        "--range", "ranges", multiple=True, metavar="NAME:LOW..HIGH",
+        help="Range of one of them; repeatable. An option is taken over all allowed values, a "
+        "parameter over a tenth to tenfold, h around the scene's nominal step, rtol from 1e-6 to "
+        "1e-1, if not given.",
+    ),
+    options.option(
+        "--grid", metavar="NXxNY",
+        help="Points along both; 100x100 if not given, 25 along a parameter of a scene without a "
+        "closed form.",
+    ),
+    options.option("--step", type=float, help="Step size h in s, if h does not vary."),
+    options.PATTERN,
+    *options.TOLERANCES,
+    options.option(
+        "--error", metavar="GROUP:NORM", default="a:end", show_default=True,
+        help="Relative error to show, as in the report.",
+    ),
+    options.option(
+        "--threshold", type=float, default=0.1, show_default=True,
+        help="A run with a larger error is called inaccurate.",
+    ),
+    options.T_END,
+    *options.SET,
+    options.budget(),
+    options.folder("Folder of the page.", "stepbench-map"),
+    options.PLUGINS,
+    options.JSON,
+)  # fmt: skip
+def map_(o: Given) -> None:
     """Map where a method works, over two quantities.
 
     Each point is a run: ok, inaccurate, failed in Newton's method, or diverged; all are run in one
@@ -109,22 +76,24 @@ def map_(
       stepbench map soft_impact generalized_alpha_adaptive --over rtol,d --error q:end
       stepbench map pendulum "kvaerno5[steps=constant]" --over h,th0 --error q:max --json
     """
-    names = tuple(name.strip() for name in over.split(","))
+    names = tuple(name.strip() for name in o.over.split(","))
     if len(names) != 2 or not all(names) or names[0] == names[1]:
-        raise SpecError(f"--over {over!r} is not allowed; give two different numbers as h,rho_inf.")
-    counts = None if grid is None else _read_grid(grid)
-    _, scene, method = options.asked_for(problem, integrator, settings, plugins)
-    given = {"step": step, "pattern": pattern, "rtol": rtol, "atol": atol}
+        raise SpecError(
+            f"--over {o.over!r} is not allowed; give two different numbers as h,rho_inf."
+        )
+    counts = None if o.grid is None else _read_grid(o.grid)
+    scene, method = options.asked_for(o)
 
     from bench.commands.terminal import show
     from bench.sweeps.jobs import SweepRequest, map_job
+    from reports.pages.outcome_map import write_map_page
 
-    request = SweepRequest(scene.spec, method.spec, given, t_end, budget)
-    task = request, names, ranges, counts, error, threshold
-    about, sources = f"{integrator} on {problem}", scene.sources | method.sources
-    plain = options.guarded(about, map_job, sources, budget, *task, threads=True)
-    if as_json:
-        click.echo(json.dumps(plain, allow_nan=False))
+    request = SweepRequest(scene.spec, method.spec, options.sizes(o), o.t_end, o.budget)
+    task = request, names, o.ranges, counts, o.error, o.threshold
+    about, sources = f"{o.integrator} on {o.problem}", scene.sources | method.sources
+    plain = options.guarded(about, map_job, sources, o.budget, *task, threads=True)
+    if o.as_json:
+        options.print_json(plain)
         return
     total = sum(plain["counts"].values())
     title = f"{plain['integrator']} on {plain['problem']} over {names[0]} and {names[1]}"
@@ -132,9 +101,11 @@ def map_(
         [name, str(count), f"{100 * count / total:.1f} %", plain["reasons"].get(name, "")]
         for name, count in plain["counts"].items()
     ]
-    show(Table(f"{title}: {total} runs", ["outcome", "runs", "part", "reason"], rows))
-    click.echo(f"Prepared in {plain['compile_s']:.2g} s, run in {plain['run_s']:.2g} s.")
-    click.echo(f"Page: {view('map')(plain, out)}")
+    show(
+        Table(f"{title}: {total} runs", ["outcome", "runs", "part", "reason"], rows),
+        f"Prepared in {plain['compile_s']:.2g} s, run in {plain['run_s']:.2g} s.",
+    )
+    click.echo(f"Page: {write_map_page(plain, o.out)}")
 
 
 def _read_grid(text: str) -> tuple[int, int]:
@@ -149,95 +120,68 @@ def _read_grid(text: str) -> tuple[int, int]:
 
 
 # ---- ensembles ---------------------------------------------------------------------------
-def with_ensemble(command: Callable) -> Callable:
-    """Add the options of an ensemble to `stepbench solve`."""
-    for option in (
-        options.with_file("File for the members, .csv or .parquet, a flat row each."),
-        options.with_cluster(
-            "Run the members on the workers of a dask scheduler, such as tcp://host:8786."
-        ),
-        click.option(
-            "--seed", type=click.IntRange(min=0), help="Seed of the random draw; 0 if not given."
-        ),
-        click.option(
-            "--vary",
-            multiple=True,
-            metavar="NAME:LOW..HIGH",
-            help="Draw h, a parameter or an option of each member evenly from this range (in the "
-            "logarithm if it is wide); repeatable.",
-        ),
-        click.option(
-            "--ensemble",
-            type=click.IntRange(1, _MOST),
-            metavar="N",
-            help="Run N members, a million at most, in one compiled program; needs --vary. "
-            "--budget is that of some 1000 members.",
-        ),
-    ):
-        command = option(command)
-    return command
+#: Options of an ensemble.
+ENSEMBLE = (
+    options.option(
+        "--ensemble", type=click.IntRange(1, _MOST), metavar="N",
+        help="Run N members, a million at most, in one compiled program; needs --vary. --budget is "
+        "that of some 1000 members.",
+    ),
+    options.option(
+        "--vary", multiple=True, metavar="NAME:LOW..HIGH",
+        help="Draw h, a parameter or an option of each member evenly from this range (in the "
+        "logarithm if it is wide); repeatable.",
+    ),
+    options.option(
+        "--seed", type=click.IntRange(min=0), default=0, show_default=True,
+        help="Seed of the random draw.",
+    ),
+    options.cluster(
+        "Run the members on the workers of a dask scheduler, such as tcp://host:8786."
+    ),
+    options.file("File for the members, .csv or .parquet, a flat row each."),
+)  # fmt: skip
 
 
-def refuse_alone(
-    vary: tuple[str, ...], seed: int | None, cluster: str | None, out: Path | None
-) -> None:
-    """Refuse the options of an ensemble for a single run."""
-    given = {"vary": vary, "seed": seed, "cluster": cluster, "out": out}
-    for name, value in given.items():
-        if value not in (None, ()):
-            raise SpecError(f"--{name} is for an ensemble; give --ensemble N, too.")
-
-
-def solve_ensemble(
-    sources: Sources,
-    request: EnsembleRequest,
-    cluster: str | None,
-    out: Path | None,
-    as_json: bool,
-) -> None:
+def solve_ensemble(o: Given) -> None:
     """Draw and run the members, and show or write the results."""
     from bench.commands.terminal import RunProgress, show
     from bench.guard.limits import Limits
     from bench.running.cluster import ClusterRunner
     from bench.running.runner import Runner
     from bench.sweeps.ensemble import OUT_OF_TIME
-    from bench.sweeps.members import (
-        check_file_name,
-        json_texts,
-        parts_of,
-        run_members,
-        write_members,
-    )
+    from bench.sweeps.jobs import EnsembleRequest
+    from bench.sweeps.members import check_file_name, json_texts, run_members, write_members
     from problems.usage import cores
 
-    if not request.vary:
+    scene, method = options.asked_for(o)
+    common = scene.spec, method.spec, options.sizes(o), o.t_end, o.budget
+    request = EnsembleRequest(*common, o.ensemble, o.vary, o.seed)
+    if not o.vary:
         raise SpecError("An ensemble needs something in which its members differ; give --vary.")
-    if out:
-        check_file_name(out)
-    threads, together, began = 1 if cluster else cores(), 1, time.perf_counter()
+    if o.out:
+        check_file_name(o.out)
+    began = time.perf_counter()
     # A part watches its budget itself, and has half as much again to end by it.
-    limits = Limits(1.5 * request.budget, processors=threads)
-    with RunProgress() as progress:
-        make = partial(ClusterRunner, cluster) if cluster else partial(Runner, 1)
-        with make(limits, progress) as runner:
-            if isinstance(runner, ClusterRunner):
-                together = runner.together(len(parts_of(request.count)))
-            found, fault = run_members(runner, request, sources, together)
-    if as_json:
+    limits = Limits(1.5 * o.budget, processors=1 if o.cluster else cores())
+    make = partial(ClusterRunner, o.cluster) if o.cluster else partial(Runner, 1)
+    with RunProgress() as progress, make(limits, progress) as runner:
+        found, fault = run_members(runner, request, scene.sources | method.sources)
+    if o.as_json:
         for text in json_texts(found):
             click.echo(text, nl=False)
         click.echo()
     else:
         show(*_shown(found, time.perf_counter() - began))
-    if out:
-        write_members(out, found.tables())
-        click.echo(f"{len(found.status)} members in {out}", err=as_json)
+    if o.out:
+        write_members(o.out, found.tables())
+        click.echo(f"{len(found.status)} members in {o.out}", err=o.as_json)
     if "ok" not in found.status:
         raise click.ClickException(f"No member succeeded. The first: {found.message[0]}")
-    lost = request.count - len(found.status) + found.not_run
+    lost = o.ensemble - len(found.status) + found.not_run
     if lost:
         raise click.ClickException(
-            f"Not complete: {lost} of {request.count} members are missing. {fault or OUT_OF_TIME}"
+            f"Not complete: {lost} of {o.ensemble} members are missing. {fault or OUT_OF_TIME}"
         )
 
 

@@ -35,6 +35,11 @@ class Candidate:
     refused: str = ""
 
     @property
+    def place(self) -> tuple[str, float]:
+        """The scene's printed name, and the end time in s."""
+        return self.scene.spec, self.t_end
+
+    @property
     def refusal(self) -> str:
         """The reason why the method does not take the scene, if so."""
         told = (r.message for r in self.runs.values() if r.status == UNSUPPORTED)
@@ -143,7 +148,7 @@ class Search:
         self._take()
 
     def _refuse_rest(self) -> None:
-        scenes = {(c.scene.spec, c.t_end): c.scene.sources for c in self.candidates}
+        scenes = {c.place: c.scene.sources for c in self.candidates}
         tasks = [
             Task(Worker.resting, scene, f"start of {scene[0]}", sources=sources)
             for scene, sources in scenes.items()
@@ -168,26 +173,17 @@ class Search:
 
 def _studies(candidates: Sequence[Candidate]) -> list[Study]:
     """Return a study of each scene with all its runs."""
+    places: dict[tuple[str, float], list[Candidate]] = {}
+    for candidate in candidates:
+        places.setdefault(candidate.place, []).append(candidate)
     return [
         Study(
             title=problem,
             problem=problem,
             t_end=t_end,
             figures=list(FIGURES),
-            demands=list(
-                dict.fromkeys(
-                    asked.text
-                    for c in candidates
-                    if (c.scene.spec, c.t_end) == (problem, t_end)
-                    for asked in c.demands
-                )
-            ),
-            cells=[
-                cell.key
-                for c in candidates
-                if (c.scene.spec, c.t_end) == (problem, t_end)
-                for cell in c.cells.values()
-            ],
+            demands=list(dict.fromkeys(asked.text for c in own for asked in c.demands)),
+            cells=[cell.key for c in own for cell in c.cells.values()],
         )
-        for problem, t_end in dict.fromkeys((c.scene.spec, c.t_end) for c in candidates)
+        for (problem, t_end), own in places.items()
     ]

@@ -22,6 +22,7 @@ from bench.guard.interrupts import remark
 from bench.guard.process import Refused
 from bench.plugins.registry import Sources
 from bench.results.csv_text import csv_export
+from bench.running.cluster import ClusterRunner
 from bench.running.runner import Runner, Task
 from bench.sweeps.ensemble import Ensemble, joined, member_rows
 from bench.sweeps.jobs import EnsembleRequest, members_job
@@ -42,15 +43,13 @@ def parts_of(count: int) -> list[tuple[int, int]]:
     return [(a, b - a) for a, b in itertools.pairwise(firsts)]
 
 
-def run_members(
-    runner: Runner, request: EnsembleRequest, sources: Sources, together: int = 1
-) -> tuple[Ensemble, str]:
+def run_members(runner: Runner, request: EnsembleRequest, sources: Sources) -> tuple[Ensemble, str]:
     """Run all members of an ensemble.
 
     Parameters
     ----------
     runner
-        Runs the parts; a worker gets ``together`` of them at a time.
+        Runs the parts; a worker of a cluster gets several of them at a time.
     request, sources
         What is run.
 
@@ -74,6 +73,7 @@ def run_members(
         )
         for first, count in parts_of(request.count)
     ]
+    together = runner.together(len(tasks)) if isinstance(runner, ClusterRunner) else 1
     groups = [tasks[k : k + together] for k in range(0, len(tasks), together)]
     if len(tasks) > 1:
         runner.progress.phase("running members", len(tasks))

@@ -1,0 +1,363 @@
+"""The functions for notebooks: what the commands do, as arrays, frames and charts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bench.commands.options import BUDGET_S, RESULTS, usable_registry
+from bench.commands.orders import order_records
+from bench.commands.pages import write_reports
+from bench.commands.suite import run_suite
+from bench.results.flat_rows import flatten
+from bench.results.orders import order_summary
+from bench.results.quantities import GROUPS
+from bench.results.records import Record, Rows, endings
+from bench.results.store import Store
+from bench.running.inventory import Inventory
+from bench.running.plan import LARGEST_BUDGET, make_suite
+from bench.running.profiles import read_profile
+from bench.running.progress import OnStandardError
+from bench.running.solve import Request
+from bench.running.solve import solve as run_one
+from problems.spec import SpecError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A run of one integrator on one scene; a notebook shows its components over time.
+
+    ``status`` is "ok", with notes on what is wrong as ``message``, or how it ended, with the
+    reason. ``t`` are times in s of the rows that are kept: the first steps, and 100 to 200 more; q,
+    v, a, lam, x, y and xd have a row for each and a column per component, whose names with units
+    are ``components[group]``. ``errors[group][norm]`` are relative errors, of the worst component;
+    ``work`` has counts by name, ``operations`` all of them (None if they are not known), and
+    ``seconds`` is the median time of the bare solve; None if it was not timed.
+    """
+
+    problem: str
+    integrator: str
+    resolution: str
+    status: str
+    message: str
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    lam: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    xd: np.ndarray
+    components: dict[str, list[str]]
+    errors: dict[str, dict[str, float | None]]
+    work: dict[str, int | None]
+    operations: float | None
+    seconds: float | None
+    _rows: Rows = field(repr=False)
+
+    @property
+    def title(self) -> str:
+        """The integrator, the scene, the resolution, and how the run ended."""
+        return f"{self.integrator} on {self.problem}, {self.resolution}: {self.status}"
+
+    def __repr__(self) -> str:
+        return f"<{self.title}; {len(self.t)} rows>"
+
+    def _repr_svg_(self) -> str | None:
+        from reports.pages.in_notebook import solution_chart
+
+        return (
+            solution_chart(self.integrator, self._rows, self.components) if self._rows.t else None
+        )
+
+
+@dataclass(frozen=True)
+class Orders:
+    """Orders of convergence of one integrator on one scene; a notebook shows errors over steps.
+
+    By group and norm: ``orders`` (None if not determined), with ``window``, the largest and the
+    smallest step of the fit in s, the number of its ``points``, and a ``verdict`` in words; and
+    relative ``errors``, one for each of the ``steps`` in s. ``status`` is how each run ended.
+    """
+
+    steps: list[float]
+    orders: dict[str, dict[str, float | None]]
+    window: dict[str, dict[str, Any]]
+    points: dict[str, dict[str, int]]
+    verdict: dict[str, dict[str, str]]
+    errors: dict[str, dict[str, list[float | None]]]
+    status: list[str]
+    _records: list[Record] = field(repr=False)
+
+    @cached_property
+    def frame(self) -> pd.DataFrame:
+        """A pandas frame with a row for each group and norm."""
+        columns = {"order": self.orders, "window": self.window, "points": self.points}
+        columns["verdict"] = self.verdict
+        rows = [
+            {"group": group, "norm": norm} | {k: v[group][norm] for k, v in columns.items()}
+            for group, by_norm in self.orders.items()
+            for norm in by_norm
+        ]
+        return _pandas().DataFrame(rows)
+
+    def _repr_svg_(self) -> str | None:
+        from reports.pages.in_notebook import orders_chart
+
+        return orders_chart(self._records)
+
+
+@dataclass(frozen=True)
+class Results:
+    """The results in a folder as pandas frames.
+
+    ``runs`` has a row per run: names, resolution, status, ``error_a_max`` ..., ``work_residuals``
+    ..., ``operations``, ``run_s_median``; pattern, ``run_s`` and the errors of components are
+    lists. ``samples`` has a row per timing sample: the key of the run, the number of the round, and
+    seconds. ``scenes`` has sizes, parameters (a dictionary), the reference and its own error;
+    ``environments`` the date, command, machine and versions of each invocation that measured.
+    """
+
+    folder: Path
+    runs: pd.DataFrame
+    samples: pd.DataFrame
+    scenes: pd.DataFrame
+    environments: pd.DataFrame
+    _state: str = field(repr=False)
+
+    def __repr__(self) -> str:
+        return f"<{self.folder}: {self._state}>"
+
+
+def solve(
+    problem: str,
+    integrator: str,
+    *,
+    step: float | None = None,
+    pattern: Sequence[float] | None = None,
+    rtol: float | None = None,
+    atol: float | None = None,
+    t_end: float | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    plugins: Sequence[str | Path] = (),
+    samples: int = 7,
+    budget: float = BUDGET_S,
+) -> Solution:
+    """Run one integrator on one scene, as ``stepbench solve`` does.
+
+    Parameters
+    ----------
+    problem, integrator
+        Names, with options in brackets: ``"generalized_alpha[rho_inf=0.8]"``.
+    step, pattern
+        Step size in s of a method with fixed steps, and fractions of it that take turns.
+    rtol, atol
+        Tolerances of a method that chooses its steps.
+    t_end
+        End time in s; the scene's own if None.
+    parameters
+        Parameters of the scene.
+    plugins
+        Python files, or folders of them, with more scenes or integrators.
+    samples
+        How often the run is timed.
+    budget
+        Processor time in s after which the run is stopped.
+
+    Returns
+    -------
+    Solution
+        Values, errors and work. A run that fails is one with a ``status`` and a ``message``.
+
+    Raises
+    ------
+    problems.spec.SpecError
+        If a name, an option or a number is not known or not allowed.
+
+    Examples
+    --------
+    >>> found = solve("pendulum", "newmark", step=0.01, parameters={"th0": 1.0})
+    >>> found.errors["q"]["max"] < 1e-3
+    True
+    """
+    _check(budget=budget, samples=samples)
+    fractions = tuple(pattern) if pattern else None
+    sizes = {"step": step, "pattern": fractions, "rtol": rtol, "atol": atol, "t_end": t_end}
+    request = Request(problem, integrator, parameters or {}, **sizes, samples=samples)
+    (record, rows), names = run_one(request, plugins, budget, OnStandardError())
+    return Solution(
+        problem=record.problem,
+        integrator=record.integrator,
+        resolution=record.resolution,
+        status=record.status,
+        message=" ".join(record.notes) or record.message,
+        t=np.array(rows.t),
+        **{group: _array(rows, group) for group in GROUPS},
+        components=names,
+        errors=record.errors,
+        work=record.work,
+        operations=record.cost("operations"),
+        seconds=record.seconds,
+        _rows=rows,
+    )
+
+
+def order(
+    problem: str,
+    integrator: str,
+    steps: Sequence[float] | None = None,
+    *,
+    pattern: Sequence[float] | None = None,
+    t_end: float | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    plugins: Sequence[str | Path] = (),
+    budget: float = BUDGET_S,
+) -> Orders:
+    """Fit the order of convergence of a fixed-step integrator, as ``stepbench order`` does.
+
+    ``steps`` are step sizes in s, three at least; halvings of the scene's nominal step if None. All
+    else, and what is raised, is as in `solve`.
+
+    Examples
+    --------
+    >>> found = order("pendulum", "generalized_alpha[rho_inf=0.8]", [0.02, 0.01, 0.005])
+    >>> round(found.orders["q"]["settled"])
+    2
+    """
+    _check(budget=budget)
+    registry, sizes = usable_registry(plugins), {"steps": steps, "pattern": pattern, "t_end": t_end}
+    scene = registry.problem(problem, **(parameters or {}))
+    records = order_records(registry, scene, integrator, budget, OnStandardError(), **sizes)
+    return Orders(**order_summary(records), _records=records)
+
+
+def run(
+    suite: str | Path = "quick",
+    out: str | Path = RESULTS,
+    *,
+    problems: Sequence[str] = (),
+    integrators: Sequence[str] = (),
+    mine: str | None = None,
+    plugins: Sequence[str | Path] = (),
+    fresh: bool = False,
+    jobs: int = 2,
+    budget: float | None = None,
+) -> Results:
+    """Run a suite, write its report, and load the results, as ``stepbench run`` does.
+
+    What the folder holds already is not measured again.
+
+    Parameters
+    ----------
+    suite
+        The name of a built-in suite, or a TOML file.
+    out
+        Folder of the results and of the report.
+    problems, integrators
+        Only these scenes and integrators; all of the suite if empty.
+    mine
+        An integrator that is run beside the others, and highlighted in the report.
+    plugins
+        Python files, or folders of them, with more scenes or integrators.
+    fresh
+        Whether earlier results in the folder are forgotten.
+    jobs
+        Number of worker processes.
+    budget
+        Processor time of a run in s, after which it is stopped; the suite's if None.
+
+    Raises
+    ------
+    problems.spec.SpecError
+        If a name, an option or a number is not known or not allowed.
+
+    Examples
+    --------
+    >>> results = run("quick", "first", problems=["pendulum"])  # doctest: +SKIP
+    >>> results.runs.pivot(index="h", columns="integrator", values="error_a_max")  # doctest: +SKIP
+    """
+    _check(budget=budget, jobs=jobs)
+    _pandas()  # before the work
+    registry, profile = Inventory(plugins), read_profile(str(suite))
+    planned = make_suite(*profile, registry, problems, integrators, budget, mine)
+    for sentence in run_suite(planned, registry, Path(out), fresh, jobs).sentences:
+        print(sentence)
+    write_reports(Path(out))
+    return load(out)
+
+
+def load(folder: str | Path = RESULTS) -> Results:
+    """Load the results in a folder as pandas frames.
+
+    Raises
+    ------
+    bench.results.store.StoreError
+        If the folder holds no readable store.
+    ImportError
+        If pandas is not installed.
+
+    Examples
+    --------
+    >>> fine = load("first").runs.query("h < 0.01")  # doctest: +SKIP
+    """
+    frame = _pandas().DataFrame
+    with Store(Path(folder)) as store:
+        records, machines = list(store.records().values()), store.environments()
+        scenes = store.scenes()
+    samples = [
+        {"key": r.key, "problem": r.problem, "integrator": r.integrator, "number": k, "seconds": s}
+        for r in records
+        for (_, k), s in zip(r.rounds, r.run_s, strict=True)
+    ]
+    own = [
+        {"problem": s.problem, "title": s.title, "t0": s.t0, "t_end": s.t_end, **s.sizes}
+        | {"tags": s.tags, "components": s.components}
+        | {"parameters": {p["name"]: p["value"] for p in s.parameters}}
+        | {"reference_method": s.reference_method, "reference_error": s.reference_error}
+        for s in scenes.values()
+    ]
+    environments = [
+        {"name": e.name, "date": e.date, "command": e.command, "cpu": e.cpu, "cores": e.cores}
+        | {"memory_gib": e.memory_gib, "platform": e.platform}
+        | {f"version_{name}": version for name, version in e.versions.items()}
+        for e in machines.values()
+    ]
+    runs = [flatten(record, machines) for record in records]
+    state = f"{len(records)} runs: {endings(records)}"
+    return Results(Path(folder), *map(frame, (runs, samples, own, environments)), _state=state)
+
+
+# ---- parts -------------------------------------------------------------------------------
+def _check(budget: float | None, samples: int = 0, jobs: int = 1) -> None:
+    """Refuse numbers that the command line refuses."""
+    if budget is not None and not 0 < budget <= LARGEST_BUDGET:
+        raise SpecError(
+            f"The budget is {budget}; give a time in s above 0, at most {LARGEST_BUDGET:g}."
+        )
+    if samples < 0:
+        raise SpecError(f"A run cannot be timed {samples} times; give 0 or more samples.")
+    if jobs < 1:
+        raise SpecError(f"The number of worker processes is {jobs}; give 1 or more jobs.")
+
+
+def _array(rows: Rows, group: str) -> np.ndarray:
+    """The values of a group, a row per time; without columns if the scene lacks the group."""
+    values = rows.values.get(group) or [[] for _ in rows.t]
+    return np.array(values, dtype=float).reshape(len(rows.t), len(values[0]) if values else 0)
+
+
+def _pandas() -> Any:
+    """Return pandas; raise ImportError that names the extra if it is not installed."""
+    try:
+        import pandas
+    except ImportError:
+        raise ImportError("pandas is not installed; install stepbench[notebook].") from None
+    return pandas
