@@ -1,15 +1,14 @@
 """Fields of MuJoCo's compiled models: the equations read them, need not, or cannot have them.
 
-Each field of ``mjModel`` and its options is in a table here or in `plain_fields`. A field of a
-later release that is in none is found by `unknown`.
+Each field of ``mjModel`` and its options is in a table here. A field of a later release that is in
+none is found by `unknown`.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from problems.models.mjcf_objects import load_mujoco
-from problems.models.mjcf_parts import plain_fields
+from problems.models.mjcf_parts import load_mujoco
 
 
 def _listed(prefix: str, names: str) -> set[str]:
@@ -23,13 +22,14 @@ READ = (
     | _listed("body_", "parentid weldid mocapid jntnum jntadr pos quat ipos iquat mass inertia")
     | _listed("body_", "gravcomp")
     | _listed("jnt_", "type qposadr dofadr pos axis stiffness stiffnesspoly")
-    | _listed("jnt_", "actfrclimited actfrcrange actgravcomp")
-    | _listed("dof_", "jntid armature damping dampingpoly")
+    | _listed("jnt_", "actfrclimited actfrcrange actgravcomp limited springyield")
+    | _listed("dof_", "jntid armature damping dampingpoly frictionloss")
     | _listed("geom_", "bodyid contype conaffinity fluid")
     | _listed("site_", "bodyid pos quat")
-    | _listed("eq_", "obj1id obj2id objtype active0 data")
+    | _listed("eq_", "type obj1id obj2id objtype active0 data")
     | _listed("actuator_", "ctrladr trnid gainprm biasprm damping dampingpoly armature group gear")
-    | _listed("actuator_", "outadr forcelimited forcerange ctrllimited ctrlrange")
+    | _listed("actuator_", "outadr forcelimited forcerange ctrllimited ctrlrange ctrlnum outnum")
+    | _listed("actuator_", "trntype dyntype gaintype biastype delay")
     | _listed("key_", "qpos qvel ctrl mpos mquat")
 )
 #: Fields that change no motion here: they draw, name, count and measure; follow from others;
@@ -80,7 +80,7 @@ FLAGS = {
 
 def unknown(m: Any) -> list[str]:
     """Return the fields and flags of MuJoCo that are in no table here."""
-    known, model = READ | IDLE | {*plain_fields()}, type(m)
+    known, model = READ | IDLE, type(m)
     fields = {
         name
         for name in dir(model)

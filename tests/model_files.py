@@ -258,10 +258,9 @@ ROBOTS = {
     "goal that a keyframe moves": File(
         mjcf(
             '<body name="goal" mocap="true" pos="1 0 0"><geom size=".1"/>'
-            '<body><joint/><geom size=".1"/></body></body>',
-            '<keyframe><key qpos=".1" mpos="0 1 0"/></keyframe>',
-        ),
-        left_out=("mocap",),
+            '<body><joint/><geom size=".1" pos=".2 0 0"/></body></body>',
+            '<keyframe><key qpos=".1" mpos="0 1 0" mquat=".7 .7 0 0"/></keyframe>',
+        )
     ),
     "bob tied to a goal": File(
         mjcf(

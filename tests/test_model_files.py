@@ -29,7 +29,7 @@ from problems.spec import SpecError, build
 RIGID = {"contacts": "CONTACT", "limits": "LIMIT", "friction_loss": "FRICTIONLOSS"}
 VALUED = [name for name, file in FILES.items() if not file.refusal and {*file.left_out} <= {*RIGID}]
 #: One of each kind.
-FEW = ["flag constraint", "arm with a bound of its joints", "four bar on a free base"]
+FEW = ["goal that a keyframe moves", "arm with a bound of its joints", "four bar on a free base"]
 
 
 def saved(tmp_path, name: str):

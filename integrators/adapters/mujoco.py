@@ -16,7 +16,7 @@ from integrators.native.endings import Ending
 from integrators.resolutions import Steps
 from problems.initial_values import consistent_start
 from problems.models.mjcf import MujocoScene
-from problems.models.mjcf_objects import load_mujoco
+from problems.models.mjcf_parts import load_mujoco
 from problems.spec import SpecError, validate
 from problems.system import MechatronicSystem
 

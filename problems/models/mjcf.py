@@ -7,6 +7,7 @@ doi:10.1109/IROS.2012.6386109.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import hashlib
 import re
@@ -20,14 +21,7 @@ import numpy as np
 
 from problems.models.mjcf_check import Start, checked_start, reset
 from problems.models.mjcf_model import Model
-from problems.models.mjcf_objects import (
-    called,
-    control_names,
-    coordinate_names,
-    load_mujoco,
-    velocity_names,
-)
-from problems.models.mjcf_parts import lacking, without
+from problems.models.mjcf_parts import called, lacking, load_mujoco, numbers
 from problems.models.mjcf_read import read
 from problems.rotations import quaternion_rate, turned
 from problems.runtime import Array, Float, jnp
@@ -70,9 +64,9 @@ class MujocoScene(MechatronicSystem):
 
     def __post_init__(self) -> None:
         own = getattr(type(self), "keyframe", None)
-        if (asked := getattr(self, "keyframe", None)) != own:
+        if (other := getattr(self, "keyframe", None)) != own:
             raise SpecError(
-                f"{self.name} is made for the keyframe {own!r}; from_mjcf(..., keyframe={asked!r}) "
+                f"{self.name} is made for the keyframe {own!r}; from_mjcf(..., keyframe={other!r}) "
                 f"makes the other one."
             )
         if left := [key for key in self.lacking if getattr(self, key) != LEFT_OUT]:
@@ -91,9 +85,7 @@ class MujocoScene(MechatronicSystem):
         return self.model.mass_product(q, a)
 
     def force(self, q: Array, v: Array, t: Array) -> Array:
-        model = self.model
-        control = jnp.array([getattr(self, name) for name in self.controls])
-        return model.passive(q, v) + model.actuators(q, v, control) - model.tree.bias(q, v)
+        return self.model.force(q, v, jnp.array([getattr(self, name) for name in self.controls]))
 
     def kinematics(self, q: Array, v: Array) -> Array:
         return self.model.moved(q, v, quaternion_rate)
@@ -110,13 +102,14 @@ class MujocoScene(MechatronicSystem):
 
     def points(self, q: Array) -> dict[str, Array]:
         """Centres of mass of the bodies, by their names."""
-        centres = self.model.tree.centres(q)
-        return {name: centres[k] for name, k in self.model.named.items()}
+        centres, links = self.model.tree.centres(q), self.model.link
+        return {called(self.model.m, "BODY", k): centres[n] for k, n in enumerate(links) if k}
 
     # ---- the same model in MuJoCo
     def in_mujoco(self) -> tuple[Any, Float[np.ndarray, " nu"]]:
         """Return a copy of MuJoCo's model without what is left out, and the controls."""
-        return without(self.model.m), np.array([getattr(self, name) for name in self.controls])
+        controls = np.array([getattr(self, name) for name in self.controls])
+        return copy.copy(self.model.engine), controls
 
     # ---- start and picture
     def initial_state(self) -> State:
@@ -125,13 +118,10 @@ class MujocoScene(MechatronicSystem):
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
         """Lines between the origins of neighbouring bodies, and to the centres of the last."""
         tree = self.model.tree
-        at = tree.poses(jnp.asarray(q))
-        origins = np.asarray(at.origins)
-        centres = origins + np.einsum("nij,nj->ni", np.asarray(at.axes), tree.centre)
-        lines = []
+        origins = np.asarray(tree.poses(jnp.asarray(q)).origins)
+        centres, lines = np.asarray(tree.centres(jnp.asarray(q))), []
         for k, parent in enumerate(tree.parent):
-            start = origins[parent] if parent >= 0 else np.zeros(3)
-            lines.append([start, origins[k]])
+            lines.append([origins[parent] if parent >= 0 else np.zeros(3), origins[k]])
             if k not in tree.parent and tree.mass[k]:
                 lines.append([origins[k], centres[k]])
         return [np.asarray(line) @ _VIEW.T for line in lines]
@@ -182,19 +172,19 @@ def from_mjcf(
         If MuJoCo does not take the file, the model has something that cannot be left out, its start
         violates the equalities, MuJoCo computes other numbers, or a default is none.
     """
-    path = Path(file)
+    settings, path = {**locals()}, Path(file)
     name = scene_name(path) if name is None else name
     cls = "".join(part[:1].upper() + part[1:] for part in name.split("_"))
     if not (is_name(name) and cls.isidentifier()):
         raise SpecError(f"{name!r} is no name of a scene, such as 'robot'; give another one.")
-    compiled, notes = read(path, None if meshes is None else Path(meshes))
+    m, notes = read(path, None if meshes is None else Path(meshes))
     try:
-        left_out, model = lacking(compiled), Model(compiled)
-        digest = _digest(compiled)
-        keys = [called(compiled, "KEY", k).removeprefix("key ") for k in range(compiled.nkey)]
+        digest, keys = _digest(m), [called(m, "KEY", k).removeprefix("key ") for k in range(m.nkey)]
         if keyframe is not None:
             one_of(keyframe, keys, "keyframe")
-        at_key = (keys.index(keyframe) if keyframe else 0) if keys else None
+        at_key = keys.index(keyframe or keys[0]) if keys else None
+        _place_goals(m, at_key)
+        left_out, model = lacking(m), Model(m)
         at_start, is_new = checked_start(model, digest, at_key)
     except SpecError as error:
         raise SpecError(f"{name}: {error}") from None
@@ -205,26 +195,25 @@ def from_mjcf(
     if is_new and not caller.startswith("problems."):  # every process loads it; one tells
         for note in notes:
             print(f"{name}: {note}", file=sys.stderr)
-    controls, values = control_names(compiled), reset(compiled, at_key).ctrl
-    fields: list[Any] = [(key, str, _choice(part)) for key, part in left_out.items()]
-    for k, control in enumerate(controls):
-        told = parameter(float(values[k]), "1", f"control of actuator {k}")
-        fields.append((control, float, told))
-    named = {key: field for key, _, field in fields}
+    fields = {
+        key: _word(REFUSED, f"{part}: {LEFT_OUT} leaves this out", (REFUSED, LEFT_OUT))
+        for key, part in left_out.items()
+    }
+    controls = _controls(m)
+    for k, value in enumerate(reset(m, at_key).ctrl):
+        fields[controls[k]] = parameter(float(value), "1", f"control of actuator {k}")
     for key, value in (defaults or {}).items():
-        if key not in named:
-            raise SpecError(f"{name} has no parameter {key!r}; {suggest(key, named)}.")
-        named[key].name = key
-        named[key].default = convert(name, named[key], value)
+        if key not in fields:
+            raise SpecError(f"{name} has no parameter {key!r}; {suggest(key, fields)}.")
+        fields[key].name = key
+        fields[key].default = convert(name, fields[key], value)
     if keys:
-        meta = {"type": str, "doc": "keyframe at which it starts", "choices": tuple(keys)}
-        meta |= {"unit": "", "always": keyframe is not None}
-        fields.append(
-            ("keyframe", str, dataclasses.field(default=keys[at_key or 0], metadata=meta))
-        )
-    names = coordinate_names(compiled), velocity_names(compiled) if model.balls else ()
-    given = dataclasses.field(default=_given(start or {}, *names), kw_only=True, repr=False)
-    fields.append(("given", tuple, given))
+        text = "keyframe at which it starts"
+        fields["keyframe"] = _word(keys[at_key or 0], text, tuple(keys), keyframe is not None)
+    coordinates = _names(m, "[rad]", "[m]", [f"p{i}" for i in range(4)])
+    rates = _names(m, "[rad/s]", "[m/s]", [f"Omega {i} [rad/s]" for i in (1, 2, 3)])
+    given = _given(start or {}, coordinates, rates)
+    fields["given"] = dataclasses.field(default=given, kw_only=True, repr=False)
     absent = {
         "kinematics": not model.balls,
         "move": not model.balls,
@@ -233,36 +222,25 @@ def from_mjcf(
     }
     made = dataclasses.make_dataclass(
         cls,
-        fields,
+        [(key, field.metadata.get("type", tuple), field) for key, field in fields.items()],
         bases=(MujocoScene,),
         frozen=True,
         namespace={
-            "__doc__": f"A model of MuJoCo: {compiled.nbody - 1} bodies, {compiled.njnt} joints, "
-            f"{compiled.nactuator} actuators, {len(at_start.rows)} constraints."
+            "__doc__": f"A model of MuJoCo: {m.nbody - 1} bodies, {m.njnt} joints, "
+            f"{m.nactuator} actuators, {len(at_start.rows)} constraints."
             + "".join(f"\n\n{note}" for note in notes),
             "name": name,
             "model": model,
             "at_start": at_start,
             "at_keyframe": staticmethod(
-                cache(
-                    lambda key: from_mjcf(
-                        path,
-                        name=name,
-                        interval=interval,
-                        nominal_step=nominal_step,
-                        meshes=meshes,
-                        defaults=defaults,
-                        keyframe=key,
-                        start=start,
-                    )
-                )
+                cache(lambda key: from_mjcf(**settings | {"name": name, "keyframe": key}))
             ),
             "controls": controls,
             "lacking": left_out,
             "interval": interval,
-            "nominal_step": 5 * compiled.opt.timestep if nominal_step is None else nominal_step,
-            "coordinates": names[0],
-            "velocities": names[1],
+            "nominal_step": 5 * m.opt.timestep if nominal_step is None else nominal_step,
+            "coordinates": coordinates,
+            "velocities": rates if model.balls else (),
             "multipliers": tuple(model.rows[row] for row in at_start.rows),
             "redundant": at_start.redundant,
             "tags": ("multibody", *(["constrained", "index 3"] if at_start.rows else [])),
@@ -283,14 +261,13 @@ def scene_name(path: Path) -> str:
 
 
 def _given(
-    start: Mapping[str, float | Sequence[float]], coordinates: Sequence[str], own: Sequence[str]
+    start: Mapping[str, float | Sequence[float]], coordinates: Sequence[str], rates: Sequence[str]
 ) -> tuple[tuple[str, float], ...]:
     """Values at the start by names of single coordinates and velocities."""
     found: dict[str, float] = {}
     for key, value in start.items():
         joint, end = key.removesuffix(".v"), ".v" if key.endswith(".v") or key == "qvel" else ""
-        texts = (own or coordinates) if end else coordinates
-        names = [Component.read(text).name for text in texts]
+        names = [Component.read(text).name for text in (rates if end else coordinates)]
         if key not in ("qpos", "qvel"):
             names = [n for n in names if n == joint or n.startswith(f"{joint} ")] or [joint]
         values = np.atleast_1d(np.asarray(value, dtype=float))
@@ -302,13 +279,46 @@ def _given(
 
 def _digest(m: Any) -> str:
     """A digest of all numbers of a model."""
-    numbers = np.empty(load_mujoco().mj_sizeModel(m), dtype=np.uint8)
-    load_mujoco().mj_saveModel(m, None, numbers)
-    return hashlib.sha256(numbers.tobytes()).hexdigest()
+    data = np.empty(load_mujoco().mj_sizeModel(m), dtype=np.uint8)
+    load_mujoco().mj_saveModel(m, None, data)
+    return hashlib.sha256(data.tobytes()).hexdigest()
 
 
-def _choice(part: str) -> Any:
-    """A parameter that is `REFUSED` or `LEFT_OUT`."""
-    doc = f"{part}: {LEFT_OUT} leaves this out"
-    meta = {"type": str, "unit": "", "doc": doc, "choices": (REFUSED, LEFT_OUT)}
-    return dataclasses.field(default=REFUSED, metadata=meta)
+def _word(default: str, doc: str, choices: tuple[str, ...], always: bool = False) -> Any:
+    """A parameter that is one of some words."""
+    meta = {"type": str, "unit": "", "doc": doc, "choices": choices, "always": always}
+    return dataclasses.field(default=default, metadata=meta)
+
+
+def _place_goals(m: Any, keyframe: int | None) -> None:
+    """Put the bodies that are moved by hand (mocap) where the keyframe has them."""
+    for body in np.flatnonzero(m.body_mocapid >= 0) if keyframe is not None else ():
+        k = m.body_mocapid[body]
+        m.body_pos[body] = m.key_mpos[keyframe].reshape(-1, 3)[k]
+        m.body_quat[body] = m.key_mquat[keyframe].reshape(-1, 4)[k]
+
+
+def _names(m: Any, angle: str, way: str, turning: list[str]) -> tuple[str, ...]:
+    """Names of the coordinates or velocities of joints: units of angles and ways, and the names of
+    the entries of a rotation."""
+    parts = {
+        "HINGE": [angle],
+        "SLIDE": [way],
+        "BALL": turning,
+        "FREE": [*(f"{letter} {way}" for letter in "xyz"), *turning],
+    }
+    kinds = {number: parts[kind] for kind, number in vars(numbers("mjtJoint")).items()}
+    each = enumerate(m.jnt_type)
+    return tuple(f"{called(m, 'JOINT', k)} {part}" for k, kind in each for part in kinds[kind])
+
+
+def _controls(m: Any) -> tuple[str, ...]:
+    """Names of the parameters that are controls of actuators."""
+    own = []
+    for k in range(m.nactuator):
+        one = called(m, "ACTUATOR", k).removeprefix("actuator ")
+        count = int(m.actuator_ctrlnum[k])
+        own += [f"{one}_{i}" for i in range(count)] if count > 1 else [one] * count
+    names = ["control_" + "".join(c if c.isalnum() else "_" for c in name) for name in own]
+    unique = len({*names}) == len(names)
+    return tuple(names) if unique else tuple(f"control_{k}" for k in range(m.nu))

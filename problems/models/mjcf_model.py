@@ -1,4 +1,4 @@
-"""Equations of a model of MuJoCo: forces of joints and actuators, equalities, moved coordinates."""
+"""Equations of a model of MuJoCo: its tree, forces of joints, actuators and a fluid, equalities."""
 
 from __future__ import annotations
 
@@ -8,31 +8,68 @@ from typing import Any
 
 import numpy as np
 
-from problems.models.mjcf_fluid import Fluid, ellipsoid, is_immersed
-from problems.models.mjcf_objects import called, is_off, matrix_of, numbers
-from problems.models.mjcf_parts import affine_actuators, lost_actuators, rigid_equalities
-from problems.models.mjcf_tree import branches
-from problems.models.trees import traced_once
+from problems.models.mjcf_parts import acting, at_joints, called, numbers, settled, without
+from problems.models.trees import Tree, traced_once
 from problems.rotations import quaternion_rate
 from problems.runtime import Array, Float, jnp
+from problems.spec import SpecError
+
+#: Most links: the matrices of ancestors grow with the square.
+MOST_LINKS = 400
 
 
 class Model:
-    """Equations of a compiled model ``m``, without those parts that a scene cannot state."""
+    """Equations of a compiled model, without those parts that a scene cannot state.
 
-    def __init__(self, m: Any) -> None:
-        self.m = m
-        self.tree, self.balls, self._link_of, self.named = branches(m)
-        immersed = is_immersed(m) and ellipsoid(m) is None
-        self._fluid = Fluid(m, self.tree, self._link_of) if immersed else None
-        #: Whether gaps of equalities are in the axes of second bodies.
-        self.in_bodies = False
+    Attributes
+    ----------
+    engine
+        The model without these parts, as MuJoCo steps it.
+    m
+        The same, with the numbers that its flags leave.
+    tree, balls
+        Links, and the first coordinate and velocity of each quaternion; a free joint is three
+        slides and a ball.
+    link
+        The link that is each body; -1: the ground.
+    rows
+        Names of the equations of all equalities.
+    in_bodies
+        Whether gaps of equalities are in the axes of second bodies, where those of a loop on a body
+        that moves stay in a plane; else in space, as MuJoCo's ``efc_pos``.
+    """
+
+    def __init__(self, compiled: Any) -> None:
+        self.engine, self.in_bodies = without(compiled), False
+        self.m = m = settled(self.engine)
+        self.tree, self.link, self.balls = _branches(m)
+        # Numbers of actuators, times the squares of their gears, are added to those of joints.
+        own = np.column_stack([m.dof_armature, m.dof_damping, m.dof_dampingpoly])
+        more = np.column_stack([m.actuator_armature, m.actuator_damping, m.actuator_dampingpoly])
+        for k in np.flatnonzero(at_joints(m)):
+            gear = m.actuator_gear[m.actuator_outadr[k], 0]
+            own[m.jnt_dofadr[m.actuator_trnid[k, 0]]] += gear**2 * more[k]
+        self._armature, self._damping = own[:, 0], own[:, 1:]
+        springs = np.column_stack([m.jnt_stiffness, m.jnt_stiffnesspoly])
+        self._sprung = np.flatnonzero(springs.any(1))
+        self._stiffness = springs[self._sprung]
+        self._acting, self._tied = np.flatnonzero(acting(m)), np.flatnonzero(m.eq_active0).tolist()
+        # Whether forces that hold up weights count as those of actuators.
+        self._holds = m.jnt_actgravcomp[m.dof_jntid].astype(bool) & m.body_gravcomp.any()
+        self._immersed = bool(m.opt.density or m.opt.viscosity)
+        kinds = numbers("mjtEq")
+        sizes = {kinds.CONNECT: 3, kinds.WELD: 6, kinds.JOINT: 1}
+        self.rows = [
+            f"{called(m, 'EQUALITY', k)} {row}"
+            for k in self._tied
+            for row in range(sizes[m.eq_type[k]])
+        ]
 
     @property
     def dissipates(self) -> bool:
         """Whether the energy changes: there are dampers, a fluid or actuators."""
-        given = len(affine_actuators(self.m)) or self._by_actuators.any()
-        return bool(self._damping.any() or self._fluid or given)
+        forces = len(self._acting) or self._holds.any() or self._damping.any()
+        return bool(forces or self._immersed)
 
     def mass(self, q: Float[Array, " nq"]) -> Float[Array, "nv nv"]:
         """Return M(q) with the armatures."""
@@ -55,172 +92,189 @@ class Model:
         return jnp.concatenate(parts)
 
     # ---- forces
-    def _reflected(self, own: np.ndarray, of_actuators: np.ndarray) -> np.ndarray:
-        """Numbers of velocities with what actuators add, times the squares of their gears."""
-        m, total, ways = self.m, np.array(own), numbers("mjtTrn")
-        at_joint = np.isin(m.actuator_trntype, [ways.mjTRN_JOINT, ways.mjTRN_JOINTINPARENT])
-        for k in np.flatnonzero(at_joint & ~lost_actuators(m)):
-            gear = m.actuator_gear[m.actuator_outadr[k], 0]
-            total[m.jnt_dofadr[m.actuator_trnid[k, 0]]] += gear**2 * of_actuators[k]
-        return total
+    def force(self, q: Array, v: Array, control: Float[Array, " nu"]) -> Array:
+        """Return all forces beside M a, in N (or N m)."""
+        return self._passive(q, v) + self._actuators(q, v, control) - self.tree.bias(q, v)
 
-    @cached_property
-    def _armature(self) -> np.ndarray:
-        """Inertias of rotors ``(nv,)``."""
-        return self._reflected(self.m.dof_armature, self.m.actuator_armature)
-
-    @cached_property
-    def _damping(self) -> np.ndarray:
-        """Coefficients of the dampers ``(nv, 3)``."""
-        m = self.m
-        own = np.column_stack([m.dof_damping, m.dof_dampingpoly])
-        added = np.column_stack([m.actuator_damping, m.actuator_dampingpoly])
-        return self._reflected(own, added) * (not is_off(m, "DAMPER"))
-
-    @cached_property
-    def _by_actuators(self) -> np.ndarray:
-        """Whether forces that hold up weights count as those of actuators ``(nv,)``."""
-        m = self.m
-        return m.jnt_actgravcomp[m.dof_jntid].astype(bool) & self.tree.weightless.any()
-
-    @cached_property
-    def _springs(self) -> tuple[np.ndarray, ...]:
-        """Coordinates, velocities, rests and stiffnesses ``(k, 3)`` of hinges and slides."""
-        m, types = self.m, numbers("mjtJoint")
-        own = np.flatnonzero(np.isin(m.jnt_type, [types.mjJNT_HINGE, types.mjJNT_SLIDE]))
-        stiff = np.column_stack([m.jnt_stiffness, m.jnt_stiffnesspoly])[own]
-        own, stiff = own[stiff.any(1)], stiff[stiff.any(1)]
-        at = m.jnt_qposadr[own]
-        return at, m.jnt_dofadr[own], m.qpos_spring[at], stiff * (not is_off(m, "SPRING"))
+    def _stretched(self, q: Array) -> Array:
+        """How far springs are from their rest, in m or rad."""
+        at = self.m.jnt_qposadr[self._sprung]
+        return q[at] - self.m.qpos_spring[at]
 
     @traced_once
-    def passive(self, q: Array, v: Array) -> Array:
-        """Return the forces of springs, dampers and a fluid, in N (or N m)."""
-        at_q, at_v, rest, stiff = self._springs
+    def _passive(self, q: Array, v: Array) -> Array:
+        """Forces of springs, dampers and a fluid."""
         force = jnp.zeros(self.m.nv)
         if self._damping.any():
             force -= v * _polynomial(self._damping, jnp.abs(v))
-        if len(at_q):
-            way = q[at_q] - rest
-            force = force.at[at_v].add(-way * _polynomial(stiff, way))
-        return force + self._fluid.force(q, v) if self._fluid else force
+        if len(self._sprung):
+            way = self._stretched(q)
+            at_v = self.m.jnt_dofadr[self._sprung]
+            force = force.at[at_v].add(-way * _polynomial(self._stiffness, way))
+        return force - self._drag(q, v) if self._immersed else force
 
     def spring_energy(self, q: Array) -> Any:
         """Return the energy of the springs in J."""
-        at_q, _, rest, stiff = self._springs
-        way = q[at_q] - rest
-        parts = stiff / np.arange(2, 2 + stiff.shape[1])
-        return jnp.sum(way**2 * _polynomial(parts, way)) if len(at_q) else jnp.zeros(())
+        way = self._stretched(q)
+        parts = self._stiffness / np.arange(2, 2 + self._stiffness.shape[1])
+        return jnp.sum(way**2 * _polynomial(parts, way)) if len(parts) else jnp.zeros(())
+
+    @cached_property
+    def _boxes(self) -> tuple[np.ndarray, ...]:
+        """Axes in their links ``(n, 3, 3)`` of the boxes that have the bodies' masses and inertias,
+        and coefficients of drag along and about them, linear and quadratic in the speed."""
+        m, n = self.m, len(self.tree.parent)
+        turn, box = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
+        for body in np.flatnonzero(m.body_mass > 0):
+            inertia, link = m.body_inertia[body], self.link[body]
+            sizes = 6 * np.maximum(inertia.sum() - 2 * inertia, 0) / m.body_mass[body]
+            box[link], turn[link] = np.sqrt(sizes), _matrix(m.body_iquat[body])
+        diameter, stokes = box.mean(axis=1)[:, None], np.pi * m.opt.viscosity
+        others = np.stack([np.roll(box, -1, axis=1), np.roll(box, -2, axis=1)])
+        along = 3 * stokes * diameter, 0.5 * m.opt.density * others.prod(axis=0)
+        about = stokes * diameter**3, m.opt.density / 64 * box * (others**4).sum(axis=0)
+        return turn, *along, *about
+
+    def _drag(self, q: Array, v: Array) -> Array:
+        """Forces against a fluid (MuJoCo's documentation, "Fluid forces", inertia model)."""
+        turn, linear, square, turning, turning_square = self._boxes
+        at = self.tree.poses(q)
+        speed, angular = self.tree.speeds(at, v)
+        axes = at.axes @ turn
+        u = jnp.einsum("nij,ni->nj", axes, speed - self.m.opt.wind)
+        w = jnp.einsum("nij,ni->nj", axes, angular)
+        push = u * (linear + square * jnp.abs(u))
+        twist = w * (turning + turning_square * jnp.abs(w))
+        return self.tree.on_joints(
+            at, *(jnp.einsum("nij,nj->ni", axes, part) for part in (push, twist))
+        )
 
     @traced_once
-    def actuators(self, q: Array, v: Array, control: Float[Array, " nu"]) -> Array:
-        """Return the forces of the actuators at a control, in N (or N m).
+    def _actuators(self, q: Array, v: Array, control: Float[Array, " nu"]) -> Array:
+        """Forces of the actuators at a control.
 
         Weights that actuators hold up are in the bias forces: here is what bounds take away.
         """
-        m, own, force = self.m, affine_actuators(self.m), jnp.zeros(self.m.nv)
-        held = self.tree.held(q) * self._by_actuators if self._by_actuators.any() else 0.0
-        if is_off(m, "ACTUATION"):
-            return force - held
-        of = m.dof_jntid
-        joint, gear = m.actuator_trnid[own, 0], m.actuator_gear[m.actuator_outadr[own], 0]
-        length, speed = gear * q[m.jnt_qposadr[joint]], gear * v[m.jnt_dofadr[joint]]
-        at = m.actuator_ctrladr[own]
+        m, own, force = self.m, self._acting, jnp.zeros(self.m.nv)
 
         def within(values: Array, limited: np.ndarray, limits: np.ndarray) -> Array:
             low, high = np.where(limited[:, None], limits, [-np.inf, np.inf]).T
             return jnp.clip(values, low, high) if limited.any() else values
 
-        def affine(given: np.ndarray, varies: np.ndarray) -> Any:
-            """The first number, and, where it varies, those of length and speed."""
-            more = np.where(varies[own, None], given[own, 1:3], 0.0)
-            return given[own, 0] + more[:, 0] * length + more[:, 1] * speed
-
         if len(own):
-            clamped = m.actuator_ctrllimited[at] & (not is_off(m, "CLAMPCTRL"))
-            control = within(control[at], clamped, m.actuator_ctrlrange[at])
-            varies = m.actuator_gaintype == numbers("mjtGain").mjGAIN_AFFINE
-            biased = m.actuator_biastype == numbers("mjtBias").mjBIAS_AFFINE
-            given = affine(m.actuator_gainprm, varies) * control
-            given += biased[own] * affine(m.actuator_biasprm, biased)
+            joint, gear = m.actuator_trnid[own, 0], m.actuator_gear[m.actuator_outadr[own], 0]
+            length, speed = gear * q[m.jnt_qposadr[joint]], gear * v[m.jnt_dofadr[joint]]
+
+            def affine(given: np.ndarray, kind: np.ndarray) -> Any:
+                """The first number, and, where it varies, those of length and speed."""
+                more = np.where(kind[own, None], given[own, 1:3], 0.0)
+                return given[own, 0] + more[:, 0] * length + more[:, 1] * speed
+
+            at = m.actuator_ctrladr[own]
+            control = within(control[at], m.actuator_ctrllimited[at], m.actuator_ctrlrange[at])
+            biased = m.actuator_biastype[own] != numbers("mjtBias").NONE
+            given = affine(m.actuator_gainprm, m.actuator_gaintype) * control
+            given += biased * affine(m.actuator_biasprm, m.actuator_biastype)
             given = within(given, m.actuator_forcelimited[own], m.actuator_forcerange[own])
             force = force.at[m.jnt_dofadr[joint]].add(gear * given)
+        held = self.tree.held(q) * self._holds if self._holds.any() else 0.0
+        of = m.dof_jntid
         return within(force + held, m.jnt_actfrclimited[of], m.jnt_actfrcrange[of]) - held
 
     # ---- equalities
-    @cached_property
-    def rows(self) -> list[str]:
-        """Names of the equations of all equalities."""
-        kinds = numbers("mjtEq")
-        sizes = {kinds.mjEQ_CONNECT: 3, kinds.mjEQ_WELD: 6, kinds.mjEQ_JOINT: 1}
-        return [
-            f"{called(self.m, 'EQUALITY', k)} {row}"
-            for k in rigid_equalities(self.m)
-            for row in range(sizes[self.m.eq_type[k]])
-        ]
-
-    def equalities(self, q: Array, in_space: bool = False) -> Array:
-        """Return the residuals of all equalities, in m and rad.
-
-        Gaps are in the axes of the nearest link that carries both bodies, where those of a plane
-        loop stay in a plane; `in_bodies`: in those of the second one, where those of two ties that
-        are a hinge stay so; or in space, as MuJoCo's ``efc_pos``.
-        """
-        m, types = self.m, numbers("mjtEq")
+    def equalities(self, q: Array) -> Array:
+        """Return the residuals of all equalities, in m and rad."""
+        m, ties, parts = self.m, numbers("mjtEq"), []
         at = self.tree.poses(q)
-        parts = []
-        for k in rigid_equalities(m):
+        for k in self._tied:
             data = np.array(m.eq_data[k])
-            if m.eq_type[k] == types.mjEQ_JOINT:
+            if m.eq_type[k] == ties.JOINT:
                 parts.append(self._coupling(k, q, data))
                 continue
             (axes, origin), (others, other) = (self._frame(at, k, second) for second in (0, 1))
-            site = m.eq_objtype[k] == numbers("mjtObj").mjOBJ_SITE
-            tied = m.eq_type[k] == types.mjEQ_CONNECT
+            site, tied = self._has_sites(k), m.eq_type[k] == ties.CONNECT
             places = (np.zeros(3), np.zeros(3)) if site else (data[:3], data[3:6])
             first, second = places if tied else places[::-1]
             gap = origin + axes @ first - other - others @ second
-            carrier = -1 if in_space else self._carrier(k)
-            parts.append(at.axes[carrier].T @ gap if carrier >= 0 else gap)
+            parts.append(others.T @ gap if self.in_bodies else gap)
             if not tied:
-                turn = np.eye(3) if site else matrix_of(data[6:10])
+                turn = np.eye(3) if site else _matrix(data[6:10])
                 parts.append(data[10] * _vector_part(others.T @ axes @ turn))
         return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
+    def _has_sites(self, equality: int) -> bool:
+        return self.m.eq_objtype[equality] == numbers("mjtObj").SITE
+
     def _frame(self, at: Any, equality: int, second: int) -> tuple[Any, Any]:
         """Axes and origin of the first or second body, or site, of an equality."""
-        m, link = self.m, self._link(equality, second)
+        m, site = self.m, self._has_sites(equality)
+        k = int((m.eq_obj2id if second else m.eq_obj1id)[equality])
+        link = self.link[int(m.site_bodyid[k]) if site else k]
         axes, origin = (at.axes[link], at.origins[link]) if link >= 0 else (np.eye(3), np.zeros(3))
-        if m.eq_objtype[equality] != numbers("mjtObj").mjOBJ_SITE:
+        if not site:
             return axes, origin
-        k = int((m.eq_obj2id if second else m.eq_obj1id)[equality])
-        return axes @ matrix_of(m.site_quat[k]), origin + axes @ np.array(m.site_pos[k])
-
-    def _link(self, equality: int, second: int) -> int:
-        """The link of the first or second body, or of that of a site, of an equality."""
-        m = self.m
-        k = int((m.eq_obj2id if second else m.eq_obj1id)[equality])
-        site = m.eq_objtype[equality] == numbers("mjtObj").mjOBJ_SITE
-        return self._link_of[int(m.site_bodyid[k]) if site else k]
-
-    def _carrier(self, equality: int) -> int:
-        """The link that moves and in whose axes the gap of an equality is, or -1."""
-        lines = [self.tree.line(self._link(equality, second)) for second in (0, 1)]
-        if self.in_bodies:
-            lines = [next((line for line in lines[::-1] if line), [])] * 2
-        both = sorted({*lines[0]} & {*lines[1]})
-        return both[-1] if any(self.tree.kind[link] != "fixed" for link in both) else -1
+        return axes @ _matrix(m.site_quat[k]), origin + axes @ np.array(m.site_pos[k])
 
     def _coupling(self, k: int, q: Array, data: np.ndarray) -> Array:
         """A joint that is a polynomial of another one, both from their places in qpos0."""
-        m = self.m
-        one, other = int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
-        at = m.jnt_qposadr[one]
+        m, one, other = self.m, int(self.m.eq_obj1id[k]), int(self.m.eq_obj2id[k])
+        at = m.jnt_qposadr[[one, other]]
         way = q[at] - m.qpos0[at]
-        if other < 0:
-            return (way - data[0])[None]
-        at = m.jnt_qposadr[other]
-        return (way - _polynomial(data[:5], q[at] - m.qpos0[at]))[None]
+        return (way[0] - (data[0] if other < 0 else _polynomial(data[:5], way[1])))[None]
+
+
+def _branches(m: Any) -> tuple[Tree, list[int], list[tuple[int, int]]]:
+    """The tree of a model, the links of its bodies, and the quaternions.
+
+    Raises
+    ------
+    SpecError
+        If nothing moves, or the model has more than `MOST_LINKS` links.
+    """
+    kinds = {number: kind.lower() for kind, number in vars(numbers("mjtJoint")).items()}
+    none, rows, last, balls = np.zeros(3), [], [-1], []
+    for body in range(1, m.nbody):
+        above, joints = last[m.body_parentid[body]], []
+        place, axes = m.body_pos[body], _matrix(m.body_quat[body])
+        for j in range(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body]):
+            kind, at_q, at_v = kinds[m.jnt_type[j]], int(m.jnt_qposadr[j]), int(m.jnt_dofadr[j])
+            anchor = m.jnt_pos[j]
+            if kind == "free":
+                for axis in np.eye(3):
+                    joints.append(("slide", axis, none, at_q, at_v, 0.0))
+                    at_q, at_v = at_q + 1, at_v + 1
+                kind, anchor, place, axes = "ball", none, none, np.eye(3)
+            if kind == "ball":
+                balls.append((at_q, at_v))
+            joints.append((kind, m.jnt_axis[j], anchor, at_q, at_v, m.qpos0[at_q]))
+        for joint in joints or [("fixed", none, none, 0, 0, 0.0)]:
+            rows.append((above, place, axes, *joint))
+            above, place, axes = len(rows) - 1, none, np.eye(3)
+        last.append(above)
+    if len(rows) > MOST_LINKS:
+        raise SpecError(f"The model has {len(rows)} links; a scene has at most {MOST_LINKS}.")
+    if not m.nv:
+        raise SpecError("The model has no joint: nothing moves.")
+
+    def of_links(values: Any) -> np.ndarray:
+        found = np.zeros((len(rows), *np.shape(values)[1:]))
+        found[last[1:]] = values[1:]
+        return found
+
+    turns = np.stack([_matrix(quaternion) for quaternion in m.body_iquat])
+    inertia = turns * m.body_inertia[:, None] @ turns.swapaxes(1, 2)
+    parent, place, axes, kind, axis, anchor, at_q, at_v, zero = zip(*rows, strict=True)
+    values = [*map(np.array, (parent, place, axes, axis, anchor, at_q, at_v, zero))]
+    values += map(of_links, (m.body_mass, m.body_ipos, inertia, m.body_gravcomp))
+    tree = Tree(kind, *values, gravity=np.array(m.opt.gravity), nq=m.nq, nv=m.nv)
+    return tree, last, balls
+
+
+def _matrix(quaternion: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "3 3"]:
+    """The rotation matrix of a quaternion, whatever its norm."""
+    p = np.array(quaternion) / np.linalg.norm(quaternion)
+    across = np.cross(np.eye(3), p[1:])
+    return np.eye(3) + 2 * across @ (p[0] * np.eye(3) + across)
 
 
 def _polynomial(coefficients: np.ndarray, x: Array) -> Any:

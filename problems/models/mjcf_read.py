@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from problems.models.mjcf_objects import load_mujoco
+from problems.models.mjcf_parts import load_mujoco
 from problems.plain_text import said
 from problems.spec import SpecError
 
@@ -41,7 +41,7 @@ def read(path: Path, meshes: Path | None) -> tuple[Any, list[str]]:
     with _remarks() as remarks:
         try:
             spec = mujoco.MjSpec.from_file(str(path))
-            if lost := _without_lost(spec, path, meshes):
+            if lost := [*_without_lost(spec, path, meshes)]:
                 names = ", ".join(dict.fromkeys(lost))
                 notes.append(f"Meshes and textures are left out that are not there ({names}).")
             compiled = spec.compile()
@@ -56,58 +56,47 @@ def read(path: Path, meshes: Path | None) -> tuple[Any, list[str]]:
 def _remarks() -> Iterator[list[str]]:
     """The warnings of MuJoCo as sentences, each once.
 
-    It gives them to a callback, to Python, or writes them to the standard error stream.
+    It gives them to a callback, to Python, or writes them to the standard error stream of C.
     """
-    mujoco, found = load_mujoco(), []
+    mujoco, found, stream = load_mujoco(), [], os.dup(2)
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(found.append)
-    try:
-        with (
-            warnings.catch_warnings(record=True) as told,
-            tempfile.TemporaryFile() as written,
-            _standard_error(written.fileno()),
-        ):
-            warnings.simplefilter("always")
-            try:
-                yield found
-            finally:
-                written.seek(0)
-                lines = written.read().decode(errors="replace").splitlines()
-                found += [str(warning.message) for warning in told] + [*filter(None, lines)]
-    finally:
-        mujoco.set_mju_user_warning(before)
-        texts = (" ".join(text.split()).removeprefix("WARNING: ").rstrip(".") for text in found)
-        found[:] = dict.fromkeys(f"MuJoCo warns: {text}." for text in texts)
+    with (
+        warnings.catch_warnings(record=True, action="always") as told,
+        tempfile.TemporaryFile() as written,
+    ):
+        os.dup2(written.fileno(), 2)
+        try:
+            yield found
+        finally:
+            os.dup2(stream, 2)
+            os.close(stream)
+            mujoco.set_mju_user_warning(before)
+            written.seek(0)
+            lines = written.read().decode(errors="replace").splitlines()
+            found += [str(warning.message) for warning in told] + [*filter(None, lines)]
+            texts = (" ".join(text.split()).removeprefix("WARNING: ") for text in found)
+            found[:] = dict.fromkeys(f"MuJoCo warns: {text.rstrip('.')}." for text in texts)
 
 
-@contextmanager
-def _standard_error(file: int) -> Iterator[None]:
-    """The standard error stream of the process, also of C, goes to a file."""
-    kept = os.dup(2)
-    os.dup2(file, 2)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-
-
-def _without_lost(spec: Any, path: Path, root: Path | None) -> list[str]:
-    """Leave meshes and textures out whose files are not there, and return their names."""
-    mujoco, lost = load_mujoco(), []
+def _without_lost(spec: Any, path: Path, root: Path | None) -> Iterator[str]:
+    """Leave meshes and textures out whose files are not there, and give their names."""
+    mujoco = load_mujoco()
     for mesh in [*spec.meshes]:
         if mesh.file and not _found(spec, mesh, spec.meshdir, path, root, _MESHES):
-            lost.append(mesh.file)
+            yield mesh.file
             for geom in spec.geoms:
                 if geom.meshname == mesh.name:
-                    _stand_in(spec, geom, path, mesh.file)
+                    _check_mass(spec, geom, path, mesh.file)
+                    # A small ball without mass stands in for it: it may touch.
+                    geom.meshname, geom.mass = "", 0.0
+                    geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [0.01, 0.0, 0.0]
             spec.delete(mesh)
-    for texture in [*spec.textures]:
+    for texture in spec.textures:
         if texture.file and not _found(spec, texture, spec.texturedir, path, root):
-            lost.append(texture.file)
+            yield texture.file
             texture.file, texture.builtin = "", mujoco.mjtBuiltin.mjBUILTIN_FLAT
             texture.width = texture.height = 1
-    return lost
 
 
 def _found(
@@ -118,27 +107,23 @@ def _found(
         return False
     if asset.file in spec.assets or (path.parent / folder / asset.file).is_file():
         return True
-    if root is not None:
-        # package://robot/meshes/arm.stl: the root may hold robot, meshes or arm.stl.
-        parts = Path(re.sub(r"^\w+://", "", asset.file)).parts
-        for k in range(len(parts)):
-            place = root.resolve().joinpath(*parts[k:])
-            if place.is_file():
-                asset.file = str(place)
-                return True
+    # package://robot/meshes/arm.stl: the root may hold robot, meshes or arm.stl.
+    parts = Path(re.sub(r"^\w+://", "", asset.file)).parts
+    for k in range(len(parts) if root else 0):
+        place = Path(root or "").resolve().joinpath(*parts[k:])
+        if place.is_file():
+            asset.file = str(place)
+            return True
     return False
 
 
-def _stand_in(spec: Any, geom: Any, path: Path, file: str) -> None:
-    """Make a small ball without mass of a geometry that is a mesh."""
-    mujoco = load_mujoco()
-    always = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    stated = geom.parent.explicitinertial and not always
+def _check_mass(spec: Any, geom: Any, path: Path, file: str) -> None:
+    """Refuse that a mesh is not there which gives a body its mass."""
+    always = load_mujoco().mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    stated = geom.parent.explicitinertial and spec.compiler.inertiafromgeom != always
     # The links of a URDF state their masses, or have none.
     if not (stated or path.suffix == ".urdf" or geom.parent == spec.worldbody):
         raise SpecError(
             f"{path}: the mesh {file} is not there, which gives the body {geom.parent.name!r} its "
             f"mass; name its folder: stepbench new problem NAME --from FILE --meshes FOLDER."
         )
-    geom.meshname, geom.mass = "", 0.0
-    geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [0.01, 0.0, 0.0]

@@ -19,10 +19,10 @@ import numpy as np
 from problems.rotations import rotation_matrix
 from problems.runtime import Array, Float, jax, jnp
 
-#: Matrices by which a vector becomes that of its cross product: einsum of this and the vector.
-_CROSS = np.zeros((3, 3, 3))
-_CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = -1.0
-_CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = 1.0
+
+def _turn(matrices: Any, vectors: Any) -> Any:
+    """Products of matrices ``(n, 3, 3)`` and vectors ``(n, 3)``."""
+    return jnp.einsum("nij,nj->ni", matrices, vectors)
 
 
 def traced_once(method: Callable) -> Callable:
@@ -55,12 +55,12 @@ class Tree:
 
     Attributes
     ----------
+    kind
+        "hinge", "slide", "ball" or "fixed" ``(n,)``
     parent
         number of the link above ``(n,)``; -1: the ground
     place, axes
         of the link in that above at q = ``zero``: ``(n, 3)`` in m, and ``(n, 3, 3)``
-    kind
-        "hinge", "slide", "ball" or "fixed" ``(n,)``
     axis, anchor
         of the joint in the axes of the link ``(n, 3)``
     at_q, at_v
@@ -78,10 +78,10 @@ class Tree:
         numbers of coordinates and velocities
     """
 
+    kind: tuple[str, ...]
     parent: np.ndarray
     place: np.ndarray
     axes: np.ndarray
-    kind: tuple[str, ...]
     axis: np.ndarray
     anchor: np.ndarray
     at_q: np.ndarray
@@ -98,84 +98,65 @@ class Tree:
     # ---- constant matrices
     @cached_property
     def _above(self) -> np.ndarray:
-        """``(n, n)``: 1 where the second link is the first one or above it."""
-        n = len(self.parent)
-        above = np.eye(n)
+        """1 where the second link is the first one or above it."""
+        above = np.eye(len(self.parent))
         for k, parent in enumerate(self.parent):
             if parent >= 0:
                 above[k] += above[parent]
         return above
 
-    def line(self, link: int) -> list[int]:
-        """Return a link and all those above it."""
-        return np.flatnonzero(self._above[link]).tolist() if link >= 0 else []
-
     @cached_property
     def _of(self) -> np.ndarray:
         """The link of each velocity ``(nv,)``."""
-        found = np.zeros(self.nv, dtype=int)
-        for k, kind in enumerate(self.kind):
-            found[self.at_v[k] : self.at_v[k] + {"fixed": 0, "ball": 3}.get(kind, 1)] = k
-        return found
+        sizes = [{"fixed": 0, "ball": 3}.get(kind, 1) for kind in self.kind]
+        return np.repeat(np.arange(len(sizes)), sizes)
 
     @cached_property
     def _columns(self) -> tuple[np.ndarray, np.ndarray]:
         """The axis of each velocity in its link ``(nv, 3)``, and 1 where it turns ``(nv, 1)``."""
-        axes, turns = self.axis[self._of].copy(), np.ones((self.nv, 1))
-        for k, kind in enumerate(self.kind):
-            if kind == "ball":
-                axes[self.at_v[k] : self.at_v[k] + 3] = np.eye(3)
-            elif kind == "slide":
-                turns[self.at_v[k]] = 0.0
-        return axes, turns
+        kinds = np.array(self.kind)[self._of]
+        axes, turns = self.axis[self._of], (kinds != "slide") * 1.0
+        axes[kinds == "ball"] = np.tile(np.eye(3), (self.kind.count("ball"), 1))
+        return axes, turns[:, None]
 
-    def _picks(self, kind: str) -> np.ndarray:
-        """Matrix ``(n, nq)`` that gives links of a kind their coordinate, and others zero."""
+    def _moved(self, kind: str, q: Array) -> Any:
+        """How far links with a joint of this kind have moved, others zero ``(n,)``."""
         picks = np.zeros((len(self.kind), self.nq))
-        for k, own in enumerate(self.kind):
-            if own == kind:
-                picks[k, self.at_q[k]] = 1.0
-        return picks
+        own = np.flatnonzero(np.array(self.kind) == kind)
+        picks[own, self.at_q[own]] = 1.0
+        return picks @ q - picks.any(1) * self.zero
 
     # ---- motion
     @traced_once
     def poses(self, q: Float[Array, " nq"]) -> Poses:
         """Return the poses of the links at coordinates q."""
-        hinged, slid = self._picks("hinge"), self._picks("slide")
-        angle = hinged @ q - hinged.any(1) * self.zero
-        across = np.einsum("ijk,nk->nij", _CROSS, self.axis)
-        turned: Any = (
-            np.eye(3)
-            + jnp.sin(angle)[:, None, None] * across
-            + (1 - jnp.cos(angle))[:, None, None] * (across @ across)
-        )
+        angle = self._moved("hinge", q)[:, None, None]
+        across = np.cross(np.eye(3), self.axis[:, None])
+        turned: Any = np.eye(3) + jnp.sin(angle) * across + (1 - jnp.cos(angle)) * across @ across
         for k, kind in enumerate(self.kind):
             if kind == "ball":
                 ball = rotation_matrix(q[self.at_q[k] : self.at_q[k] + 4])
                 turned += np.eye(len(self.kind))[k][:, None, None] * (ball - np.eye(3))
-        way = (slid @ q - slid.any(1) * self.zero)[:, None] * self.axis
-        way = way + self.anchor - jnp.einsum("nij,nj->ni", turned, self.anchor)
-        origins: Any = self.place + jnp.einsum("nij,nj->ni", self.axes, way)
+        way = self._moved("slide", q)[:, None] * self.axis
+        origins = self.place + _turn(self.axes, way + self.anchor - _turn(turned, self.anchor))
         axes: Any = jnp.einsum("nij,njk->nik", self.axes, turned)
         above = self.parent
         while (above >= 0).any():
             below = np.flatnonzero(above >= 0)
             up = axes[above[below]]
-            moved = origins[above[below]] + jnp.einsum("nij,nj->ni", up, origins[below])
+            moved = origins[above[below]] + _turn(up, origins[below])
             origins = origins.at[below].set(moved)
             axes = axes.at[below].set(jnp.einsum("nij,njk->nik", up, axes[below]))
             above = np.where(above >= 0, above[above], -1)
         own, turns = self._columns
-        along = jnp.einsum("nij,nj->ni", axes[self._of], own)
-        anchors = origins[self._of] + jnp.einsum(
-            "nij,nj->ni", axes[self._of], self.anchor[self._of]
-        )
+        along = _turn(axes[self._of], own)
+        anchors = origins[self._of] + _turn(axes[self._of], self.anchor[self._of])
         moving = turns * jnp.cross(anchors, along) + (1 - turns) * along
         return Poses(axes, origins, jnp.asarray(turns * along), jnp.asarray(moving))
 
     def _bodies(self, at: Poses) -> tuple[Array, Array]:
         """Centres of mass ``(n, 3)``, and inertias about them in space axes ``(n, 3, 3)``."""
-        centres = at.origins + jnp.einsum("nij,nj->ni", at.axes, self.centre)
+        centres = at.origins + _turn(at.axes, self.centre)
         return centres, jnp.einsum("nij,njk,nlk->nil", at.axes, self.inertia, at.axes)
 
     @traced_once
@@ -183,23 +164,18 @@ class Tree:
         """Return M(q)."""
         at = self.poses(q)
         centres, inertias = self._bodies(at)
-        moments = self.mass[:, None] * centres
-        squares = jnp.einsum("ni,ni->n", centres, centres)[:, None, None] * np.eye(3)
-        about = inertias + self.mass[:, None, None] * (
-            squares - centres[:, :, None] * centres[:, None, :]
-        )
+        squares = jnp.sum(centres**2, axis=1)[:, None, None] * np.eye(3)
+        around = squares - centres[:, :, None] * centres[:, None, :]
+        about = inertias + self.mass[:, None, None] * around
         # Of all that hangs at the link of a velocity.
-        hanging = self._above.T[self._of]
-        mass, moment = hanging @ self.mass, hanging @ moments
+        hanging, of = self._above.T[self._of], self._of
+        mass, moment = hanging @ self.mass, hanging @ (self.mass[:, None] * centres)
         inertia = jnp.einsum("dn,nij->dij", hanging, about)
         force = mass[:, None] * at.moving + jnp.cross(at.turning, moment)
-        torque = jnp.einsum("dij,dj->di", inertia, at.turning) + jnp.cross(moment, at.moving)
-        products = force @ at.moving.T + torque @ at.turning.T
-        links = self._of
-        upper = self._above[links][:, links] * (
-            (links[:, None] != links) | (np.arange(self.nv)[:, None] >= np.arange(self.nv))
-        )
-        lower = upper * products
+        torque = _turn(inertia, at.turning) + jnp.cross(moment, at.moving)
+        places = np.arange(self.nv)
+        first = (of[:, None] != of) | (places[:, None] >= places)
+        lower = self._above[of][:, of] * first * (force @ at.moving.T + torque @ at.turning.T)
         return lower + (1 - np.eye(self.nv)) * lower.T
 
     @traced_once
@@ -207,8 +183,7 @@ class Tree:
         """Return M(q) a, in N (or N m), with fewer operations than by M."""
         at = self.poses(q)
         rise, angular = self.speeds(at, a)
-        spin = jnp.einsum("nij,nj->ni", self._bodies(at)[1], angular)
-        return self.on_joints(at, self.mass[:, None] * rise, spin)
+        return self.on_joints(at, self.mass[:, None] * rise, _turn(self._bodies(at)[1], angular))
 
     def speeds(self, at: Poses, v: Float[Array, " nv"]) -> tuple[Array, Array]:
         """Return the velocities of the centres of mass, and angular velocities: ``(n, 3)`` each."""
@@ -222,28 +197,24 @@ class Tree:
         ``(n, 3)`` each."""
         hanging = self._above.T[self._of]
         moment = spin + jnp.cross(self._bodies(at)[0], force)
-        total = at.moving * (hanging @ force) + at.turning * (hanging @ moment)
-        return total.sum(axis=1)
+        return (at.moving * (hanging @ force) + at.turning * (hanging @ moment)).sum(axis=1)
 
     @traced_once
     def bias(self, q: Float[Array, " nq"], v: Float[Array, " nv"]) -> Float[Array, " nv"]:
         """Return the gyroscopic forces and weights, in N (or N m), on the side of M a."""
         at = self.poses(q)
         centres, inertias = self._bodies(at)
-        n, own = len(self.parent), self._above - np.eye(len(self.parent))
-        belongs = np.eye(n)[:, self._of]
+        own = self._above - np.eye(len(self.parent))
+        belongs = np.eye(len(self.parent))[:, self._of]
         w, u = belongs @ (v[:, None] * at.turning), belongs @ (v[:, None] * at.moving)
         w_above, u_above = own @ w, own @ u
         # A joint's axes move with the link above it.
         angular = self._above @ jnp.cross(w_above, w)
         linear = self._above @ (jnp.cross(w_above, u) + jnp.cross(u_above, w))
         w, u = w_above + w, u_above + u
-        speed = u + jnp.cross(w, centres)
-        rise = linear + jnp.cross(angular, centres) + jnp.cross(w, speed)
-        weight = (1 - self.weightless)[:, None] * self.gravity
-        force = self.mass[:, None] * (rise - weight)
-        turning = jnp.einsum("nij,nj->ni", inertias, w)
-        spin = jnp.einsum("nij,nj->ni", inertias, angular) + jnp.cross(w, turning)
+        rise = linear + jnp.cross(angular, centres) + jnp.cross(w, u + jnp.cross(w, centres))
+        force = self.mass[:, None] * (rise - (1 - self.weightless)[:, None] * self.gravity)
+        spin = _turn(inertias, angular) + jnp.cross(w, _turn(inertias, w))
         return self.on_joints(at, force, spin)
 
     def held(self, q: Float[Array, " nq"]) -> Float[Array, " nv"]:
