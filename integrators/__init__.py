@@ -1,8 +1,8 @@
 """Time integrators: their contract, native methods, adapters to other libraries."""
 
 from integrators.contract import Integrator, PreparedRun, Trajectory, Work, option
-from integrators.native.step_functions import StepFunctions
 from integrators.native.step_method import ErrorControl, ImplicitStepMethod, StepMethod
+from integrators.native.step_program import StepFunctions
 from integrators.native.step_records import Errors, Reading
 from integrators.resolutions import Steps, Tolerances
 

@@ -25,12 +25,13 @@ import platformdirs
 from problems.usage import cores
 
 CACHE = Path(platformdirs.user_cache_dir("stepbench"))
-#: Option of XLA: loops that access fewer bytes than this are compiled to one function each.
-_JOINED = "xla_cpu_small_while_loop_byte_threshold"
 #: Every operation has one thread, so that methods are compared and not the use of cores. Loops over
 #: little data that call no library become one function each: for small scenes the calls from one
 #: compiled piece to the next would cost more than their work.
-_FLAGS = ["--xla_cpu_multi_thread_eigen=false", f"--xla_backend_extra_options={_JOINED}=1000000"]
+_FLAGS = [
+    "--xla_cpu_multi_thread_eigen=false",
+    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000",
+]
 if version("jaxlib").startswith(("0.9.", "0.10.")):
     # XLA had two ways of writing a piece then, and as fast a program by the older one is compiled
     # sooner. A later release ends its process at this flag; so `pyproject.toml` allows those alone
@@ -129,13 +130,6 @@ def _loaded(name: str) -> ModuleType:
 def on_gpu() -> bool:
     """Whether JAX computes on a GPU: thousands of equal things at once, and each call is dear."""
     return jax.default_backend() != "cpu"
-
-
-@cache
-def joins_loops() -> bool:
-    """Whether programs are best without a call of a library: XLA compiles loops over little data to
-    one function each, or everything to few pieces, on a GPU."""
-    return on_gpu() or _JOINED in os.environ["XLA_FLAGS"]
 
 
 @cache

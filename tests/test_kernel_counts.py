@@ -20,7 +20,7 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
 from integrators.methods.half_explicit import PHEM56, HalfExplicitEuler
 from integrators.native import small_matrices
-from problems import jnp, runtime
+from problems import jnp
 from problems.scenes.chain import Chain
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.pendulum import Pendulum
@@ -28,9 +28,6 @@ from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrank
 
 KINDS = ("full", "modified")
-pytestmark = pytest.mark.skipif(
-    not runtime.joins_loops(), reason="XLA_FLAGS of your own keep XLA from joining small loops."
-)
 
 
 class Program:

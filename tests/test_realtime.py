@@ -40,7 +40,7 @@ def run_of(worker, problem, integrator, rate, steps, iterations=None):
     """The trajectory of single steps, the number of unconverged ones, and the step itself."""
     scene = worker.problem(problem)
     method = stepping(worker.registry.integrator(integrator), scene)
-    step = SingleStep(method, scene, 1 / rate, steps, iterations)
+    step = SingleStep(*method.program(scene), scene, 1 / rate, steps, iterations)
     return *step.run(timed(step, steps)[1]), step
 
 

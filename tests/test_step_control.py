@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from integrators import ErrorControl, Errors, Reading, StepMethod, Tolerances, option
-from integrators.native.step_control import Span, StepControl
+from integrators.native.adaptive_steps import Span, StepControl
 from problems import MechatronicSystem, State, jax, jnp
 
 WIDE = 0.0, 5.0

@@ -189,14 +189,20 @@ def realtime_job(
     scene = worker.problem(problem)
     method = stepping(worker.registry.integrator(integrator), scene)
     reference = worker.reference(scene, scene.interval[0] + steps / rate)
-    own, limits = SingleStep(method, scene, 1 / rate, steps), [limit]
+    program = method.program(scene)
+    own, limits = SingleStep(*program, scene, 1 / rate, steps), [limit]
     if not own.iterates:
         limits = [None]
+    elif limit and own.keeps_tangents:
+        raise SpecError(
+            f"{method.spec} keeps tangents over steps, by which few iterations are too few; give "
+            f"newton=full, or no limit of iterations."
+        )
     elif limit is None and not own.keeps_tangents:
         limits = [1, None]
     runs = []
     for most in limits:
-        step = SingleStep(method, scene, 1 / rate, steps, most) if most else own
+        step = SingleStep(*program, scene, 1 / rate, steps, most) if most else own
         seconds, states = timed(step, steps)
         run, unconverged = step.run(states)
         if run.status == "ok" and not reference.missing:

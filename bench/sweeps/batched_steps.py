@@ -15,9 +15,9 @@ import numpy as np
 from integrators.contract import Integrator
 from integrators.kept_rows import FIRST_ROWS, SPREAD_ROWS
 from integrators.native import adaptive_steps, constant_steps
+from integrators.native.adaptive_steps import Span
 from integrators.native.endings import Ending
 from integrators.native.kernel import Form, Kernel
-from integrators.native.step_control import Span
 from integrators.native.step_program import StepProgram
 from integrators.native.step_records import COUNTS
 from integrators.resolutions import Steps, Tolerances

@@ -21,7 +21,7 @@ from integrators.adapters.trajectories import early_end_message, trajectory_from
 from integrators.adapters.vector_work import EXPLICIT, IMPLICIT
 from integrators.contract import WIDER, PreparedRun, Trajectory, Work
 from integrators.kept_rows import kept_rows
-from integrators.native.step_functions import StepFunctions
+from integrators.native.step_program import StepFunctions
 from integrators.native.step_method import NativeMethod
 from integrators.native.step_records import Reading
 from integrators.program_costs import OWN, Cost, bill, dense, of_calls

@@ -88,7 +88,7 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
 
     @property
     def order(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The order whose tolerance local errors have; see `integrators.native.step_control`."""
+        """The order whose tolerance local errors have; see `integrators.native.adaptive_steps`."""
         return min(4, self.max_order)
 
     @property

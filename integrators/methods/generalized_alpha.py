@@ -24,8 +24,8 @@ from integrators.methods.generalized_alpha_parameters import (
 from integrators.methods.generalized_alpha_step import AlphaStep
 from integrators.multistep import MultistepForm
 from integrators.native.own_values import rho_inf_option
-from integrators.native.step_functions import StepFunctions
 from integrators.native.step_method import NewtonOptions
+from integrators.native.step_program import StepFunctions
 from problems.block_structure import output_takes
 from problems.spec import SpecError, format_spec
 from problems.system import MechatronicSystem

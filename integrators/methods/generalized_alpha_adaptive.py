@@ -28,8 +28,8 @@ from integrators.contract import option
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_parameters import Scheme, smallest_safe_ratio
 from integrators.methods.generalized_alpha_step import AlphaState, AlphaStep, weights
-from integrators.native.step_functions import StepFunctions
 from integrators.native.step_method import ErrorControl
+from integrators.native.step_program import StepFunctions
 from integrators.native.step_records import Errors, Reading, Scalar, Time
 from integrators.native.step_work import StepWork
 from problems.formulations import Start

@@ -32,7 +32,7 @@ from integrators.methods.generalized_alpha_parameters import (
 )
 from integrators.native.guesses import Guess
 from integrators.native.stage_equations import Base, Slopes, stage_equations
-from integrators.native.step_functions import StepFunctions
+from integrators.native.step_program import StepFunctions
 from integrators.native.step_records import Reading, Scalar, Time
 from integrators.native.step_work import StepWork
 from problems.formulations import Start

@@ -15,8 +15,13 @@ import numpy as np
 
 from integrators.contract import WIDER, option
 from integrators.native import small_matrices
-from integrators.native.own_values import EndMethod, EndState, FreeSteps, moved_onto_constraints
-from integrators.native.step_method import NewtonSettings, StepMethod, linear_solver_option
+from integrators.native.own_values import EndMethod, EndState, moved_onto_constraints
+from integrators.native.step_method import (
+    FreeSteps,
+    NewtonSettings,
+    StepMethod,
+    linear_solver_option,
+)
 from integrators.native.step_records import Scalar, Time
 from integrators.native.step_work import StepWork
 from problems import formulations

@@ -37,14 +37,13 @@ import numpy as np
 from integrators.contract import option
 from integrators.native.own_values import (
     Formulated,
-    FreeSteps,
     Needs,
     OwnValues,
     formulation_option,
 )
 from integrators.native.stage_equations import Base, Slopes, inherited, resting, stage_equations
 from integrators.native.stage_tangents import StageTangents
-from integrators.native.step_method import ImplicitStepMethod
+from integrators.native.step_method import FreeSteps, ImplicitStepMethod
 from integrators.native.step_records import Errors, Reading, Scalar, Time, largest
 from integrators.native.step_work import StepWork
 from problems import formulations

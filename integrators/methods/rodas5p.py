@@ -27,10 +27,14 @@ from integrators.native.own_values import (
     DriftHandling,
     EndMethod,
     EndState,
-    FreeSteps,
     moved_onto_constraints,
 )
-from integrators.native.step_method import NewtonSettings, StepMethod, linear_solver_option
+from integrators.native.step_method import (
+    FreeSteps,
+    NewtonSettings,
+    StepMethod,
+    linear_solver_option,
+)
 from integrators.native.step_records import Time
 from integrators.native.step_work import StepWork
 from problems import formulations

@@ -21,7 +21,6 @@ from integrators.native.kernel import (
     Form,
     Kernel,
     LoopRun,
-    SparseKernel,
     bounded,
     flat_row,
     no_counts,
@@ -130,7 +129,7 @@ class ConstantStepsRun(LoopRun):
     def _rows(self, wanted: Int[np.ndarray, " k"]) -> tuple[np.ndarray, np.ndarray]:
         """The rows of wanted steps, up to a failure, and the end of the run."""
         asked = jnp.asarray(np.resize(wanted, self._slots)), jnp.asarray(len(wanted))
-        kept, end = map(np.asarray, self.kernel(self.arguments, *asked))
+        kept, end = map(np.asarray, self._called(*asked))
         # After a failure no row is reached. A slice is no copy of a large table.
         return kept[: (kept[: len(wanted), 0] == wanted).sum()], end
 
@@ -192,13 +191,4 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
         program.finish(state)
         return kept, jnp.stack([ending, t, steps - (ending != _OK), *counts])
 
-    def limited(steps: int, packed: Array, rows: Array, row_count: Array) -> tuple:
-        return packed, jnp.minimum(rows, steps), row_count
-
-    def singular(steps: int, packed: Array, end: Array) -> Array:
-        t, _ = step_times(form.unpack(packed)[-1], steps)
-        return jnp.concatenate([jnp.stack([jnp.asarray(_DIVERGED), t]), end[2:]])
-
-    if program.patterns:
-        return SparseKernel(loop, form, limited, singular)
     return Kernel(loop, form)

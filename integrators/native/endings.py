@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import TYPE_CHECKING
+from typing import Any
 
-from problems.runtime import Float
+from integrators.native.step_program import StepFunctions
 from problems.start_equations import missing_rank
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    from numpy import ndarray
 
 
 class Ending(IntEnum):
@@ -31,10 +28,14 @@ class Ending(IntEnum):
     #: At constant steps: the method itself refused a step, whatever its equations gave.
     REFUSED = 9
 
-    def with_cause(self, scene: MechatronicSystem, q: Float[ndarray, " nq"], t: float) -> Ending:
-        """`SINGULAR` in the place of a failed step from coordinates q at t (s) with dependent
-        constraints; no smaller step helps there."""
-        return Ending.SINGULAR if self in _FAILED_STEPS and missing_rank(scene, q, t) else self
+    def with_cause(
+        self, functions: StepFunctions, scene: MechatronicSystem, rows: dict[str, Any]
+    ) -> Ending:
+        """`SINGULAR` in the place of a step that failed after rows ``q`` and ``t``, if constraints
+        depend on each other there and the method does not take that; no smaller step helps."""
+        if self not in _FAILED_STEPS or functions.takes_redundant:
+            return self
+        return Ending.SINGULAR if missing_rank(scene, rows["q"][-1], float(rows["t"][-1])) else self
 
     def outcome(self, t: float, t_end: float, max_steps: int = 0) -> tuple[str, str]:
         """Status (see `integrators.contract.STATUSES`) and message of a run that ended at t.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property, partial
 from math import prod
 from typing import Any, NamedTuple, Self
@@ -100,54 +101,6 @@ class Kernel:
         return self._many(packed, *wanted)
 
 
-class SparseKernel(Kernel):
-    """A time loop with sparse tangents; a singular tangent ends it with a status.
-
-    KLU stops the program at an exactly singular tangent, and all results are lost. Bisection over
-    the number of steps then finds the step of that tangent.
-
-    Parameters
-    ----------
-    loop, form
-        As of `Kernel`.
-    limited
-        Makes, from a number of steps and arguments, those of a run that ends after these steps.
-    singular
-        Makes, from a number of steps, packed arguments and the end after these steps, the end with
-        a singular tangent in the next.
-    """
-
-    def __init__(
-        self, loop: Callable, form: Form, limited: Callable[..., tuple], singular: Callable
-    ) -> None:
-        super().__init__(loop, form)
-        self._limited, self._singular = limited, singular
-
-    def __call__(self, packed: Float[Array, " n"], *wanted: Any) -> Any:
-        result, fine, wrong = self._attempt(packed, *wanted), 0, 1
-        if result is not None:
-            return result
-
-        def after(steps: int) -> Any:
-            return self._attempt(*self._limited(steps, packed, *wanted))
-
-        while after(wrong) is not None:
-            fine, wrong = wrong, 2 * wrong
-        while wrong - fine > 1:
-            middle = (fine + wrong) // 2
-            fine, wrong = (fine, middle) if after(middle) is None else (middle, wrong)
-        *rows, end = after(fine)
-        return *rows, self._singular(fine, packed, end)
-
-    def _attempt(self, *arguments: Any) -> Any:
-        try:
-            return jax.block_until_ready(super().__call__(*arguments))
-        except (ValueError, RuntimeError) as error:
-            if klu.FAILURE in str(error):
-                return None
-            raise
-
-
 #: A run whose q and v, or x, have grown by this factor is called diverged.
 GROWTH_LIMIT = 1e12
 #: Most rows that one call of the kernel keeps. More would slow down short runs: the memory is made
@@ -191,13 +144,28 @@ class LoopRun(PreparedRun):
         self._turns: list[int] = []
         self._parts = scene.parameters(), numbers, self._start
         form = Form.of(*self._parts, times)
-        self.kernel = kernel(program, scene.template(), form)
+        self._kernel_of = lambda program: kernel(program, scene.template(), form)
+        self.kernel = self._kernel_of(program)
         self.arguments = form.pack(*self._parts, times)
         # Rows that one call of the kernel keeps.
         self._slots = min(ROW_SLOTS, most_rows(width_of(scene.sizes)))
 
     def execute(self) -> Any:
-        return jax.block_until_ready(self.kernel(self.arguments, *self.end_only))
+        return self._called(*self.end_only)
+
+    def _called(self, *wanted: Array) -> Any:
+        """What the kernel returns.
+
+        KLU stops the program at a tangent that is exactly singular, and all results are lost; full
+        matrices end the run there with a status.
+        """
+        try:
+            return jax.block_until_ready(self.kernel(self.arguments, *wanted))
+        except (ValueError, RuntimeError) as error:
+            if klu.FAILURE not in str(error):
+                raise
+        full = self._kernel_of(replace(self._program, patterns=()))
+        return jax.block_until_ready(full(self.arguments, *wanted))
 
     def bill(self, run: Trajectory) -> dict[str, float]:
         costs = loop_costs(self.kernel.run, self._program, self.arguments, *self.end_only)
@@ -210,8 +178,8 @@ class LoopRun(PreparedRun):
         self, rows: np.ndarray, end: np.ndarray, t_end: float, work: Work, max_steps: int = 0
     ) -> Trajectory:
         """The trajectory of rows ``[step, t, ...]`` and of ``[ending, t, ...]``."""
-        values = _with_start(self._start, self._scene, rows[:, 1:], self._noted)
-        ended = self._program.cause(Ending(int(end[0])), self._scene, values)
+        values = with_start(self._start, self._scene, rows[:, 1:], self._noted)
+        ended = Ending(int(end[0])).with_cause(self._program.functions, self._scene, values)
         status, message = ended.outcome(float(end[1]), t_end, max_steps)
         return Trajectory(**values, status=status, message=message, work=work)
 
@@ -309,7 +277,7 @@ def no_counts(
     return (jnp.asarray(0),) * (more + len(report.counts))
 
 
-def _with_start(
+def with_start(
     start: Start, scene: MechatronicSystem, rows: np.ndarray, noted: tuple[str, ...]
 ) -> dict[str, Any]:
     """Fields of a Trajectory from rows ``(k, [t, q, v, a, lam, x, xdot, y, notes])`` of a kernel.

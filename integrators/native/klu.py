@@ -16,7 +16,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from problems.runtime import Array, Float, Int, UInt, jax, jnp, slower
+from problems.runtime import Array, Float, Int, UInt, jax, jnp
 
 #: The address of a factorisation, one integer; zero for none.
 Address: TypeAlias = UInt[Array, " one"]
@@ -76,29 +76,6 @@ def free(factors: Address) -> Array:
     _register()
     done = jax.ShapeDtypeStruct((1,), np.int32)
     return jax.ffi.ffi_call(_FREE, done, has_side_effect=True)(factors)
-
-
-@cache
-def works() -> bool:
-    """Whether klujax's functions, which it does not document, do what this module wants of them."""
-    try:
-        import klujax
-
-        rows, columns = np.array([0, 1, 1], np.int32), np.array([0, 0, 1], np.int32)
-        analysed = klujax.analyze(jnp.asarray(rows), jnp.asarray(columns), 2)
-        pattern = Analysis(rows, columns, np.asarray(analysed.raw))
-
-        @jax.jit
-        def solutions(values: Array, right: Array) -> tuple[Array, Array, Address]:
-            factors = factorised(pattern, values, none())
-            return solve_once(pattern, values, right), solve_by(factors, pattern, right), factors
-
-        *both, factors = solutions(jnp.array([2.0, 1.0, 4.0]), jnp.array([2.0, 9.0]))
-        jax.block_until_ready(free(factors))
-        return all(np.allclose(found, [1.0, 2.0], rtol=1e-14) for found in both)
-    except Exception as error:  # of whatever kind: there is dense linear algebra
-        slower(f"Large scenes run slowly: klujax gives no sparse factorisation here ({error}).")
-        return False
 
 
 def _one(address: np.ndarray) -> Array:

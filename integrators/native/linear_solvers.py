@@ -96,18 +96,11 @@ class DenseSolver(LinearSolver):
     Full Newton reads the tangent's entries from the residual's program, takes them by a few
     products, and eliminates in an order that is fixed. In many runs side by side each number is an
     array of the runs; full matrices are eliminated where a program cannot be followed so.
-
-    Parameters
-    ----------
-    joins
-        One linearisation gives full Newton both the residual and its tangent, where it can.
     """
-
-    joins: bool = True
 
     def once(self, residual: Residual, u: Float[Array, " n"]) -> Once:
         program = jax.make_jaxpr(residual)(u)
-        order = _order(program, len(u)) if self.joins else None
+        order = _order(program, len(u))
 
         def by_pivots(u: Array, *constants: Array) -> Once:
             residual = partial(with_constants, program, constants)
@@ -145,7 +138,7 @@ class DenseSolver(LinearSolver):
         self, residual: Residual, u: Float[Array, " n"], kept: Array
     ) -> tuple[Array, Callable[[Float[Array, " n"]], Once]]:
         program = jax.make_jaxpr(residual)(u)
-        order = _order(program, len(u)) if self.joins else None
+        order = _order(program, len(u))
         if order is None:
             return super().factorised(residual, u, kept)
 
@@ -189,9 +182,8 @@ DENSE = DenseSolver()
 
 
 def _order(program: ClosedJaxpr, n: int) -> EliminationPlan | None:
-    """Order of the elimination; None for full matrices, also if JAX names parts of programs
-    otherwise than today."""
-    if not 0 < n <= small_matrices.MOST or not runtime.joins_loops():
+    """Order of the elimination; None for full matrices."""
+    if not 0 < n <= small_matrices.MOST:
         return None
     try:
         return planned(tangent_pattern(program, n))

@@ -1,14 +1,13 @@
-"""Options that families of methods share: formulation, drift, reported values, steps."""
+"""Options that families of methods share: formulation, drift, reported values."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple, Self, TypeAlias, cast
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple, TypeAlias, cast
 
 from integrators.contract import Integrator, option
 from integrators.native import small_matrices
 from integrators.native.guesses import Guess
-from integrators.native.step_method import ErrorControl, NativeMethod
 from integrators.native.step_records import Errors, Reading, Time
 from integrators.native.step_work import StepWork
 from problems import formulations
@@ -40,7 +39,7 @@ def rho_inf_option(default: float) -> Any:
 
 
 @dataclass(frozen=True)
-class OwnValues(NativeMethod):
+class OwnValues(Integrator):
     """Base of methods that compute accelerations and multipliers of their own.
 
     Their states hold as ``shown`` what `reported` returned.
@@ -136,7 +135,7 @@ def formulation_option(default: str, *, always: bool = False) -> Any:
 
 
 @dataclass(frozen=True)
-class Formulated(NativeMethod):
+class Formulated(Integrator):
     """Base of methods that solve the constrained equations in one of three formulations."""
 
     formulation: str = formulation_option("index3")
@@ -204,28 +203,6 @@ class DriftHandling(Conditional):
     def projects(self, scene: MechatronicSystem) -> bool:
         """Whether each step on a scene ends by a projection."""
         return self.constraints == "projected" and scene.has("constraint")
-
-
-@dataclass(frozen=True)
-class FreeSteps(Conditional, ErrorControl):
-    """Base of methods that choose their steps, unless the user wants constant ones."""
-
-    needs: ClassVar[Needs] = {"max_steps": ("steps", "adaptive")}
-
-    steps: str = option(
-        "adaptive",
-        "adaptive: steps follow the tolerance; constant: they are those of --step",
-        choices=("adaptive", "constant"),
-    )
-
-    @property
-    def controls(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return "tolerance" if self.steps == "adaptive" else "step"
-
-    def at_constant_steps(self) -> Self:
-        needs = self._all_needs().items()
-        others = {name: getattr(type(self), name) for name, need in needs if need[0] == "steps"}
-        return replace(self, steps="constant", **others)
 
 
 def moved_onto_constraints(scene: MechatronicSystem, z: Variables, work: StepWork) -> Variables:

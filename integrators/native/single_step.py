@@ -8,60 +8,47 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from integrators.contract import Trajectory
-from integrators.native.constant_steps import Clock, grid, step_times
+from integrators.native.constant_steps import grid, step_times
 from integrators.native.endings import Ending
-from integrators.native.kernel import Form, bounded, rewritten_step
-from integrators.native.step_method import NativeMethod
+from integrators.native.kernel import Form, bounded, flat_row, rewritten_step, with_start
 from integrators.native.step_program import Numbers, StepProgram
-from integrators.native.step_records import Reading
 from integrators.resolutions import Steps
-from problems.formulations import Start
 from problems.initial_values import consistent_start
 from problems.named_equations import with_named_blocks
 from problems.runtime import Array, Float, jax, jnp
-from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
 
-class _Compiled(NamedTuple):
-    """Compiled functions of a step; all take the packed arguments last.
-
-    A state is one array of n numbers: the number of steps, whether the last one was solved and
-    accepted, and all that the method passes on.
-    """
-
-    #: The state at the start.
-    begin: Callable[[Array], Float[Array, " n"]]
-    #: The state after one more step.
-    advance: Callable[[Float[Array, " n"], Array], Float[Array, " n"]]
-    #: Whether k states are solved and accepted, ``(k, 2)``, their variables, and whether these are
-    #: finite and bounded.
-    read: Callable[[Float[Array, "k n"], Array], tuple[Array, Reading, Array]]
-    #: Whether the step calls Newton's method.
-    iterates: bool
-
-
 @cache
-def _compiled(program: StepProgram, template: MechatronicSystem, form: Form) -> _Compiled:
+def _compiled(
+    program: StepProgram, template: MechatronicSystem, form: Form
+) -> tuple[Callable, Callable, Callable, bool]:
+    """Functions of the packed arguments, which come last, and whether the step calls Newton's
+    method.
+
+    They give the state at the start, that after one more step, and of k states whether they are
+    solved and accepted, ``(k, 2)``, their variables, and whether these are finite and bounded. A
+    state holds the number of steps, whether the last one was solved and accepted, and all that the
+    method passes on.
+    """
     from jax.flatten_util import ravel_pytree  # JAX is loaded late
 
     named = with_named_blocks(template)
     step = rewritten_step(program, named)
 
-    def begun(p: dict, numbers: Numbers, start: Start, clock: Clock) -> tuple[Array, Any]:
+    def begun(packed: Array) -> tuple[Array, Any]:
+        p, numbers, start, clock = form.unpack(packed)
         h = step_times(clock, 0)[1]
         return jnp.array([0.0, 1, 1]), program.begin(named.with_parameters(p), numbers, start, h)
 
-    first = jax.eval_shape(begun, *form.structs)
+    size = sum(int(np.prod(shape)) for shape in form.shapes)
+    first = jax.eval_shape(begun, jax.ShapeDtypeStruct((size,), float))
     parted = ravel_pytree(jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), first))[1]
-
-    def begin(packed: Array) -> Array:
-        return ravel_pytree(begun(*form.unpack(packed)))[0]
 
     def advance(now: Array, packed: Array) -> Array:
         p, numbers, _, clock = form.unpack(packed)
@@ -70,21 +57,22 @@ def _compiled(program: StepProgram, template: MechatronicSystem, form: Form) -> 
         success = jnp.stack([n + 1, 1.0 * report.solved, 1.0 * report.converged])
         return ravel_pytree((success, after))[0]
 
-    def read(states: Array, packed: Array) -> tuple[Array, Reading, Array]:
+    def read(states: Array, packed: Array) -> tuple[Array, Array, Array]:
         scene = named.with_parameters(form.unpack(packed)[0])
-        sane = bounded(program.read(scene, parted(begin(packed))[1]))
+        sane = bounded(program.read(scene, begun(packed)[1]))
 
-        def one(state: Array) -> tuple[Array, Reading, Array]:
+        def one(state: Array) -> tuple[Array, Array, Array]:
             success, carried = parted(state)
             reading = program.read(scene, carried)
-            return success[1:] > 0, reading, sane(reading)
+            return success[1:] > 0, flat_row(reading._replace(notes=())), sane(reading)
 
         return jax.vmap(one)(states)
 
     p, numbers, *_ = form.structs
     _, report = jax.eval_shape(step, p, numbers, first[1], jnp.zeros(()), jnp.zeros(()))
     iterates = any(name.startswith("newton") for name in report.turns)
-    return _Compiled(jax.jit(begin), jax.jit(advance), jax.jit(read), iterates)
+    begin = jax.jit(lambda packed: ravel_pytree(begun(packed))[0])
+    return begin, jax.jit(advance), jax.jit(read), iterates
 
 
 class SingleStep:
@@ -92,7 +80,7 @@ class SingleStep:
 
     Parameters
     ----------
-    method
+    program, numbers
         A native method at constant steps.
     scene
         The scene; the run begins at its start.
@@ -100,7 +88,8 @@ class SingleStep:
         Size of the step in s, and number of steps in a run.
     most
         Most iterations in each call of Newton's method, after which the step goes on; None for
-        those of the method, without which a step has failed.
+        those of the method, without which a step has failed. A method that keeps tangents takes no
+        limit: what few iterations by an old tangent leave adds up over steps.
 
     Attributes
     ----------
@@ -108,44 +97,32 @@ class SingleStep:
         Whether a step calls Newton's method, and whether that keeps tangents over steps.
     first
         The state at the start, an array.
-
-    Raises
-    ------
-    SpecError
-        If iterations are limited, and tangents are kept: what few iterations by an old tangent
-        leave adds up over steps.
     """
 
     def __init__(
         self,
-        method: NativeMethod,
+        program: StepProgram,
+        numbers: Numbers,
         scene: MechatronicSystem,
         h: float,
         steps: int,
         most: int | None = None,
     ) -> None:
-        self._scene, self._limited = scene, most is not None
-        self._program, numbers = method.program(scene)
-        self.keeps_tangents = self._program.keeps_tangents
-        if most is not None:
-            numbers = numbers._replace(most=most)
-            if self.keeps_tangents:
-                raise SpecError(
-                    f"{method.spec} keeps tangents over steps, by which few iterations are too "
-                    f"few; give newton=full, or no limit of iterations."
-                )
+        self._scene, self._program, self._limited = scene, program, most is not None
+        self.keeps_tangents = program.keeps_tangents
+        numbers = numbers if most is None else numbers._replace(most=most)
         t0, self._start = scene.interval[0], consistent_start(scene)
         self._clock = grid(t0, t0 + steps * h, Steps(h))[0]._replace(macro_steps=steps)
         parts = scene.parameters(), numbers, self._start, self._clock
         form = Form.of(*parts)
         self._packed = form.pack(*parts)
-        self._functions = _compiled(self._program, scene.template(), form)
-        self.first = self._functions.begin(self._packed)
-        self.iterates = self._functions.iterates
+        functions = _compiled(program, scene.template(), form)
+        begin, self._advance, self._read, self.iterates = functions
+        self.first = begin(self._packed)
 
     def __call__(self, state: Float[Array, " n"]) -> Float[Array, " n"]:
         """Take one step; the result may not be ready yet."""
-        return self._functions.advance(state, self._packed)
+        return self._advance(state, self._packed)
 
     def run(self, states: Sequence[Float[Array, " n"]]) -> tuple[Trajectory, int]:
         """Return the run that states after each step make, and the number of unconverged steps.
@@ -153,22 +130,18 @@ class SingleStep:
         It ends before the first step that has no result: not solved though its iterations are not
         limited, refused by the method, not finite, or grown beyond all bounds.
         """
-        success, reading, sane = self._functions.read(jnp.asarray(np.stack(states)), self._packed)
-        solved, accepted = np.asarray(success).T
-        bad = (solved & ~accepted if self._limited else ~accepted) | ~np.asarray(sane)
+        found = self._read(jnp.asarray(np.stack(states)), self._packed)
+        success, rows, sane = map(np.asarray, found)
+        solved, accepted = success.T
+        bad = (solved & ~accepted if self._limited else ~accepted) | ~sane
         done = int(bad.argmax()) if bad.any() else len(bad)
-        first = Reading.of(self._start.z, self._start.xdot)
-        values: dict[str, Any] = {
-            name: np.concatenate([np.asarray(getattr(first, name))[None], rows])[: done + 1]
-            for name, rows in reading._asdict().items()
-            if name != "notes"
-        }
         numbers: Any = np.arange(len(bad))  # all at once
-        t = np.append(self._start.z.t, step_times(self._clock, numbers)[0])
-        values["t"], ending = t[: done + 1], Ending.OK
+        t = step_times(self._clock, numbers)[0]
+        table = np.column_stack([t, rows])[:done]
+        values, ending = with_start(self._start, self._scene, table, ()), Ending.OK
         if done < len(bad):
             ending = Ending.REFUSED if solved[done] else Ending.NEWTON_FAILED
             ending = ending if sane[done] else Ending.DIVERGED
-            ending = self._program.cause(ending, self._scene, values)
-        status, message = ending.outcome(float(t[min(done + 1, len(bad))]), float(t[-1]))
+            ending = ending.with_cause(self._program.functions, self._scene, values)
+        status, message = ending.outcome(float(t[min(done, len(bad) - 1)]), float(t[-1]))
         return Trajectory(**values, status=status, message=message), int((~solved[:done]).sum())

@@ -14,7 +14,6 @@ from operator import add
 from typing import Any
 
 from integrators.native.equations import bound, evaluated, is_program, with_constants
-from problems import runtime
 from problems.named_equations import part
 from problems.runtime import Array, Float, Int, jax, jnp
 
@@ -28,7 +27,7 @@ _ROOM = 64
 
 def inverse(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Inverse of a square matrix; not finite if the matrix is singular."""
-    if len(a) > MOST or not runtime.joins_loops():
+    if len(a) > MOST:
         with part("factorisations"):
             return jnp.linalg.inv(a)
     alone = jax.custom_batching.custom_vmap(_by_elimination)
@@ -54,7 +53,7 @@ def inverse(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
 def solve(a: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
     """Solution of a x = b for one right-hand side."""
-    if len(a) > MOST or not runtime.joins_loops():
+    if len(a) > MOST:
         with part("factorisations"):
             return jnp.linalg.solve(a, b)
 
@@ -181,20 +180,11 @@ def _eliminated(k: int, w: Array) -> Array:
 
 
 def without_products(function: Callable) -> Callable:
-    """Rewrite products of small matrices in a function as sums, in loops and branches, too.
-
-    A program whose parts JAX names otherwise than today stays as it is.
-    """
+    """Rewrite products of small matrices in a function as sums, in loops and branches, too."""
 
     def rewritten(*args: Any) -> Any:
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
-        try:
-            out = _evaluated(closed, jax.tree.leaves(args))
-        except (ImportError, AttributeError, LookupError, TypeError, ValueError) as error:
-            runtime.slower(
-                f"Small scenes run slowly: their programs cannot be rewritten ({error})."
-            )
-            return function(*args)
+        out = _evaluated(closed, jax.tree.leaves(args))
         return jax.tree.unflatten(jax.tree.structure(shape), out)
 
     return rewritten

@@ -16,8 +16,14 @@ from typing import Any, ClassVar, NamedTuple, Self
 from integrators.contract import Integrator, PreparedRun, option
 from integrators.native.adaptive_steps import AdaptiveRun
 from integrators.native.constant_steps import ConstantStepsRun
-from integrators.native.step_functions import StepFunctions
-from integrators.native.step_program import Numbers, SparseTangents, StepProgram, sparse_tangents
+from integrators.native.own_values import Conditional, Needs
+from integrators.native.step_program import (
+    Numbers,
+    SparseTangents,
+    StepFunctions,
+    StepProgram,
+    sparse_tangents,
+)
 from integrators.resolutions import Steps, Tolerances
 from problems import spec
 from problems.sparsity import Pattern, uses_sparse
@@ -216,6 +222,28 @@ class ErrorControl(NativeMethod):
     @property
     def step_limit(self) -> int:
         return self.max_steps
+
+
+@dataclass(frozen=True)
+class FreeSteps(Conditional, ErrorControl):
+    """Base of methods that choose their steps, unless the user wants constant ones."""
+
+    needs: ClassVar[Needs] = {"max_steps": ("steps", "adaptive")}
+
+    steps: str = option(
+        "adaptive",
+        "adaptive: steps follow the tolerance; constant: they are those of --step",
+        choices=("adaptive", "constant"),
+    )
+
+    @property
+    def controls(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return "tolerance" if self.steps == "adaptive" else "step"
+
+    def at_constant_steps(self) -> Self:
+        needs = self._all_needs().items()
+        others = {name: getattr(type(self), name) for name, need in needs if need[0] == "steps"}
+        return replace(self, steps="constant", **others)
 
 
 def _not_of_the_step(cls: type) -> dict[str, Field]:

@@ -1,19 +1,26 @@
-"""A method's step functions together with the linear algebra that solves its equations."""
+"""A one-step method as pure functions of a state, and with the linear algebra of its equations.
+
+`StepFunctions` are the contract between a method and its time loop: `constant_steps`,
+`adaptive_steps`, ensembles and the stability analysis use them. None of these knows a method, and
+no method knows its time loop.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
 from integrators.native import klu
-from integrators.native.endings import Ending
 from integrators.native.equations import with_constants
 from integrators.native.linear_solvers import DENSE, LinearSolver, SparseSolver
-from integrators.native.step_functions import StepFunctions
 from integrators.native.step_records import (
+    Attempt,
+    Choice,
+    Errors,
     MethodState,
     Reading,
     Scalar,
@@ -23,13 +30,102 @@ from integrators.native.step_records import (
 from integrators.native.step_work import EquationsFinder, StepWork, keeper
 from problems.formulations import Start
 from problems.runtime import Array, Bool, jax, jnp
-from problems.sparsity import NoPattern, Pattern
+from problems.sparsity import Pattern
 from problems.spec import SpecError
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 
 if TYPE_CHECKING:
     from jax.extend.core import ClosedJaxpr
+
+
+class StepFunctions(ABC):
+    """A one-step method on any scene.
+
+    An object is hashable and holds all options that change the compiled program. Numbers that may
+    vary without compiling again come by `with_numbers`. All functions are pure and written in
+    ``jax.numpy``; sizes are those of ``scene.sizes``.
+    """
+
+    #: True if redundant constraints are no obstacle to a step.
+    takes_redundant: bool = False
+
+    @abstractmethod
+    def with_numbers(self, numbers: Any) -> Self:
+        """A copy that holds these numbers, a pytree of floats, which may be traced."""
+
+    @abstractmethod
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> MethodState:
+        """Make the method's state at t0, before a first step of size h in s.
+
+        Parameters
+        ----------
+        start
+            Consistent values at t0: all variables in ``start.z``, xdot, and the derivatives jerk
+            and xddot.
+        """
+
+    @abstractmethod
+    def step(
+        self, scene: MechatronicSystem, state: MethodState, t: Time, h: Time, work: StepWork
+    ) -> MethodState:
+        """Advance the state by h, in s, to time t.
+
+        Solve equations by ``work.solve(residual, guess)``; count other work by
+        ``work.count(residuals=...)``.
+
+        Parameters
+        ----------
+        state
+            The method's state at t - h.
+        t, h
+            End and size of the step in s.
+        work
+            Solver and counter of this step.
+        """
+
+    @abstractmethod
+    def read(self, scene: MechatronicSystem, state: MethodState) -> Reading:
+        """Return the variables of a state."""
+
+    # ---- error control; only methods that choose their steps have it -------------------------
+    #: Order p of the method; the step controller uses it.
+    order: int
+    #: Groups whose errors are tested; the first step follows them alone.
+    tested: ClassVar[str] = "qvx"
+
+    @property
+    def order_of_estimate(self) -> int:
+        """Order of the method whose local errors are estimated, if it is not the method itself."""
+        return self.order
+
+    @property
+    def order_of_first_step(self) -> int:
+        """Order with which a run begins, where a method varies its order."""
+        return self.order_of_estimate
+
+    def estimate(self, before: MethodState, after: MethodState, h: Time) -> Errors:
+        """Estimate the local errors of the step of size h (s) from one state to the next."""
+        raise NotImplementedError
+
+    def order_of(self, after: MethodState) -> Scalar:
+        """Return the order of the estimate of the step that led to a state; methods may vary it.
+
+        The controller answers to an error by it; the size of allowed errors belongs to ``order``.
+        """
+        return self.order_of_estimate
+
+    def ratios(self) -> tuple[Scalar, Scalar]:
+        """Return the smallest and largest ratio of the next step to an accepted one."""
+        return 0.0, 5.0
+
+    def choose(self, tried: Attempt) -> Choice | None:
+        """Accept a step and choose the next one; None leaves both to the controller."""
+        return None
+
+    def first_step(self, h: Time) -> Time:
+        """Return the first step to try; h (s) is the controller's."""
+        return h
 
 
 class Numbers(NamedTuple):
@@ -67,8 +163,6 @@ class StepProgram:
         Patterns of sparse tangents, one for each system of equations in a step; dense if empty.
     explicit
         The method has no options of Newton's method, and may not ask for it.
-    dense
-        Solver of the equations that have no pattern.
     to_rounding
         Modified Newton ends at round-off, as full Newton does.
     """
@@ -77,7 +171,6 @@ class StepProgram:
     keeps_tangents: bool = False
     patterns: tuple[Pattern, ...] = ()
     explicit: bool = False
-    dense: LinearSolver = DENSE
     to_rounding: bool = False
 
     def method(self, numbers: Numbers) -> StepFunctions:
@@ -112,12 +205,6 @@ class StepProgram:
         """Return the variables."""
         return self.functions.read(scene, now.state)
 
-    def cause(self, ending: Ending, scene: MechatronicSystem, rows: dict[str, Any]) -> Ending:
-        """Return the true name of an ending, from the rows before it."""
-        if self.functions.takes_redundant:
-            return ending
-        return ending.with_cause(scene, rows["q"][-1], float(rows["t"][-1]))
-
     def chosen(self, accepted: Bool[Array, ""], after: Carried, before: Carried) -> Carried:
         """Return ``after`` if its step was accepted, else ``before``."""
         chosen = jax.tree.map(lambda a, b: jnp.where(accepted, a, b), after, before)
@@ -136,7 +223,7 @@ class StepProgram:
                 f"The step of {type(self.functions).__name__} solves equations; inherit from "
                 f"ImplicitStepMethod in place of StepMethod."
             )
-        return SparseSolver(self.patterns[k], numbers.analyses[k]) if self.patterns else self.dense
+        return SparseSolver(self.patterns[k], numbers.analyses[k]) if self.patterns else DENSE
 
 
 class SparseTangents(NamedTuple):
@@ -160,8 +247,6 @@ def sparse_tangents(
 def _sparse_tangents(
     functions: StepFunctions, tree: Any, kinds: tuple[type, ...], template: MechatronicSystem
 ) -> SparseTangents:
-    if not klu.works():
-        raise NoPattern("KLU cannot be used with this release of klujax; take linear_solver=dense.")
     import klujax
 
     # One pattern serves all numbers, so no number may be zero and hide an entry.
