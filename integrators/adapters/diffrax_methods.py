@@ -18,11 +18,6 @@ from problems.system import MechatronicSystem
 from problems.variables import VARIABLES
 
 
-def _in_every_group(order: int) -> dict[str, int]:
-    # a, lam and y solve the equations of motion at the reported q, v, x and share their order.
-    return dict.fromkeys(VARIABLES, order)
-
-
 @dataclass(frozen=True)
 class DiffraxSolver(ODEMethod):
     """Base of the diffrax methods: a method states ``library_class``, its order and its source.
@@ -40,6 +35,11 @@ class DiffraxSolver(ODEMethod):
     ``jacobians`` are linearisations of it, each of which is factorised once. They are counted in
     a second, untimed program.
 
+    The root finder of implicit methods is Newton's method, at the tolerances of the step-size
+    control, or at constant steps until the remainder is round-off. diffrax's own default takes "not
+    yet converged" for "diverged" (0.7.2) and can reject steps in masses: on the pendulum at rtol
+    1e-6 KenCarp3 uses up 65,536 steps with it, and 224 with Newton's method.
+
     With ``constraints=projected`` the slope that a method keeps for its next step stays that of the
     state before the projection; the two differ by less than the error of a step.
     """
@@ -48,9 +48,6 @@ class DiffraxSolver(ODEMethod):
     calls: ClassVar[str] = "its loop is compiled, and calls a library for every matrix"
     #: Name of the solver's class in diffrax.
     library_class: ClassVar[str]
-    #: Whether its stages take Newton's method, and whether it splits the right-hand side.
-    implicit: ClassVar[bool] = False
-    splits: ClassVar[bool] = False
 
     steps: str = option(
         "adaptive",
@@ -75,8 +72,6 @@ class DiffraxSolver(ODEMethod):
         """The solver as runs on a scene need it."""
         return DiffraxScheme(
             self.library_class,
-            self.implicit,
-            self.splits,
             scene.template(),
             self.projects(scene),
             self.baumgarte(scene) is not None,
@@ -92,101 +87,42 @@ class DiffraxSolver(ODEMethod):
         return DiffraxStepMethod(self.scheme(scene), scene, self.baumgarte(scene))
 
 
-@dataclass(frozen=True)
-class ImplicitDiffraxSolver(DiffraxSolver):
-    """Base of the implicit diffrax methods.
-
-    Their root finder is Newton's method, at the tolerances of the step-size control, or at constant
-    steps until the remainder is round-off. diffrax's own default takes "not yet converged" for
-    "diverged" (0.7.2) and can reject steps in masses: on the pendulum at rtol 1e-6 KenCarp3 uses up
-    65,536 steps with it, and 224 with Newton's method.
-    """
-
-    implicit = True
+def _method(name: str, library_class: str, order: int, source: str, text: str) -> Any:
+    """The method that steps by a class of diffrax."""
+    # a, lam and y solve the equations of motion at the reported q, v, x and share their order.
+    facts = {"name": name, "library_class": library_class, "source": source}
+    facts |= {"orders": dict.fromkeys(VARIABLES, order), "__doc__": text, "__module__": __name__}
+    return dataclass(frozen=True)(type(library_class, (DiffraxSolver,), facts))
 
 
-@dataclass(frozen=True)
-class ImplicitEuler(ImplicitDiffraxSolver):
+_KVAERNO = "Kvaerno (2004), doi:10.1023/B:BITN.0000046811.70614.38"
+_KENCARP = "Kennedy & Carpenter (2003), doi:10.1016/S0168-9274(02)00138-1"
+ImplicitEuler = _method(
+    "implicit_euler", "ImplicitEuler", 1,
+    "Hairer & Wanner (1996), doi:10.1007/978-3-642-05221-7, sec. IV.3",
     """The implicit Euler method: L-stable, one stage, the floor under all the others.
 
     A step whose Newton iteration fails ends the run: diffrax 0.7.2 does not repeat it with a
     smaller one as it does for its other implicit methods.
-    """
-
-    library_class = "ImplicitEuler"
-    orders = _in_every_group(1)
-    source = "Hairer & Wanner (1996), doi:10.1007/978-3-642-05221-7, sec. IV.3"
-
-
-class _Kvaerno(ImplicitDiffraxSolver):
-    """Base of Kvaerno's methods."""
-
-    source = "Kvaerno (2004), doi:10.1023/B:BITN.0000046811.70614.38"
-
-
-@dataclass(frozen=True)
-class Kvaerno3(_Kvaerno):
-    """Kvaerno's ESDIRK method 3(2): stiffly accurate, L-stable, four stages."""
-
-    library_class = "Kvaerno3"
-    orders = _in_every_group(3)
-
-
-@dataclass(frozen=True)
-class Kvaerno4(_Kvaerno):
-    """Kvaerno's ESDIRK method 4(3): stiffly accurate, L-stable, five stages."""
-
-    library_class = "Kvaerno4"
-    orders = _in_every_group(4)
-
-
-@dataclass(frozen=True)
-class Kvaerno5(_Kvaerno):
-    """Kvaerno's ESDIRK method 5(4): stiffly accurate, L-stable, seven stages."""
-
-    library_class = "Kvaerno5"
-    orders = _in_every_group(5)
-
-
-class _KenCarp(ImplicitDiffraxSolver):
-    """Base of Kennedy & Carpenter's methods: all of the right-hand side is implicit."""
-
-    source = "Kennedy & Carpenter (2003), doi:10.1016/S0168-9274(02)00138-1"
-
-    splits = True
-
-
-@dataclass(frozen=True)
-class KenCarp3(_KenCarp):
-    """The implicit part of Kennedy & Carpenter's ARK3(2)4L[2]SA: ESDIRK, L-stable, four stages."""
-
-    library_class = "KenCarp3"
-    orders = _in_every_group(3)
-    name = "kencarp3"
-
-
-@dataclass(frozen=True)
-class KenCarp4(_KenCarp):
-    """The implicit part of Kennedy & Carpenter's ARK4(3)6L[2]SA: ESDIRK, L-stable, six stages."""
-
-    library_class = "KenCarp4"
-    orders = _in_every_group(4)
-    name = "kencarp4"
-
-
-@dataclass(frozen=True)
-class KenCarp5(_KenCarp):
-    """The implicit part of Kennedy & Carpenter's ARK5(4)8L[2]SA: ESDIRK, L-stable, eight stages."""
-
-    library_class = "KenCarp5"
-    orders = _in_every_group(5)
-    name = "kencarp5"
-
-
-@dataclass(frozen=True)
-class Dopri8(DiffraxSolver):
-    """Dormand & Prince's explicit method 8(7), 13 stages: the yardstick where nothing is stiff."""
-
-    library_class = "Dopri8"
-    orders = _in_every_group(8)
-    source = "Prince & Dormand (1981), doi:10.1016/0771-050X(81)90010-3"
+    """,
+)  # fmt: skip
+Kvaerno3, Kvaerno4, Kvaerno5 = (
+    _method(
+        f"kvaerno{order}", f"Kvaerno{order}", order, _KVAERNO,
+        f"Kvaerno's ESDIRK method {order}({order - 1}): stiffly accurate, L-stable, {word} stages.",
+    )
+    for order, word in ((3, "four"), (4, "five"), (5, "seven"))
+)  # fmt: skip
+#: All of the right-hand side is implicit.
+KenCarp3, KenCarp4, KenCarp5 = (
+    _method(
+        f"kencarp{order}", f"KenCarp{order}", order, _KENCARP,
+        f"The implicit part of Kennedy & Carpenter's ARK{order}({order - 1}){stages}L[2]SA: "
+        f"ESDIRK, L-stable, {word} stages.",
+    )
+    for order, stages, word in ((3, 4, "four"), (4, 6, "six"), (5, 8, "eight"))
+)  # fmt: skip
+Dopri8 = _method(
+    "dopri8", "Dopri8", 8, "Prince & Dormand (1981), doi:10.1016/0771-050X(81)90010-3",
+    "Dormand & Prince's explicit method 8(7), 13 stages: the yardstick where nothing is stiff.",
+)  # fmt: skip

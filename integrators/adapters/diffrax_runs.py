@@ -21,8 +21,8 @@ from integrators.adapters.trajectories import early_end_message, trajectory_from
 from integrators.adapters.vector_work import EXPLICIT, IMPLICIT
 from integrators.contract import WIDER, PreparedRun, Trajectory, Work
 from integrators.kept_rows import kept_rows
-from integrators.native.step_program import StepFunctions
 from integrators.native.step_method import NativeMethod
+from integrators.native.step_program import StepFunctions
 from integrators.native.step_records import Reading
 from integrators.program_costs import OWN, Cost, bill, dense, of_calls
 from integrators.resolutions import Steps, Tolerances
@@ -52,28 +52,34 @@ class DiffraxScheme:
     ----------
     library_class
         Name of the solver's class in diffrax.
-    implicit
-        Whether its stages take Newton's method.
-    splits
-        Whether it takes an explicit and an implicit right-hand side.
     projects, baumgarte
         Whether each step ends by a projection onto the constraints, and whether Baumgarte's term
         is in the equations.
     """
 
     library_class: str
-    implicit: bool
-    splits: bool
     template: MechatronicSystem
     projects: bool
     baumgarte: bool
 
     @property
-    def stages(self) -> int:
-        """The number of stages; one where diffrax has no tableau."""
+    def kind(self) -> Any:
+        """The solver's class."""
         import diffrax
 
-        found = getattr(getattr(diffrax, self.library_class), "tableau", None)
+        return getattr(diffrax, self.library_class)
+
+    @property
+    def implicit(self) -> bool:
+        """Whether its stages take Newton's method."""
+        import diffrax
+
+        return issubclass(self.kind, diffrax.AbstractImplicitSolver)
+
+    @property
+    def stages(self) -> int:
+        """The number of stages; one where diffrax has no tableau."""
+        found = getattr(self.kind, "tableau", None)
         return getattr(found, "tableaus", (found,))[0].num_stages if found else 1
 
     def rate(self, t: Any, s: Any, p: Any) -> Any:
@@ -82,10 +88,7 @@ class DiffraxScheme:
 
     def solver(self, root_finder: Any) -> diffrax.AbstractSolver:
         """Make the solver; explicit ones take no root finder."""
-        import diffrax
-
-        kind = getattr(diffrax, self.library_class)
-        kind = _projecting(kind, self.template) if self.projects else kind
+        kind = _projecting(self.kind, self.template) if self.projects else self.kind
         return kind(root_finder=root_finder) if self.implicit else kind()
 
 
@@ -96,8 +99,8 @@ def _terms(scheme: DiffraxScheme, counted: bool) -> diffrax.AbstractTerm:
 
     rate = jax.jit(scheme.rate)
     term = diffrax.ODETerm(watch(rate) if counted else rate)
-    if not scheme.splits:
-        return term
+    if scheme.kind.term_structure is diffrax.AbstractTerm:
+        return term  # others split the right-hand side
     return diffrax.MultiTerm(diffrax.ODETerm(lambda t, s, p: jnp.zeros_like(s)), term)
 
 
@@ -218,12 +221,8 @@ class DiffraxAdaptiveRun(DiffraxRun):
         return jax.block_until_ready(self._timed(*self._arguments))
 
     def _measured(self) -> tuple[Trajectory, tuple[int, int]]:
-        try:
-            self.execute()  # the warm-up
-            solution, counts = run_counted(self._counted, *self._arguments)
-        except jax.errors.JaxRuntimeError as error:
-            reason = str(error).splitlines()[0]
-            return Trajectory.failed("crashed", f"diffrax raised an error: {reason}"), (0, 0)
+        self.execute()  # the warm-up
+        solution, counts = run_counted(self._counted, *self._arguments)
         t, s, steps, (good, number) = solution
         accepted, rejected = map(int, steps)
         t = np.concatenate([[self._t0], np.asarray(t)[:accepted]])
