@@ -18,7 +18,7 @@ from problems.variables import GROUPS, VARIABLES, Sizes
 #: Times of rows may leave the interval by this part of them, which is rounding.
 _ROUNDING = 1e-9
 #: Facts of an integrator in words.
-WORDS = ("formulation", "drift", "controls", "family", "affinity", "source", "calls")
+WORDS = ("formulation", "drift", "controls", "family", "affinity", "source")
 
 
 def facts(integrator: Integrator) -> dict[str, Any]:

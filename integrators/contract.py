@@ -145,9 +145,6 @@ class Integrator(ABC):
     passes_impacts
         Whether its steps pass the impacts of a scene with ``gaps``; runs of others end a phase
         there.
-    calls
-        How a step calls the scene's equations, a clause after the method's name ("it ..."); reports
-        say it where seconds and operations disagree. Empty if not stated.
     """
 
     name: ClassVar[str]
@@ -156,7 +153,6 @@ class Integrator(ABC):
     source: ClassVar[str] = ""
     takes: ClassVar[tuple[str, ...]] = ()
     # Without annotations: a subclass may replace these by a constant, an option or a property.
-    calls = ""
     controls = "step"
     drift = ""
     takes_redundant = False

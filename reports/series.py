@@ -11,7 +11,7 @@ from operator import itemgetter
 
 from bench.results.orders import Fit, fit_orders
 from bench.results.quantities import GROUPS, NORM, TRUST
-from bench.results.records import Record
+from bench.results.records import UNSUPPORTED, Record
 from reports.formatting import number, text_range
 
 #: A fitted order this close to a whole number is called by it.
@@ -40,7 +40,9 @@ class Series:
 
     @property
     def statuses(self) -> str:
-        """The endings of the runs with counts: '6 ok', '4 ok, 2 newton_failed'."""
+        """The endings of the runs with counts: '6 ok', '4 ok, 2 newton_failed'; or a refusal."""
+        if all(r.status == UNSUPPORTED for r in self.records):
+            return f"refused: {self.records[0].message}"
         counts = Counter(r.status for r in self.records)
         order = sorted(counts, key=lambda s: (s != "ok", s))
         return ", ".join(f"{counts[s]} {s}" for s in order)

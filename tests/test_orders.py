@@ -17,7 +17,6 @@ from reports.explanations import PATTERN, STIFF, TRANSIENT, UNDAMPED
 from reports.pages.method_chapter import _orders_table
 from reports.series import series_of
 from reports.text.measured_orders import claims_text, lost_orders_table, order_cell, orders_measured
-from reports.text.observations import observations
 from reports.text.ranking_tables import integrators_table
 
 STEPS = [0.1 * 2.0**-k for k in range(8)]
@@ -259,12 +258,6 @@ def test_steps_that_resolve_no_vibration_explain_a_lost_order_before_anything_el
 def test_the_experiments_that_explain_losses_exist():
     for name in (PATTERN, STIFF, TRANSIENT, UNDAMPED):
         assert name in built_in_experiments()
-
-
-def test_failed_runs_are_told_with_their_resolutions():
-    failed = [planted("s", "n", {}, h=0.1, errors={}, status="crashed")]
-    (said,) = observations(series_of(failed))
-    assert said.text == "1 of 1 runs did not reach the end: 1 crashed (h=0.1)."
 
 
 @pytest.mark.usefixtures("without_processes")

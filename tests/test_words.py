@@ -50,9 +50,8 @@ def test_a_report_tells_unsupported_runs_apart_from_failures(tmp_path):
     (study,) = report.scenes[0].studies
     assert "1 of 4 runs are not supported by their method." in study.state
     assert "2 of 4 runs did not reach the end." in study.state
-    said = {found.integrators: found.text for found in study.observations}
-    assert said["shy",] == "the method does not take the scene: Because."
-    assert said["wild",].startswith("2 of 2 runs did not reach the end")
+    said = {row[0]: row[-2] for row in report.scenes[0].summary.rows}
+    assert said == {"good": "1 ok", "shy": "refused: Because.", "wild": "2 diverged"}
 
 
 @pytest.mark.parametrize("norm", [[], ["--json"]])

@@ -49,7 +49,6 @@ class MethodFacts(msgspec.Struct, frozen=True, kw_only=True):
     affinity: str
     orders: dict[str, int]
     source: str
-    calls: str
     fingerprint: str
     sources: Sources = Sources()
     fault: str = ""

@@ -89,7 +89,6 @@ class Record(msgspec.Struct, kw_only=True):
     not known.
     ``claims`` are the orders that the integrator claims on the scene at equal steps, by group; None
     where they are not known.
-    ``calls`` is the integrator's statement of how its steps call the equations.
     ``stopped`` is the phase in which a budget ran out (bench.guard.limits), the reference's too;
     the budgets were ``budget_s`` and ``memory_gib``.
     ``run_s`` holds every timing sample in s, and ``rounds`` the invocation and the round in it of
@@ -102,7 +101,6 @@ class Record(msgspec.Struct, kw_only=True):
     family: Name
     formulation: Name
     controls: Controls
-    calls: str = ""
     claims: dict[str, int] | None = None
     h: Positive | None = None
     pattern: Annotated[tuple[Positive, ...], Meta(min_length=1)] = (1.0,)

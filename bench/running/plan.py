@@ -76,7 +76,6 @@ class Cell:
             family=method.family,
             formulation=form,
             controls="step" if isinstance(r, Steps) else "tolerance",
-            calls=method.calls,
             t0=t0,
             t_end=self.t_end,
             status=status,

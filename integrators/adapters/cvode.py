@@ -38,7 +38,6 @@ class CVODE(ODESolver):
     """
 
     family: ClassVar[str] = "cvode"
-    loop = "a C library"
     source: ClassVar[str] = "Hindmarsh et al. (2005), SUNDIALS, doi:10.1145/1089014.1089020"
 
     method: str = option(

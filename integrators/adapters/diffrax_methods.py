@@ -45,7 +45,6 @@ class DiffraxSolver(ODEMethod):
     """
 
     family: ClassVar[str] = "diffrax"
-    calls: ClassVar[str] = "its loop is compiled, and calls a library for every matrix"
     #: Name of the solver's class in diffrax.
     library_class: ClassVar[str]
 

@@ -42,7 +42,6 @@ class IDA(LibrarySolver):
     """
 
     family: ClassVar[str] = "ida"
-    loop = "a C library"
     source: ClassVar[str] = "Hindmarsh et al. (2005), SUNDIALS, doi:10.1145/1089014.1089020"
 
     formulation: str = option(

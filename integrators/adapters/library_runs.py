@@ -60,17 +60,8 @@ class LibrarySolver(Integrator):
 
     controls = "tolerance"
     takes: ClassVar[tuple[str, ...]] = tuple(WIDER)
-    #: A solver, as a clause that goes on with "calls ...".
-    loop: ClassVar[str]
     callbacks: str
     max_calls: int
-
-    @property
-    def calls(self) -> str:
-        """How the method calls its equations."""
-        if self.callbacks == "compiled":
-            return f"{self.loop} calls equations in C, where they have such a form, one by one"
-        return f"{self.loop} calls compiled equations through Python, one by one"
 
     def advice(self, scene: MechatronicSystem, cause: str) -> str:
         """Return advice after an early end of this status, or with the step too small."""

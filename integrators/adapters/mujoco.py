@@ -41,7 +41,6 @@ class Mujoco(Integrator):
     """
 
     family: ClassVar[str] = "engine"
-    calls: ClassVar[str] = "it computes trees of bodies of general kind, in C"
     formulation = "joint_coordinates"
     drift = "soft"
     takes = ("kinematics",)

@@ -45,7 +45,6 @@ class ScipySolver(ODESolver):
     """
 
     family: ClassVar[str] = "scipy"
-    loop = "its loop is Python, which"
     #: Name of the solver's class in scipy.integrate.
     library_class: ClassVar[str]
 

@@ -38,7 +38,6 @@ class SolveDAESolver(LibrarySolver):
     """
 
     family: ClassVar[str] = "solve_dae"
-    loop = "its loop is Python, which"
     #: Name of the solver's class in solve_dae.integrate.
     library_class: ClassVar[str]
 

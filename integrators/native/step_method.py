@@ -51,7 +51,6 @@ class NewtonSettings(NamedTuple):
 class NativeMethod(Integrator):
     """Base of the integrators whose step functions run in our own compiled time loops."""
 
-    calls: ClassVar[str] = "its whole time loop is one compiled program"
     #: Names of the notes of a `Reading`, if they do not depend on the scene.
     noted: ClassVar[tuple[str, ...]] = ()
     #: True if steps give q, v and x alone and count nothing; the equations then give the rest.

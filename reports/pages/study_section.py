@@ -1,11 +1,11 @@
-"""One study of a scene in the report: observations, figures and tables."""
+"""One study of a scene in the report: figures and tables."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from bench.results.quantities import ERROR_MEANING, NORM, NORMS, VIOLATIONS
@@ -40,7 +40,6 @@ from reports.series import (
     series_of,
 )
 from reports.text.measured_orders import fitted_orders_table
-from reports.text.observations import Observation, observations
 from reports.text.run_tables import runs_table
 
 #: Most runs of a study that are all drawn over time; of a larger one the finest of each.
@@ -69,16 +68,14 @@ ALL_FIGURES = ("trajectory", "convergence", "work_precision")
 
 @dataclass
 class StudySection:
-    """One study: observations, figures, tables; ``links`` are anchors of runs by integrator."""
+    """One study: figures and tables."""
 
     title: str
     note: str
     state: str
-    observations: list[Observation]
     figures: list[CaptionedCharts]
     orders: Table | None = None
     runs: Table | None = None
-    links: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass
@@ -126,13 +123,11 @@ class StudySections:
             title="Accuracy and cost" if study.title in ("", self.name) else study.title,
             note=study.note,
             state=_study_state(study, records),
-            observations=observations(series),
             figures=[figure for figure in figures if figure],
             orders=fitted_orders_table(series, study.norm),
             runs=runs_table(series, components=self.component_names)
             if "runs" in study.figures
             else None,
-            links={s.label: self.ids[s.records[0].key] for s in series},
         )
 
     def _few(self, series: Sequence[Series]) -> tuple[Sequence[Series], str]:

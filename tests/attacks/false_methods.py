@@ -181,7 +181,6 @@ class Lying(Integrator):
     source = fact("source", "")
     formulation = fact("formulation", "ode")
     family = fact("family", "liars")
-    calls = fact("calls", "")
     affinity = fact("affinity", "lying")
     controls = fact("controls", "step")
 
