@@ -1,14 +1,13 @@
 """The ranking: on each scene the cheapest runs that reach an accuracy, who ties, and who does not.
 
-A target that lies within a hundred times the reference's own error is not judged. Integrators that
-do the same on a scene are one contestant there, and share its numbers.
+A target that lies within a hundred times the reference's own error is not judged.
 """
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from operator import itemgetter
@@ -19,32 +18,21 @@ from bench.results.records import NOT_TRIED, Record
 from bench.results.timings import quotient
 from reports.formatting import times
 from reports.questions.question import TARGETS, Question, questions
-from reports.series import (
-    Series,
-    groups_of,
-    ok_runs,
-    reference_error,
-    step_or_tolerance,
-    trusted_error,
-)
+from reports.series import Series, groups_of, ok_runs, reference_error
 
-#: Errors of the same method in two programs differ by rounding, relative to them.
-_ROUNDING = 1e-3
-#: The cheapest run of a contestant with its cost.
+#: The cheapest run of an integrator with its cost.
 _Cheapest = tuple[float, Record]
 
 
 class RankEntry(NamedTuple):
     """One integrator that was tried on one scene, for one question.
 
-    ``contestant`` is the first integrator that does the same on the scene (itself, as a rule).
     ``reached`` says whether a run reaches the target, ``run`` is the cheapest of those whose cost
-    is known, ``value`` its cost, ``ratio`` that cost relative to the cheapest contestant's:
-    infinite where only that one is 0.
+    is known, ``value`` its cost, ``ratio`` that cost relative to the least of all: infinite where
+    only that one is 0.
     """
 
     label: str
-    contestant: str
     series: Series
     reached: bool = False
     run: Record | None = None
@@ -53,7 +41,7 @@ class RankEntry(NamedTuple):
 
     @property
     def state(self) -> float | str:
-        """The multiple of the cheapest contestant's cost, or why there is none.
+        """The multiple of the least cost, or why there is none.
 
         "unknown": it reaches the target at a cost that is not measured; "far": its runs reached the
         end, but not the target; "failed": no run reached the end.
@@ -74,19 +62,18 @@ class RankEntry(NamedTuple):
 class SceneAnswer:
     """The answer to one question on one scene.
 
-    ``series`` are the integrators that were tried, by label, and ``contestants`` has for each the
-    first that does the same. Of contestants, ``reached`` has those that reach the accuracy,
-    ``cheapest`` the run and its cost where this is known, and ``tied`` those that cannot be told
+    ``series`` are the integrators that were tried, by label, ``reached`` those that reach the
+    accuracy; ``cheapest`` has the run and its cost where this is known. ``tied`` cannot be told
     apart from the cheapest, itself included, in the order of the plan: medians of those who tie
-    change places from run to run.
+    change places from run to run. Of these ``later`` are so only where the motion starts later.
     """
 
     question: Question
     series: Mapping[str, Series]
-    contestants: Mapping[str, str]
-    reached: frozenset[str]
+    reached: Collection[str]
     cheapest: Mapping[str, _Cheapest]
     tied: Sequence[str]
+    later: Collection[str] = ()
 
     @cached_property
     def entries(self) -> dict[str, RankEntry]:
@@ -94,28 +81,14 @@ class SceneAnswer:
         best = min((value for value, _ in self.cheapest.values()), default=0.0)
         found = {}
         for label, s in self.series.items():
-            first = self.contestants[label]
-            value, run = self.cheapest.get(first, (None, None))
+            value, run = self.cheapest.get(label, (None, None))
             ratio = None if value is None else _ratio(value, best)
-            found[label] = RankEntry(label, first, s, first in self.reached, run, value, ratio)
+            found[label] = RankEntry(label, s, label in self.reached, run, value, ratio)
         return found
-
-    @cached_property
-    def names(self) -> dict[str, list[str]]:
-        """The labels of the integrators that are one contestant, by the first of them."""
-        alike: dict[str, list[str]] = {}
-        for label, first in self.contestants.items():
-            alike.setdefault(first, []).append(label)
-        return alike
-
-    @property
-    def several(self) -> bool:
-        """Whether several contestants were tried."""
-        return len(self.names) > 1
 
     @property
     def first(self) -> list[RankEntry]:
-        """The contestants that tie for the cheapest."""
+        """The integrators that tie for the cheapest."""
         return [self.entries[label] for label in self.tied]
 
     @property
@@ -125,25 +98,14 @@ class SceneAnswer:
         return self.entries[min(others, key=lambda k: self.cheapest[k][0])] if others else None
 
     @property
-    def winners(self) -> list[str]:
-        """Labels of the first ones, and of those that do the same."""
-        return [twin for label in self.tied for twin in self.names[label]]
-
-    @property
-    def unknown(self) -> list[RankEntry]:
-        """The contestants that reach the accuracy at a cost that is not measured."""
-        return [self.entries[k] for k in self.names if k in self.reached and k not in self.cheapest]
+    def unknown(self) -> list[str]:
+        """The integrators that reach the accuracy at a cost that is not measured."""
+        return [k for k in self.series if k in self.reached and k not in self.cheapest]
 
     @property
     def votes(self) -> bool:
-        """Whether there was something to win: several contestants were compared."""
-        return len(self.names) - len(self.reached) + len(self.cheapest) > 1
-
-    @property
-    def runs(self) -> list[Record]:
-        """The runs behind the answer."""
-        shown = [*self.first, *([self.second] if len(self.tied) == 1 else [])]
-        return [s.run for s in shown if s and s.run]
+        """Whether there was something to win: several integrators were compared."""
+        return len(self.series) - len(self.reached) + len(self.cheapest) > 1
 
     @property
     def nearest(self) -> tuple[float, Record] | None:
@@ -156,7 +118,7 @@ class SceneAnswer:
 class Standing(NamedTuple):
     """On how many scenes an integrator is the cheapest alone or tied, reaches it, was tried.
 
-    Wins and ties count on scenes on which several contestants are compared.
+    Wins and ties count on scenes on which several integrators are compared.
     """
 
     label: str
@@ -183,23 +145,14 @@ class Answer:
         """One row per integrator, the most successful first: first places, wins, scenes reached."""
         rows: dict[str, list[int]] = {}
         for scene in self.scenes.values():
-            for label, first in scene.contestants.items():
+            for label in scene.series:
                 row = rows.setdefault(label, [0, 0, 0, 0])
-                row[2] += first in scene.reached
+                row[2] += label in scene.reached
                 row[3] += 1
-            for label in scene.winners if scene.votes else ():
+            for label in scene.tied if scene.votes else ():
                 rows[label][len(scene.tied) > 1] += 1
         found = [Standing(label, *row) for label, row in rows.items()]
         return sorted(found, key=lambda s: (-s.alone - s.tied, -s.alone, -s.reached, s.tried))
-
-    def on(self, scenes: Iterable[str]) -> Answer:
-        """The answer on some of the scenes."""
-        chosen = set(scenes)
-        return Answer(
-            self.question,
-            {k: v for k, v in self.scenes.items() if k in chosen},
-            {k: v for k, v in self.unjudged.items() if k in chosen},
-        )
 
 
 def answers(
@@ -241,7 +194,6 @@ class _Field:
     def __init__(self, series: Sequence[Series]) -> None:
         tried = [s for s in series if any(r.status not in NOT_TRIED for r in s.records)]
         self.series, self.runs = {s.label: s for s in tried}, ok_runs(series)
-        self.contestants = contestants(tried)
         self._starts = range(1 + max((len(r.later) for r in self.runs), default=0))
         self._ladders: dict[tuple[str, str, str], list[dict[str, _Ladder]]] = {}
         self._apart: dict[tuple[str, str, str], bool] = {}
@@ -252,28 +204,32 @@ class _Field:
         ladders, *later = self._climbed(question)
         reached = frozenset(k for k, own in ladders.items() if own.reaching(question.target))
         cheapest = _cheapest(ladders, question.target)
-        winners: set[str] = set()
+        now = self._tied(cheapest, question.cost)
         # One that is first from a later start of the motion ties: luck decides between them.
-        for own in (cheapest, *(_cheapest(start, question.target) for start in later)):
-            if own:
-                _, best = min(own.values(), key=itemgetter(0))
-                winners |= {k for k, (_, r) in own.items() if self._tie(best, r, question.cost)}
+        starts = (self._tied(_cheapest(own, question.target), question.cost) for own in later)
+        winners = now.union(*starts)
         tied = [k for k in ladders if k in winners and k in cheapest]
-        return SceneAnswer(question, self.series, self.contestants, reached, cheapest, tied)
+        return SceneAnswer(question, self.series, reached, cheapest, tied, {*tied} - now)
 
     def _climbed(self, question: Question) -> list[dict[str, _Ladder]]:
-        """The ladders of the contestants from each start of the motion."""
+        """The ladders of the integrators from each start of the motion."""
         group, cost, norm = question.group, question.cost, question.norm
         if (group, cost, norm) not in self._ladders:
-            firsts = [s for k, s in self.series.items() if self.contestants[k] == k]
             self._ladders[group, cost, norm] = [
                 {
                     s.label: _Ladder(s.ok, cost, lambda r, k=k: r.error(group, norm, k))
-                    for s in firsts
+                    for s in self.series.values()
                 }
                 for k in (self._starts if norm == NORM else (0,))
             ]
         return self._ladders[group, cost, norm]
+
+    def _tied(self, cheapest: Mapping[str, _Cheapest], cost: str) -> set[str]:
+        """Those that cannot be told apart from the cheapest."""
+        if not cheapest:
+            return set()
+        _, best = min(cheapest.values(), key=itemgetter(0))
+        return {k for k, (_, run) in cheapest.items() if self._tie(best, run, cost)}
 
     def _tie(self, one: Record, two: Record, cost: str) -> bool:
         key = one.key, two.key, cost
@@ -333,46 +289,3 @@ def told_apart(one: Record, two: Record, cost: str) -> bool:
         return found is not None and found.differs
     values = [v for r in (one, two) if (v := r.cost(cost)) is not None]
     return len(values) == 2 and max(values) > COSTS[cost].tie * min(values)
-
-
-def contestants(series: Sequence[Series]) -> dict[str, str]:
-    """The integrators of one scene, each with the first one that does the same there.
-
-    The same are two with the same endings, work and operations at the same resolutions, and
-    errors in all groups and norms that differ by rounding only.
-    """
-    firsts: list[Series] = []
-    found = {}
-    for s in series:
-        twin = next((f for f in firsts if _same(f, s)), s)
-        if twin is s:
-            firsts.append(s)
-        found[s.label] = twin.label
-    return found
-
-
-def _same(one: Series, two: Series) -> bool:
-    alike = one.ok and len(one.records) == len(two.records)
-    return bool(alike) and all(map(_same_run, one.records, two.records))
-
-
-def _same_run(one: Record, two: Record) -> bool:
-    if (one.status, one.work, one.pattern, step_or_tolerance(one)) != (
-        two.status, two.work, two.pattern, step_or_tolerance(two)
-    ):  # fmt: skip
-        return False
-    if one.errors.keys() != two.errors.keys() or told_apart(one, two, "operations"):
-        return False
-    if one.status == "ok" and not one.errors:
-        return False  # nothing is known of what they compute
-    return all(
-        _same_error(error, two.error(group, norm), trusted_error([one, two], group, norm))
-        for group, norms in one.errors.items()
-        for norm, error in norms.items()
-    )
-
-
-def _same_error(one: float | None, two: float | None, trusted: float) -> bool:
-    if one is None or two is None:
-        return one is two
-    return max(one, two) <= trusted or math.isclose(one, two, rel_tol=_ROUNDING)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -10,8 +10,10 @@ from pathlib import Path
 from bench.results.records import Environment, Plan, Record, SceneRecord, scene_titles
 from bench.results.store import Store
 from bench.results.timings import Repeatability, repeatability
+from reports.explanations import Atlas
+from reports.names import short_names
 from reports.questions.question import FIRST, Question
-from reports.questions.words import Words, words_of
+from reports.questions.words import Names
 from reports.questions.wrong import Wrong, wrong_on
 from reports.series import Series, series_of
 from reports.text.measurement import state_sentence
@@ -25,7 +27,7 @@ class StoredRuns:
     """The runs of a store: ``series`` and ``scenes`` by the titles of the scenes.
 
     ``state`` counts runs planned, measured and ended; ``titles`` has those of all scenes by key, in
-    the order of the plan. ``experiments`` are the names of those of the failure atlas.
+    the order of the plan. ``atlas`` has the experiments of the failure atlas by name.
     """
 
     title: str
@@ -36,34 +38,31 @@ class StoredRuns:
     plan: Plan | None = None
     records: Mapping[str, Record] = field(default_factory=dict)
     titles: Mapping[Key, str] = field(default_factory=dict)
-    experiments: Collection[str] = ()
+    atlas: Atlas = field(default_factory=dict)
 
     @property
     def scenes_by_key(self) -> dict[Key, SceneRecord]:
         """The scenes that the store describes."""
         return {k: self.scenes[title] for k, title in self.titles.items() if title in self.scenes}
 
-    @property
-    def tags(self) -> dict[str, list[str]]:
-        """The tags of the scenes that the store describes."""
-        return {title: scene.tags for title, scene in self.scenes.items()}
-
     @cached_property
-    def words(self) -> Words:
-        """Names, tags and experiments as sentences write them."""
-        return words_of(self.series, self.tags, self.experiments)
+    def names(self) -> Names:
+        """Short names of the integrators, by label."""
+        return short_names(s.label for own in self.series.values() for s in own)
 
     @property
     def mine(self) -> str:
         """The label of the person's own integrator (`--mine`), if it was run."""
         mine = self.plan.mine if self.plan else ""
-        return mine if mine in self.words.names else ""
+        return mine if mine in self.names else ""
 
     def wrong(self, group: str, label: str = "") -> dict[str, list[Wrong]]:
         """The wrong runs in a group by scene, of one integrator or of all."""
         return {
             scene: [
-                wrong_on(s, group, self.scenes.get(scene)) for s in own if label in ("", s.label)
+                wrong_on(s, group, self.scenes.get(scene), self.atlas)
+                for s in own
+                if label in ("", s.label)
             ]
             for scene, own in self.series.items()
         }
@@ -97,7 +96,7 @@ class StoredRuns:
             plan=plan,
             records=records,
             titles=titles,
-            experiments=[*store.experiments()],
+            atlas=store.experiments(),
         )
 
 

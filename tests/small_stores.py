@@ -6,8 +6,10 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
+import msgspec
+
 from bench.results.drift import Drift, LongRun
-from bench.results.experiments import ExperimentResult
+from bench.results.experiments import CaseResult, ExperimentResult, PartResult
 from bench.results.records import (
     Damping,
     Environment,
@@ -23,6 +25,20 @@ A_DAMPING = Damping(omega_h=[0.1], radius=[0.9], ratio=[None], period_error=[-0.
 AN_EXPERIMENT = ExperimentResult(
     name="e", number=1, title="", claim="", remedy="", source="", parts=[]
 )
+
+
+def atlas_with(method, *names):
+    """Experiments of these names that hit a method and spare another one."""
+    given = {"label": "", "family": "", "axis": "", "x": [], "y": [], "number": None}
+    given |= {"expected": None, "as_expected": None}
+    cases = [
+        CaseResult(integrator=method, healthy=False, **given),
+        CaseResult(integrator="spared", healthy=True, **given),
+    ]
+    part = PartResult(text="", quantity="", take="last", healthy=(0.0, 1.0), cases=cases)
+    return {name: msgspec.structs.replace(AN_EXPERIMENT, name=name, parts=[part]) for name in names}
+
+
 A_LONG_RUN = LongRun(
     problem="pendulum",
     integrator="newmark",

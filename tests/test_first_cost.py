@@ -17,9 +17,9 @@ from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
 from reports.questions.method_card import method_card
-from reports.questions.phrases import plain
 from reports.questions.question import Question
 from reports.questions.verdict import headlines
+from reports.questions.words import plain
 from reports.scenes import stored_runs
 from reports.text.measurement import times_sentence
 
@@ -119,7 +119,7 @@ def test_page_markdown_and_terminal_take_the_same_cost_first(folders, name):
     data = page_data(folder)
     assert data["first"]["cost"] == cost
     assert {f"a|max|{cost}", f"a|max|{beside}"} <= {*data["answers"]}
-    one, two = (plain(s) for s in headlines(report.answered, report.words))
+    one, two = (plain(s) for s in headlines(report.answered, report.names))
     assert one == f"{least[cost]}: {winner} is cheapest on the scene."
     assert two == f"{least[beside]}: {other} is cheapest on the scene."
     assert report.winners.head[1] == least[cost].lower()

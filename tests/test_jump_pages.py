@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 from planted import STEPS, planted
+from small_stores import atlas_with
 
 from bench.results.records import SceneRecord
 from reports.explanations import IGNORED, OVER, wrong_runs
 from reports.pages.jumps import jumps_chapter
 from reports.pages.report import Report
-from reports.questions.phrases import plain
-from reports.questions.words import words_of
+from reports.questions.words import plain
 from reports.questions.wrong import wrong_on, wrong_sentences
 from reports.scenes import StoredRuns
 from reports.series import series_of
@@ -101,19 +101,20 @@ def test_a_run_without_a_result_tells_how_it_ended():
 
 def test_ignored_samples_are_the_cause_of_an_error_even_in_positions(stored):
     (s,) = stored.series["pd[sampling=ignore]"]
+    atlas = atlas_with("m", IGNORED, OVER)
     own = stored.scenes["pd[sampling=ignore]"]
     for group in "qa":
-        assert wrong_runs(s, group, s.finest, own) == IGNORED
-        assert wrong_runs(s, group, s.finest, stored.scenes["pd"]) == ""
+        assert wrong_runs(s, group, s.finest, own, atlas) == IGNORED
+        assert wrong_runs(s, group, s.finest, stored.scenes["pd"], atlas) == ""
     s.finest.errors["q"]["max"] = 0.01  # a late command spoils the acceleration alone
-    assert wrong_runs(s, "a", s.finest, scene("pd", "interpolate")) == OVER
+    assert wrong_runs(s, "a", s.finest, scene("pd", "interpolate"), atlas) == OVER
     s.finest.errors["q"]["max"] = 1.0
-    assert wrong_runs(s, "a", s.finest, scene("pd", "interpolate")) == ""
-    words = words_of({"pd": [s]}, {})
-    count, who, why = map(plain, wrong_sentences("q", {"pd": [wrong_on(s, "q", own)]}, words))
+    assert wrong_runs(s, "a", s.finest, scene("pd", "interpolate"), atlas) == ""
+    wrong = {"pd": [wrong_on(s, "q", own, atlas)]}
+    count, who = map(plain, wrong_sentences("q", wrong, {}))
     assert count.startswith("Wrong without warning: 2 of 2 runs that reached the end")
-    assert who == "Every run wrong in position without warning: m (1)."
-    assert why == f"Why: stepbench atlas {IGNORED}."
+    assert who == "Wrong at every resolution, silently (smallest error): m (1)."
+    assert [w.cause for w in wrong["pd"]] == [IGNORED]
 
 
 def test_a_parameter_of_another_meaning_is_no_policy():

@@ -47,6 +47,18 @@ def test_no_claim_and_no_convergence_are_told_apart():
     assert found["mine", "settled"] == {"q": "2.00", "a": "0 *"}
 
 
+def test_of_one_method_a_scene_has_the_rows():
+    """As on the page of a method, with the claims for each scene."""
+    series = [
+        series_of([planted(k, "m", {"q": (1, 2), "a": (1, 1)}, h=h, claims=own) for h in STEPS])[0]
+        for k, own in (("free", {"q": 2, "a": 2}), ("held", {"q": 2}))
+    ]
+    table = order_table(series, "Orders", ["free", "held"])
+    assert table.head == ["scene", "order", "q", "a"]
+    assert table.rows[:2] == [["free", "claimed", "2", "2"], ["free", "settled", "2.00", "1.00 *"]]
+    assert table.rows[3] == ["held", "claimed", "2", "–"]  # noqa: RUF001
+
+
 def test_methods_that_choose_their_steps_or_have_two_runs_are_left_out():
     few = [planted("pendulum", "mine", {"q": (1, 2)}, h=h) for h in STEPS[:2]]
     assert order_table(series_of(few), "Orders") is None

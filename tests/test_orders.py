@@ -9,15 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from planted import planted
+from small_stores import atlas_with
 
 from bench.atlas.experiments import built_in_experiments
 from bench.results.orders import fit_order, fit_orders
-from bench.results.records import IntegratorFacts, SceneRecord
-from reports.explanations import PATTERN, STIFF, TRANSIENT, UNDAMPED
-from reports.pages.method_chapter import _orders_table
+from bench.results.records import SceneRecord
+from reports.explanations import IGNORED, OVER, PATTERN, STIFF, TRANSIENT, UNDAMPED
 from reports.series import series_of
-from reports.text.measured_orders import claims_text, lost_orders_table, order_cell, orders_measured
-from reports.text.ranking_tables import integrators_table
+from reports.text.order_table import lost_orders_table
 
 STEPS = [0.1 * 2.0**-k for k in range(8)]
 
@@ -161,103 +160,38 @@ def ringing(name, scene="pendulum", **changes):
 
 
 def test_lost_orders_are_listed_beside_the_claims_with_what_explains_them():
-    known = {"m": IntegratorFacts(title="A method.", orders={"q": 2, "a": 2, "lam": 2})}
-    held = {"pendulum": series_of(ringing("m", formulation="index3"))}
-    table = lost_orders_table(held, known, {"undamped_index3"})
-    assert [row[2:] for row in table.rows] == [
-        ["a", "2", "1.00; after the start transient 2.00", "stepbench atlas start_transient"],
-        [
-            "lam",
-            "2",
-            "none: error 9.27 at h=0.04, 9.27 at h=0.005",
-            "stepbench atlas undamped_index3",
-        ],
-    ]
-    assert table.links == {(1, 5): ["atlas-undamped_index3"]}  # the other is not on the page
-    row = integrators_table(held, known).rows[0]
-    assert row[2] == "q 2; a 2; lam 2"
-    assert row[3] == (
-        "q 2.00; a 1.00, after the start transient 2.00; lam none on pendulum, every run wrong"
-    )
-    # Uneven steps have an experiment of their own; without constraints there is none.
-    for changes, why in (
-        ({"pattern": (0.3, 0.7)}, "stepbench atlas variable_steps"),
-        ({"formulation": "ode"}, "no experiment"),
-    ):
-        rows = lost_orders_table({"pendulum": series_of(ringing("m", **changes))}, known).rows
-        assert [row[5] for row in rows if row[2] == "lam"] == [why]
-    # Of tolerances nothing is claimed, but errors have to fall.
+    claims = {"q": 2, "a": 2, "lam": 2}
+
+    def lost(runs, method="m", described=None):
+        atlas = atlas_with(method, PATTERN, STIFF, TRANSIENT, UNDAMPED)
+        table = lost_orders_table({"pendulum": series_of(runs)}, atlas, described or {})
+        assert {row for row, _ in table.links} == {k for k, row in enumerate(table.rows) if row[5]}
+        return [row[2:] for row in table.rows]
+
+    held = ringing("m", formulation="index3", claims=claims)
+    first = ["a", "2", "1.00; after the start transient 2.00", "start transient"]
+    never = ["lam", "2", "none: error 9.27 at h=0.04, 9.27 at h=0.005", "undamped index3"]
+    assert lost(held) == [first, never]
+    # An experiment of another method, or of constraints on a scene without them, explains nothing.
+    assert lost(held, "other") == [[*first[:-1], ""], [*never[:-1], ""]]
+    free = ringing("m", formulation="unconstrained", claims=claims)
+    assert lost(free) == [[*first[:-1], ""], [*never[:-1], ""]]
+    uneven = ringing("m", pattern=(0.3, 0.7), claims=claims)
+    assert {row[-1] for row in lost(uneven)} == {"variable steps"}
+    fast = SceneRecord(problem="pendulum", t_end=1.0, t0=0.0, rates={"oscillation": 1e4})
+    assert {r[-1] for r in lost(held, "m", {"pendulum": fast})} == {"spurious acceleration"}
+    # Of tolerances nothing is claimed, but errors have to fall; nor can an unclaimed order be lost.
     loose = ringing("m", controls="tolerance")
     for k, record in enumerate(loose, 3):
         record.rtol = record.atol = 10.0**-k
-    (row,) = lost_orders_table({"pendulum": series_of(loose)}, known).rows
-    assert row[2:] == [
-        "lam",
-        "none",
-        "none: error 9.27 at rtol=0.001, 9.27 at rtol=1e-6",
-        "no experiment",
-    ]
-    # An order that nobody claims cannot be lost, and one as claimed is not.
-    assert [r[2] for r in lost_orders_table(held, {}).rows] == ["lam"]
-    good = [planted("s", "m", SECOND, h=h) for h in OF_RUNS]
-    assert lost_orders_table({"s": series_of(good)}, known) is None
-
-
-def test_claims_are_those_of_the_scenes_and_say_where_they_differ():
-    facts = IntegratorFacts(title="A method.", orders={"q": 2, "a": 2, "lam": 2})
-
-    def own(scene, claims, groups=("q", "a")):
-        runs = [planted(scene, "m", dict.fromkeys(groups, (1.0, 2)), h=h) for h in OF_RUNS]
-        for run in runs:
-            run.claims = claims
-        return series_of(runs)[0]
-
-    free, held = own("free", {"q": 2, "a": 2}), own("held", {"q": 2}, ("q", "a", "lam"))
-    other = own("other", {"q": 2, "a": 2, "lam": 2})
-    assert claims_text([held], facts) == "q 2; a none; lam none"
-    assert claims_text([free, held, other], facts) == "q 2; a 2, none on held; lam none"
-    # A run that failed early holds none; an old store has the claim in general.
-    assert claims_text([own("early", None), held], facts) == claims_text([held], facts)
-    assert claims_text([own("early", None)], facts) == "q 2; a 2; lam 2"
-    assert claims_text([own("early", None)], None) == ""
-    assert claims_text([own("free", {})], facts) == ""  # it claims none there
-    assert claims_text([held, free], facts).startswith("q 2; a 2, none on held")
-    (row,) = integrators_table({"held": [held]}, {"m": facts}).rows
-    assert row[2] == "q 2; a none; lam none"
-
-
-def test_an_order_is_the_same_everywhere_and_says_if_no_run_is_right():
-    runs = ringing("m")
-    for k, run in enumerate(runs):
-        run.errors["a"]["max"] = 400.0 * 0.5**k
-    (s,) = series_of(runs)
-    assert order_cell(s.fit("a", "max")) == "1.00"
-    assert order_cell(s.fit("lam", "max")) == "none"
-    assert order_cell(s.fit("x", "max")) == "–"  # noqa: RUF001
-    said = orders_measured([s])
-    assert "a 1.00, after the start transient 2.00, every run wrong;" in said
-    assert said.endswith("lam none on pendulum, every run wrong")
-    (good,) = series_of([planted("s", "m", SECOND, h=h) for h in OF_RUNS])
-    assert "a 1.00 to 2.00, after the start transient 2.00, every run wrong on pendulum;" in (
-        orders_measured([s, good])
-    )
-    runs[-1].errors["a"]["max"] = 0.1
-    assert "a 1.00, every run wrong" not in orders_measured(series_of(runs))
-    table = _orders_table({"pendulum": s}, None)
-    assert table.head == ["scene", "claimed", "q", "a", "lam"]
-    assert table.rows == [["pendulum", "", "2.00", "1.00", "none *"]]
-
-
-def test_steps_that_resolve_no_vibration_explain_a_lost_order_before_anything_else():
-    fast = SceneRecord(problem="pendulum", t_end=1.0, t0=0.0, rates={"oscillation": 1e4})
-    held = {"pendulum": series_of(ringing("m", formulation="index3"))}
-    for described, why in (({}, UNDAMPED), ({"pendulum": fast}, STIFF)):
-        assert lost_orders_table(held, {}, (), described).rows[-1][-1] == f"stepbench atlas {why}"
+    assert lost(loose) == [["lam", "none", "none: error 9.27 at rtol=0.001, 9.27 at rtol=1e-6", ""]]
+    assert [row[0] for row in lost(ringing("m", formulation="index3"))] == ["lam"]
+    good = [planted("s", "m", SECOND, h=h, claims=claims) for h in OF_RUNS]
+    assert lost_orders_table({"s": series_of(good)}) is None
 
 
 def test_the_experiments_that_explain_losses_exist():
-    for name in (PATTERN, STIFF, TRANSIENT, UNDAMPED):
-        assert name in built_in_experiments()
+    assert {PATTERN, STIFF, TRANSIENT, UNDAMPED, IGNORED, OVER} <= {*built_in_experiments()}
 
 
 @pytest.mark.usefixtures("without_processes")

@@ -49,7 +49,6 @@ def test_varied_options_are_combined_with_every_integrator(tmp_path):
         ("start =", "strat =", "did you mean 'start'"),
         ('"corrected"', '"late"', "start=late is not allowed"),
         ("samples = 0", "samples = -1", "samples=-1 is not allowed; give 0 (no timing) to 1000"),
-        ("steps =", 'norm = "mean"\nsteps =', "There is no norm 'mean'"),
         ("steps =", 'components = ["q3"]\nsteps =', "pendulum has no component 'q3'"),
         ("steps =", 'components = ["q2:q9"]\nsteps =', "pendulum has no component 'q9'"),
         ("steps =", 'components = ["q1:"]\nsteps =', "pendulum has no component ''"),

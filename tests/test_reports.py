@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import re
 from importlib import resources
 from pathlib import Path
@@ -36,7 +35,6 @@ from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import _FIGURES as FIGURES
 from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
-from reports.questions.words import Words
 from reports.series import series_of
 from reports.text.ranking_tables import targets_table
 from reports.text.run_tables import summary_table
@@ -87,20 +85,18 @@ def test_every_number_of_the_summary_is_one_of_the_store(folder: Path, page: Doc
 
 
 def test_the_orders_shown_are_the_fitted_ones(folder: Path, page: Document) -> None:
-    rows = page.rows("Fitted orders", 1)
-    assert [row["error"] for row in rows] == [
-        *("largest in the last quarter", "largest over time"),
-        *("at the end", "root mean square over time"),
-    ] * 3
-    for row in rows[::4]:
-        own = [r for r in stored(folder) if r.problem == "pendulum"]
-        own = [r for r in own if r.integrator == row["integrator"]]
-        for group, shown in {"q": "q", "v": "v", "a": "a", "lam": "λ"}.items():
-            errors = [r.errors[group]["settled"] for r in own]
-            fit = fit_order([r.h for r in own], errors, 1e-15)
-            assert f"{fit.order:.2f}".replace("-0.00", "0.00") in row[shown]
-            assert f"{fit.window[0]:.3g} to {fit.window[1]:.3g}, {fit.points}" in row[shown]
-    assert rows[8]["λ"].startswith("does not converge")
+    rows = page.rows("Orders", 1)
+    names = short_names(r.integrator for r in stored(folder))
+    assert [row["order"] for row in rows] == ["claimed", "settled", "with start"] * 3
+    for place, norm in ((1, "settled"), (2, "max")):
+        for row in rows[place::3]:
+            own = [r for r in stored(folder) if r.problem == "pendulum"]
+            own = [r for r in own if names[r.integrator] == row["integrator"]]
+            for group, shown in {"q": "q", "v": "v", "a": "a", "lam": "λ"}.items():
+                fit = fit_order([r.h for r in own], [r.errors[group][norm] for r in own], 1e-15)
+                stuck = fit.verdict == "does not converge"
+                assert row[shown] == ("0" if stuck else f"{fit.order:.2f}")
+    assert rows[7]["λ"] == "0"
 
 
 def test_the_cheapest_of_those_that_reached_a_target_wins(folder: Path, page: Document) -> None:
@@ -116,20 +112,19 @@ def test_the_cheapest_of_those_that_reached_a_target_wins(folder: Path, page: Do
         assert cell.startswith(names[fewest.integrator])
         ties = sum(r.work["residuals"] == fewest.work["residuals"] for r in reached)
         assert f"{fewest.work['residuals']} at {fewest.resolution.partition(',')[0]}" in cell
-        assert (" tie; next" in cell) == (ties > 1)
-        assert names[fastest.integrator] in row["least time"]
-        assert f"({milliseconds(median(fastest.run_s))} ms" in row["least time"]
-        assert row["reached by"] == f"{len({r.integrator for r in reached})} of 5"
+        assert (" tie" in cell) == (ties > 1)
+        if "more tie" not in row["least time"]:
+            assert names[fastest.integrator] in row["least time"]
+            assert f"({milliseconds(median(fastest.run_s))} ms" in row["least time"]
 
 
 def test_a_target_below_the_trust_in_the_reference_is_not_judged() -> None:
     records = [planted("pendulum", n, {"q": (1.0, 2)}, h=1e-4) for n in ("one", "two")]
     for record in records:
         record.reference_error = {"q": dict.fromkeys(NORMS, 1e-7)}
-    rows = targets_table(series_of(records), Words({}, {})).rows
-    assert "1 of" not in rows[2][1]
-    assert rows[2][2].startswith("cannot be judged: the reference's own error there is 1e-7, ")
-    assert rows[1][1] == "2 of 2"
+    rows = targets_table(series_of(records), {}).rows
+    assert rows[2][1].startswith("cannot be judged: the reference's own error there is 1e-7, ")
+    assert rows[1][1].endswith(" tie")
 
 
 def test_rivals_that_tie_are_named_or_counted() -> None:
@@ -141,8 +136,7 @@ def test_rivals_that_tie_are_named_or_counted() -> None:
     records[3].operations = {}
     records[4].errors["q"]["max"] = 0.1
     at = "at h=0.01)"
-    assert targets_table(series_of(records), Words({}, {})).rows[0][1:] == [
-        "4 of 5",
+    assert targets_table(series_of(records), {}).rows[0][1:] == [
         f"one (3000 {at}, two (3000 {at} and three (3000 {at} tie; not measured: four",
         f"one (1 s {at}, two (1.05 s {at} and four (1 s {at} tie; next: three, 1.2 times",
         f"one (300 {at}, two (300 {at}, three (300 {at} and 1 more tie",
@@ -156,18 +150,11 @@ def test_exponents_have_neither_plus_nor_zeros():
     assert cost_text(2.5e10, "residuals") == "25 billion"
 
 
-def test_the_summary_tells_the_order_that_is_lost_at_the_start(page: Document) -> None:
-    rows = {row["integrator"]: row["orders"] for row in page.rows("All integrators", 1)}
-    assert rows["good[rho_inf=0.8]"].endswith("λ 1.00, after the start transient 2.00")
-    assert rows["ringing[rho_inf=1]"].endswith("λ none on pendulum, every run wrong")
-
-
-def test_a_step_pattern_is_a_row_of_its_own_and_two_steps_have_no_order() -> None:
+def test_a_step_pattern_is_a_row_of_its_own() -> None:
     even = [planted("spring_mass", "m", {"q": (1.0, 2)}, h=h) for h in STEPS]
     uneven = [planted("spring_mass", "m", {"q": (1.0, 1)}, h=h, pattern=(0.3, 0.7)) for h in STEPS]
     rows = summary_table(series_of([*even, *uneven])).rows
-    assert [row[:1] + row[2:3] for row in rows] == [["m", "q 2.00"], ["m x 0.3/0.7", "q 1.00"]]
-    assert summary_table(series_of(even[:2])).rows[0][2] == "not determined"
+    assert [row[0] for row in rows] == ["m", "m x 0.3/0.7"]
 
 
 def test_runs_that_a_method_does_not_support_are_no_failures(tmp_path: Path) -> None:
@@ -193,7 +180,7 @@ def test_failures_are_listed_with_their_reason_and_do_no_harm(
     assert [row["message"] for row in rows] == [ATTACK, ATTACK]
     assert [row["resolution"] for row in rows] == ["h=0.1", "h=0.05"]
     assert {row["status"] for row in rows} == {"newton_failed"}
-    assert "fragile: 2 of 2 runs did not reach the end: 2 newton_failed (h=0.1 and h=0.05)." in page.words  # fmt: skip  # noqa: E501
+    assert re.search("2 of [0-9]+ runs did not reach the end", page.words)
     # Linked scripts of the report and data of charts: no script of the store.
     own = {file.name for file in (resources.files("reports.pages") / "assets").iterdir()}
     programs = {name.removeprefix("report/") for name in page.scripts} - {"application/json"}
@@ -315,7 +302,7 @@ def test_the_drawing_code_is_bundled_once(tmp_path: Path, monkeypatch: pytest.Mo
 def test_both_pages_hold_the_same_tables(page: Document, paper: str) -> None:
     captions = [name for name, _ in page.tables if name]
     for caption in set(captions):
-        if not caption.startswith(("Its ", "Orders measured, ")):
+        if not caption.startswith("Its "):
             assert paper.count(f"**{caption}**") == captions.count(caption)
     for name, rows in page.tables:
         if name == "Constraint residuals and energy drift":
@@ -332,11 +319,3 @@ def test_a_table_of_all_runs_shows_each_with_its_ending(folder: Path, page: Docu
     column = tables[0][0].index("error in q")
     worst = {number(r.errors["q"]["max"]) for r in records if r.status == "ok"}
     assert {row[column] for rows in tables for row in rows[1:] if row[2] == "ok"} == worst
-
-
-def test_the_size_of_the_motion_is_that_of_the_reference(folder: Path, paper: str) -> None:
-    with Store(folder) as store:
-        rows = next(s for (p, _), s in store.scenes().items() if p == "pendulum").reference
-    values = [row[1] for row in rows.values["q"]]
-    rms = math.sqrt(sum(v * v for v in values) / len(values))
-    assert f"| `q[Y] in m` | {number(max(map(abs, values)))} | {number(rms)} |" in paper

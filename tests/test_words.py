@@ -16,7 +16,7 @@ from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import built_in_profiles, read_profile, suite_titles
 from reports.pages.report import read_report
-from reports.questions.phrases import Ref, listed, plain, rendered
+from reports.questions.words import Ref, listed, plain, rendered
 
 GROUPS = {"q": (1.0, 2), "v": (1.0, 2), "a": (1.0, 2), "lam": (1.0, 2)}
 

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import msgspec
 import pytest
 from planted import STEPS, edited, everything, page_data, plant, planted
-from small_stores import AN_EXPERIMENT
+from small_stores import atlas_with
 
 from bench.results.quantities import TRUST, WRONG
 from bench.results.records import SceneRecord
 from bench.results.store import Store
-from reports.explanations import STIFF, TRANSIENT, UNDAMPED, wrong_runs
+from reports.explanations import STIFF, UNDAMPED, wrong_runs
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 from reports.questions.method_card import method_card
-from reports.questions.phrases import Ref, plain
-from reports.questions.words import words_of
-from reports.questions.wrong import wrong_on, wrong_sentences
+from reports.questions.words import plain
+from reports.questions.wrong import silent_tables, wrong_on, wrong_sentences
 from reports.series import series_of
 
 #: A vibration of 100 rad/s in an interval of 1 s.
@@ -49,66 +47,58 @@ def test_a_run_is_wrong_that_ends_well_with_a_large_error():
 def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
     failed = planted("s", "open", {}, h=0.1, status="diverged")
     series = series_of([*runs("wrong", 3.0, 0.2), *runs("late", 3.0, 0.05), failed])
-    words = words_of({"s": series}, {})
+    scenes = {"s": SceneRecord(problem="s", t_end=1.0, t0=0.0, difficulties=["It is stiff."])}
+
+    def found(group="a", **more):
+        return {"s": [wrong_on(s, group, None, {}) for s in series], **more}
 
     def said(group="a"):
-        found = {"s": [wrong_on(s, group) for s in series], "t": []}
-        return [plain(sentence) for sentence in wrong_sentences(group, found, words)]
+        return [*map(plain, wrong_sentences(group, found(group, t=[]), {}))]
 
     head = (
         "Wrong without warning: {} of 4 runs that reached the end "
         "(error in acceleration above 0.1, largest over time){}."
     )
-    assert said() == [
-        head.format(3, ""),
-        "Every run wrong in acceleration without warning: wrong (s: 0.2).",
-    ]
+    never = "Wrong at every resolution, silently (smallest error): wrong ({}0.2)."
+    assert said() == [head.format(3, ""), never.format("s: ")]
+    assert plain(wrong_sentences("a", found(), {})[-1]) == never.format("")
     assert said("lam") == []
+    every, coarsest = silent_tables("a", found(), scenes)
+    assert every.caption == "Wrong at every resolution, in acceleration: 2 runs"
+    assert every.rows == [["wrong", "s", "2 of 2", "0.2 at h=0.05", "It is stiff."]]
+    assert coarsest.rows[0][:3] == ["late", "s", "1 of 2"]
     series[0].records[0].message = "It may be wrong."  # one run of them says nothing
-    assert said() == [
-        head.format(2, "; with a warning: 1"),
-        "Every run wrong in acceleration without warning: wrong (s: 0.2).",
-    ]
+    assert said() == [head.format(2, "; with a warning: 1"), never.format("s: ")]
     for record in (*series[0].records, *series[1].records):
         record.message = "It may be wrong."
-    assert said() == [
-        head.format("none", "; with a warning: 3"),
-        "Every run wrong in acceleration with a warning: wrong (s: 0.2).",
-    ]
+    assert said() == [head.format("none", "; with a warning: 3")]
+    assert silent_tables("a", found(), scenes) == []
 
 
-def test_the_cause_follows_from_the_symptoms():
+def test_a_cause_is_named_where_its_experiment_hit_the_method_on_such_a_scene():
+    tolerance = {"formulation": "index3", "controls": "tolerance", "rtol": 1e-3}
     for group, error, changes, scene, why in [
         ("a", 9.0, {}, FAST, STIFF),
         ("a", 9.0, {"work": {"steps": 32}}, FAST, ""),
         ("a", 9.0, {"work": {"steps": 31}}, FAST, STIFF),
         ("v", 9.0, {}, FAST, ""),
         ("a,lam", 9.0, {}, FAST, STIFF),
-        ("a", 9.0, {}, None, ""),
+        ("a", 9.0, {}, None, ""),  # it has no constraints
         ("a", 9.0, {"formulation": "index3"}, None, UNDAMPED),
-        ("a", 9.0, {"formulation": "index3", "controls": "tolerance", "rtol": 1e-3}, None, ""),
+        ("a", 9.0, tolerance, None, ""),
         ("a", 9.0, {"pattern": (0.3, 0.7)}, None, "variable_steps"),
     ]:
-        made = [planted("s", "m", {}, h=h, **{"work": {"steps": 10}, **changes}) for h in STEPS]
+        name = "m[rho_inf=1,newton=modified]"
+        made = [planted("s", name, {}, h=h, **{"work": {"steps": 10}, **changes}) for h in STEPS]
         for run in made:
             run.errors = {**{g: {"max": error} for g in group.split(",")}, "q": {"max": run.h**2}}
         (s,) = series_of(made)
-        assert wrong_runs(s, group, s.finest, scene) == why
+        known = STIFF, UNDAMPED, "variable_steps"
+        for method, told in (("m[rho_inf=1]", why), ("m", ""), ("spared", "")):
+            assert wrong_runs(s, group, s.finest, scene, atlas_with(method, *known)) == told
+        assert wrong_runs(s, group, s.finest, scene, {}) == ""
         s.finest.errors["q"]["max"] = 0.2  # the motion itself is wrong
-        assert wrong_runs(s, group, s.finest, scene) == ""
-
-
-def test_on_one_scene_its_name_is_left_out():
-    (s,) = series_of(runs("m", 9.0, 8.0))
-    words = words_of({"s": [s]}, {})
-    *_, said = wrong_sentences("a", {"s": [wrong_on(s, "a")]}, words)
-    assert plain(said) == "Every run wrong in acceleration without warning: m (8)."
-
-
-def test_an_experiment_is_a_link_where_the_report_has_it():
-    words = words_of({}, {}, [STIFF])
-    assert words.experiment(STIFF) == Ref("atlas", STIFF, f"stepbench atlas {STIFF}")
-    assert words.experiment(TRANSIENT) == f"stepbench atlas {TRANSIENT}"
+        assert wrong_runs(s, group, s.finest, scene, atlas_with("m[rho_inf=1]", *known)) == ""
 
 
 @pytest.fixture(scope="module")
@@ -126,20 +116,20 @@ def store(tmp_path_factory):
 
 
 def test_pages_and_terminal_say_the_same(store):
-    (line, count, silent, warned, why) = method_card(store, "")
-    assert line.startswith("1e-4 in acceleration, fewest operations: ")
-    assert line.endswith("cheapest on 1 of 2 scenes.")
+    operations, time, count, silent = method_card(store, "")
+    assert operations.startswith("1e-4 in acceleration, fewest operations: ")
+    assert operations.endswith("cheapest on 1 of 2 scenes.")
+    assert time.endswith("least time: good 0.8 is cheapest on both scenes, alone on 1.")
     assert count.startswith("Wrong without warning: ")
-    assert silent == "Every run wrong in acceleration without warning: ringing 1 (pendulum: 9)."
-    assert warned == "Every run wrong in acceleration with a warning: good 0.5 (pendulum: 9)."
-    assert why == f"Why: stepbench atlas {UNDAMPED} (pendulum)."
+    assert (
+        silent == "Wrong at every resolution, silently (smallest error): ringing 1 (pendulum: 9)."
+    )
     write_html_report(store)
     write_markdown_report(store)
     data = page_data(store)
     assert data["wrong"]["a"]["filters"]["all"][0] == [count]
     for page in ("report.md", "report/failures.html"):
         assert count.partition("(")[0] in (store / page).read_text(encoding="utf-8"), page
-    assert f"atlas.html#atlas-{UNDAMPED}" not in str(data)
     own = method_card(store, "ringing[rho_inf=1]")
     assert "Wrong without warning: 6 of 6 runs" in " ".join(own)
     assert "without warning" not in " ".join(method_card(store, "adaptive"))
@@ -148,9 +138,10 @@ def test_pages_and_terminal_say_the_same(store):
 def test_the_cause_leads_to_the_chapter_of_the_atlas(store):
     folder = edited(store, "with_atlas", lambda r: None)
     with Store(folder, create=True) as opened:
-        opened.keep(msgspec.structs.replace(AN_EXPERIMENT, name=UNDAMPED))
+        opened.keep(atlas_with("ringing[rho_inf=1]", UNDAMPED)[UNDAMPED])
     write_html_report(folder)
-    assert (folder / "report" / "atlas.html").read_text().count(f'id="atlas-{UNDAMPED}"') == 1
-    assert f"atlas.html#atlas-{UNDAMPED}" in str(page_data(folder))
-    pages = [file.read_text() for file in (folder / "report").glob("method-ringing*.html")]
-    assert f'href="atlas.html#atlas-{UNDAMPED}"' in "".join(pages)
+    pages = folder / "report"
+    assert (pages / "atlas.html").read_text().count(f'id="atlas-{UNDAMPED}"') == 1
+    failures = (pages / "failures.html").read_text()
+    assert f'href="atlas.html#atlas-{UNDAMPED}"' in failures
+    assert "2 · silent 8</span>" in failures

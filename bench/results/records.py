@@ -14,7 +14,6 @@ from bench.results.published import Digits
 from bench.results.quantities import (
     GROUPS,
     NORM,
-    NORMS,
     TRUST,
     WRONG,
     parts,
@@ -42,7 +41,6 @@ Count = Annotated[int, Meta(ge=0, le=2**62)]
 #: Texts that charts show, of a length that they can show.
 Name = Annotated[str, Meta(max_length=1000)]
 Controls = Annotated[str, Meta(pattern="^(step|tolerance)$")]
-Norm = Annotated[str, Meta(pattern=f"^({'|'.join(NORMS)})$")]
 
 
 class Environment(msgspec.Struct, kw_only=True):
@@ -280,7 +278,6 @@ class Study(msgspec.Struct, kw_only=True, frozen=True):
     t_end: float
     figures: list[str]
     cells: list[str]
-    norm: Norm = "settled"
     components: list[str] = []
     demands: list[Name] = []
 

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.plugins.reasons import Unavailable
 from bench.plugins.registry import Sources
-from bench.results.quantities import NORMS
 from bench.results.records import IntegratorFacts, Plan, Record, Study
 from bench.running.inventory import Inventory, PluginFailed
 from bench.running.profiles import FIGURES, TABLES, ProfileFile, StudyFile
@@ -212,7 +211,6 @@ def _check_profile(profile: ProfileFile) -> None:
     for file in profile.study:
         for figure in file.figures:
             one_of(figure, known, "figure")
-        one_of(file.norm, NORMS, "norm")
 
 
 def _usable(names: Sequence[str], facts_of: Callable[[str], object], lost: list[str]) -> list[str]:
@@ -290,7 +288,6 @@ def _expand(
         problem=scene.spec,
         t_end=t_end,
         figures=list(file.figures),
-        norm=file.norm,
         components=_components(file, scene, registry),
         cells=list(cells),
     )

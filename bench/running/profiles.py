@@ -29,9 +29,8 @@ class StudyFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     """A ``[[study]]`` of a profile.
 
     ``vary`` maps option names to values: every integrator is taken with every combination of
-    them. ``norm`` is the norm whose orders are tabled first, ``components`` what is drawn over
-    time, such as "q4" or "x1", or over another one, as the path "q2:q1"; the first few of every
-    group if there are none.
+    them. ``components`` is what is drawn over time, such as "q4" or "x1", or over another one, as
+    the path "q2:q1"; the first few of every group if there are none.
     """
 
     problems: list[str]
@@ -45,7 +44,6 @@ class StudyFile(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     rtol: list[float] | None = None
     atol: float | None = None
     figures: tuple[str, ...] = FIGURES
-    norm: str = "settled"
     components: list[str] = []
 
 

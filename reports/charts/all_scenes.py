@@ -72,20 +72,18 @@ def cost_heat_map(found: Answer, styles: Mapping[str, LineStyle]) -> vl.Spec | N
 def performance_profile(found: Answer, styles: Mapping[str, LineStyle]) -> vl.Spec | None:
     """Part of the scenes on which an integrator costs at most tau times the cheapest.
 
-    Counted are scenes with several contestants, of these for each integrator those on which it was
-    tried and its cost is known if it reached the target. None for fewer than two scenes.
+    Counted are all scenes with several integrators. None for fewer than two scenes.
     Source: Dolan & More (2002), doi:10.1007/s101070100263.
     """
-    states: dict[str, list[float | str]] = {}
-    scenes = [own for own in found.scenes.values() if own.several]
+    drawn: dict[str, list[float]] = {}
+    scenes = [own for own in found.scenes.values() if len(own.series) > 1]
     for label, entry in (pair for own in scenes for pair in own.entries.items()):
-        states.setdefault(label, []).extend([] if entry.state == "unknown" else [entry.state])
+        drawn.setdefault(label, []).extend([] if entry.ratio is None else [entry.ratio])
     rows = []
-    drawn = {k: own for k, own in states.items() if own} if len(scenes) > 1 else {}
-    for label, own in drawn.items():
-        ratios = sorted(state for state in own if isinstance(state, float))
+    for label, own in drawn.items() if len(scenes) > 1 else ():
+        ratios = sorted(own)
         for tau in (1.0, *(r for r in ratios if r <= _FAR), _FAR):
-            part = bisect_right(ratios, tau) / len(own)
+            part = bisect_right(ratios, tau) / len(scenes)
             rows.append({"series": label, "tau": vl.short(tau), "part": vl.short(part)})
     if not rows:
         return None
@@ -97,7 +95,7 @@ def performance_profile(found: Answer, styles: Mapping[str, LineStyle]) -> vl.Sp
         "mark": {"type": "line", "interpolate": "step-after", "strokeWidth": 2},
         "encoding": {
             "x": vl.quantity("tau", title="times the best cost", scale=scale),
-            "y": vl.quantity("part", title="part of the scenes tried", scale={"domain": [0, 1]}),
+            "y": vl.quantity("part", title="part of the scenes", scale={"domain": [0, 1]}),
             "color": options.colors(),
             "strokeDash": options.dashes(),
             "opacity": options.opacity(),

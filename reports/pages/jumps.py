@@ -68,7 +68,7 @@ def _without_policy(scene: SceneRecord) -> str:
 
 
 def _with_events(stored: StoredRuns) -> Iterator[Section]:
-    names = stored.words.names
+    names = stored.names
     for title, own in stored.series.items():
         table = events_table(own)
         if table:

@@ -14,8 +14,8 @@ from reports.pages.captioned_charts import CaptionedCharts
 from reports.pages.page import FOLDER
 from reports.pages.report import Report, read_report
 from reports.pages.templating import escape_markdown, markdown
-from reports.questions.phrases import Ref, plain, rendered
-from reports.questions.verdict import headlines, scene_sentence
+from reports.questions.verdict import headlines
+from reports.questions.words import Ref, rendered
 from reports.text.ranking_tables import standings_table
 
 FILE = "report.md"
@@ -44,7 +44,6 @@ def write_markdown_report(folder: Path) -> Path:
     charts = {name: chart for f in _figures(report) for name, chart in f.charts.items()}
     failed = draw(charts, folder / _FIGURES)
     files = {name: FOLDER + quote(_scene_file(name)) for name in report.series}
-    said = {name: scene_sentence(report.answer, name, report.words) for name in report.series}
     names = {**report.names, **{name: scene_name(name) for name in report.series}}
     own = folder / FOLDER
     own.mkdir(exist_ok=True)
@@ -54,7 +53,6 @@ def write_markdown_report(folder: Path) -> Path:
             names,
             report=report,
             scene=chapter,
-            verdict=escape_markdown(plain(said[chapter.name])),
             index=FILE,
             figures=f"../{_FIGURES}",
             failed=failed,
@@ -70,13 +68,10 @@ def write_markdown_report(folder: Path) -> Path:
         report=report,
         answer=[
             rendered(s, _escaped, links)
-            for s in (*headlines(report.answered, report.words), *report.wrong)
+            for s in (*headlines(report.answered, report.names), *report.wrong)
         ],
         standings=standings_table(report.answer),
-        scenes=[
-            (scene_name(s.name), files[s.name], rendered(said[s.name], _escaped, links))
-            for s in report.scenes
-        ],
+        scenes=[(scene_name(s.name), files[s.name]) for s in report.scenes],
         figures=_FIGURES,
         failed=failed,
     )

@@ -20,7 +20,8 @@ from reports.ranking import Answer
 from reports.scenes import StoredRuns
 from reports.series import Series, groups_of
 from reports.text.damping_table import damping_table
-from reports.text.measured_orders import claims_text, order_cell
+from reports.text.order_table import order_table
+from reports.text.ranking_tables import claims_text
 from reports.text.run_tables import failures_table, notes_table, unsupported_table
 
 #: An integrator that is not known to reach the accuracy.
@@ -70,9 +71,10 @@ class MethodChapter:
         self.title = facts.title.rstrip(".") if facts else ""
         self.card = stored_card(label, answer, stored)
         self.wrong = any(r.wrong(group) for r in runs for group in GROUPS)
-        self.facts = _facts(name, first, facts, claims_text([*by_scene.values()], facts))
+        self.facts = _facts(name, first, facts)
         self.scenes = _scenes_table(label, by_scene, answer)
-        self.orders = _orders_table(by_scene, facts)
+        title = "Its orders, scene by scene"
+        self.orders = order_table([*by_scene.values()], title, [*by_scene])
         self.failures = _own(failures_table(runs), "Its runs that did not reach the end")
         self.noted = _own(notes_table(runs), "Its runs that reached the end with a note")
         self.unsupported = _own(unsupported_table(runs), "Scenes that it does not support")
@@ -93,9 +95,7 @@ def _own(table: Table | None, caption: str) -> Table | None:
     return replace(table, caption=caption) if table else None
 
 
-def _facts(
-    name: str, series: Series, facts: IntegratorFacts | None, claimed: str
-) -> list[tuple[str, str]]:
+def _facts(name: str, series: Series, facts: IntegratorFacts | None) -> list[tuple[str, str]]:
     """Pairs (name, text): options, formulation, claimed orders, choice of steps, source."""
     options = re.search(r"\[(.*)\]$", name)
     steps = "at constant steps" if series.controls == "step" else "chosen by the method"
@@ -106,7 +106,7 @@ def _facts(
         ("Full name", series.label),
         ("Options", options.group(1).replace(",", ", ").replace("=", " = ") if options else "none"),
         ("Formulation", form_name(series.ok) or (facts.formulation if facts else "")),
-        ("Orders claimed", claimed),
+        ("Orders claimed", claims_text(facts)),
         ("Steps", steps),
         ("Source", facts.source if facts else ""),
     ]
@@ -144,22 +144,6 @@ def _scenes_table(label: str, series: Mapping[str, Series], answer: Answer) -> T
         f"cheapest run there. Errors: the smallest of its runs, relative, {NORMS[NORM]}."
     )
     return Table.from_dicts("Its runs, scene by scene", rows, note=note)
-
-
-def _orders_table(series: Mapping[str, Series], facts: IntegratorFacts | None) -> Table | None:
-    """Fitted orders by scene beside the claims for it; None without any."""
-    fixed = {scene: s for scene, s in series.items() if s.controls == "step" and len(s.ok) > 1}
-    groups = groups_of(r for s in fixed.values() for r in s.ok)
-    if not groups:
-        return None
-    rows = []
-    for scene, s in fixed.items():
-        cells = [order_cell(s.fit(g, NORM)) + (" *" if s.never_right(g) else "") for g in groups]
-        rows.append([scene, claims_text([s], facts), *cells])
-    note = f"Fitted to the errors, {NORMS[NORM]}, of the finest steps; none: the error does not "
-    note += f"converge. * every run has an error above {WRONG:g}."
-    head = ["scene", "claimed", *groups]
-    return Table("Orders measured, scene by scene", head, rows, note=note)
 
 
 def atlas_table(name: str, experiments: Sequence[ExperimentResult]) -> Table | None:

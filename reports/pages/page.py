@@ -19,7 +19,7 @@ class Link(NamedTuple):
 
     address: str
     title: str
-    number: int | None = None
+    number: int | str | None = None
     here: bool = False
 
 
@@ -34,7 +34,7 @@ class Page:
     kind: str
     title: str
     heading: str = ""
-    count: int | None = None
+    count: int | str | None = None
     values: dict[str, Any] = field(default_factory=dict)
     anchors: list[str] = field(default_factory=list)
 

@@ -22,18 +22,17 @@ from reports.pages.jumps import jumps_chapter
 from reports.pages.method_chapter import MethodChapter
 from reports.pages.scene_chapter import SceneChapter
 from reports.pages.study_section import StudySections
-from reports.questions.wrong import wrong_sentences
+from reports.questions.wrong import silent_tables, wrong_sentences
 from reports.ranking import Answer, answers
 from reports.scenes import StoredRuns
 from reports.series import label_of, series_of
 from reports.text.damping_table import damping_table
-from reports.text.measured_orders import lost_orders_table
 from reports.text.measurement import (
     method_of_measurement,
     missing_data,
     times_sentence,
 )
-from reports.text.order_table import order_tables
+from reports.text.order_table import lost_orders_table, order_tables
 from reports.text.ranking_tables import integrators_table, winners_table
 from reports.text.run_tables import failures_table, notes_table, timing_table, unsupported_table
 
@@ -62,8 +61,7 @@ class Report:
         self.title, self.mine = stored.title, stored.mine
         self.styles = line_styles(map(label_of, runs))
         self.run_ids = {key: f"run-{i}" for i, key in enumerate(stored.records, 1)}
-        self.words = stored.words
-        self.names = self.words.names
+        self.names = stored.names
         self.failed = sum(r.status not in {"ok", *NOT_TRIED} for r in runs)
         self.missing = missing_data(plan, stored.scenes_by_key, stored.records, [*stored.titles])
         first = stored.first
@@ -72,17 +70,21 @@ class Report:
         self.answered = dict(sorted(answered.items(), key=lambda pair: pair[0] != first))
         over = [own for question, own in asked.items() if question.cost == first.cost]
         self.answer = self.answered.get(first, Answer(first, {}, {}))
-        self.wrong = wrong_sentences(first.group, stored.wrong(first.group), self.words)
-        self.winners = winners_table(self.answered, self.run_ids, self.words)
+        wrong = stored.wrong(first.group)
+        self.wrong = wrong_sentences(first.group, wrong, self.names)
+        self.silent = silent_tables(first.group, wrong, stored.scenes)
+        silent = sum(w.silent for own in wrong.values() for w in own)
+        self.bad = f"{self.failed} · silent {silent}" if silent else self.failed
+        self.winners = winners_table(self.answered, self.names)
         self.overview = [*([] if interactive else self._overview()), *self._cost_by_size()]
         self.scenes = list(self._scenes(store, interactive))
-        self.integrators = integrators_table(series, facts)
-        damping, experiments = store.damping(), list(store.experiments().values())
+        self.integrators = integrators_table([*self.names], facts)
+        damping, experiments = store.damping(), list(stored.atlas.values())
         own = {name: damping[name] for name in facts if name in damping}
         self.damping = damping_table(own, list(stored.scenes.items()))
         self.failures, self.unsupported = failures_table(runs), unsupported_table(runs)
         self.noted = notes_table(runs)
-        self.lost_orders = lost_orders_table(series, facts, stored.experiments, stored.scenes)
+        self.lost_orders = lost_orders_table(series, stored.atlas, stored.scenes)
         self.orders = order_tables(plan, stored.records)
         self.ratings = overviews(plan, stored.records)
         drifts = drift_chapter(store.long_runs(), interactive)
@@ -127,8 +129,8 @@ class Report:
         profile = (
             f"Performance profile {which}: part of the scenes on which an integrator costs at most "
             "so many times the best (Dolan and More 2002). On the left: part on which it is the "
-            "cheapest; on the right: part on which it reaches the accuracy. Counted for each are "
-            "the scenes with several contestants on which it was tried."
+            "cheapest; on the right: part on which it reaches the accuracy. Counted are all scenes "
+            "with several integrators."
         )
         errors = error_against_cost(self.series, self.styles, self.stored.first)
         made = [

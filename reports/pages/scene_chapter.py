@@ -10,12 +10,11 @@ from reports.charts.mechanism import mechanism
 from reports.formatting import number, paragraphs
 from reports.pages.captioned_charts import CaptionedCharts, captioned
 from reports.pages.study_section import ALL_FIGURES, StudySections
-from reports.questions.words import Words
 from reports.series import Series
 from reports.text.jump_tables import events_table
 from reports.text.ranking_tables import targets_table
 from reports.text.run_tables import invariants_table, runs_table, summary_table
-from reports.text.scene_tables import motion_table, parameters_table, scene_facts
+from reports.text.scene_tables import parameters_table, scene_facts
 
 
 class SceneChapter:
@@ -62,10 +61,9 @@ class SceneChapter:
         self.facts = scene_facts(self.scene) if self.scene else []
         self.picture = _picture(new, f"{anchor}-scene") if new else None
         self.parameters = parameters_table(new) if new else None
-        self.motion = motion_table(new) if new else None
         self.published = published_table(self.scene.published) if self.scene else None
         names = {label: style.name for label, style in sections.styles.items()}
-        self.targets = targets_table(series, Words(names, {})) if series else None
+        self.targets = targets_table(series, names) if series else None
         self.summary = summary_table(series) if series else None
         self.studies = [sections.make(s, f"{anchor}-{n}") for n, s in enumerate(studies, 1)]
         self.drift = invariants_table(series)

@@ -120,7 +120,7 @@ def _pages(report: Report) -> Iterator[Page]:
     for m in report.methods:
         yield Page(method_page(m.label), "method", report.names[m.label], values={"method": m})
     yield Page("methods.html", "methods", "Methods", "Answer", len(report.methods))
-    yield Page("failures.html", "failures", "Failures", "Answer", report.failed)
+    yield Page("failures.html", "failures", "Failures", "Answer", report.bad)
     if report.orders:
         yield Page("orders.html", "orders", "Orders", "Why")
     for chapter in report.chapters:

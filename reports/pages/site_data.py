@@ -16,9 +16,9 @@ from reports.formatting import tie_text
 from reports.names import family_name, form_name, scene_name
 from reports.pages.report import Report
 from reports.pages.site import method_page, scene_page
-from reports.questions.phrases import Piece
 from reports.questions.question import BOTH, GRID, Question, filters, tag_name
 from reports.questions.verdict import HEADLINES
+from reports.questions.words import Piece
 from reports.questions.wrong import wrong_sentences
 from reports.ranking import Answer, SceneAnswer, answers
 from reports.series import Series, groups_of, ok_runs, step_or_tolerance, trusted_error
@@ -38,7 +38,8 @@ def site_data(report: Report) -> dict[str, Any] | None:
     series = [s for own in measured.values() for s in own]
     families = {s.label: s.family for s in series}
     places = {label: k for k, label in enumerate(families)}
-    chosen = filters({name: report.words.tags.get(name, ()) for name in measured})
+    scenes = report.stored.scenes
+    chosen = filters({k: scenes[k].tags if k in scenes else () for k in measured})
     if not (groups := groups_of(ok_runs(series), ASKED)):
         return None
     norms = [f"{g}|{norm}" for norm in NORMS if norm != NORM for g in groups]
@@ -80,7 +81,7 @@ def _method(report: Report, series: Sequence[Series], label: str, family: str) -
     style = report.styles[label]
     return {
         "label": label,
-        "short": report.words.names[label],
+        "short": report.names[label],
         "family": family_name(family),
         "form": form_name(r for s in series if s.label == label for r in s.ok),
         "light": style.color,
@@ -150,9 +151,9 @@ def _answers(
 
     A verdict has places in ``details``: of a text per method in the order of the scene's runs, then
     of the ties for each accuracy that can be judged. A text has a letter per accuracy: that of the
-    run (A is the coarsest), or one of `_SIGNS`; it is empty if the method was not tried, and the
-    place of another method if both do the same. Ties are how they count (0: nothing to compare,
-    1: alone, 2: tied), and the places of the winners.
+    run (A is the coarsest), or one of `_SIGNS`; it is empty if the method was not tried. Ties are
+    how they count (0: nothing to compare, 1: alone, 2: tied), and the places of the winners; one
+    that ties from a later start alone has -1 minus its place.
     """
     details: dict[str, int] = {}
     verdicts: dict[str, int] = {}
@@ -163,10 +164,12 @@ def _answers(
     def verdict(name: str, over: Sequence[Answer]) -> int:
         own = [answer.scenes[name] for answer in over if name in answer.scenes]
         labels = [s.label for s in measured[name]]
-        parts: list[object] = [_letters(label, own, labels) for label in labels] if own else []
+        parts: list[object] = [_letters(label, own) for label in labels] if own else []
         for answer in own:
             counts = (1 + (len(answer.tied) > 1)) * answer.votes
-            parts.append([counts, *(places[label] for label in answer.winners)])
+            late = answer.later
+            ties = (-1 - places[k] if k in late else places[k] for k in answer.tied)
+            parts.append([counts, *ties])
         return kept(verdicts, [kept(details, part) for part in parts]) if own else -1
 
     listed = {}
@@ -180,13 +183,10 @@ def _answers(
     }
 
 
-def _letters(label: str, answers: Sequence[SceneAnswer], places: Sequence[str]) -> str | int:
-    """The cheapest run of an integrator for each accuracy, as letters; or the place of its twin."""
+def _letters(label: str, answers: Sequence[SceneAnswer]) -> str:
+    """The cheapest run of an integrator for each accuracy, as letters."""
     if label not in answers[0].series:
         return ""
-    first = answers[0].contestants[label]
-    if first != label:
-        return places.index(first)
     runs = answers[0].series[label].records
     letters = {r.key: chr(ord("A") + k) for k, r in enumerate(runs)}
     best = [answer.cheapest.get(label) for answer in answers]
@@ -211,7 +211,7 @@ def _wrong(report: Report, group: str, chosen: Mapping[str, Iterable[str]]) -> d
         return {"kind": piece.kind, "key": piece.key, "text": piece.text, "page": page}
 
     def said(names: Iterable[str]) -> list[list[Any]]:
-        sentences = wrong_sentences(group, {k: wrong[k] for k in names}, report.words)
+        sentences = wrong_sentences(group, {k: wrong[k] for k in names}, report.names)
         return [[*map(linked, parts)] for parts in sentences]
 
     return {

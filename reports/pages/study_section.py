@@ -39,7 +39,7 @@ from reports.series import (
     run_name,
     series_of,
 )
-from reports.text.measured_orders import fitted_orders_table
+from reports.text.order_table import order_table
 from reports.text.run_tables import runs_table
 
 #: Most runs of a study that are all drawn over time; of a larger one the finest of each.
@@ -124,7 +124,7 @@ class StudySections:
             note=study.note,
             state=_study_state(study, records),
             figures=[figure for figure in figures if figure],
-            orders=fitted_orders_table(series, study.norm),
+            orders=order_table(series, "Orders"),
             runs=runs_table(series, components=self.component_names)
             if "runs" in study.figures
             else None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 from bench.results.quantities import (
@@ -51,6 +51,11 @@ class Question:
     def quantity(self) -> str:
         """The group in words, without its letter."""
         return quantity(self.group)
+
+    @property
+    def by_both(self) -> list[Question]:
+        """The same question by both costs that are told together, its own first."""
+        return [replace(self, cost=cost) for cost in dict.fromkeys((self.cost, *BOTH))]
 
     @property
     def text(self) -> str:

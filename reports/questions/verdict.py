@@ -2,33 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
-from bench.results.quantities import COSTS
+from bench.results.quantities import COSTS, NORM
 from bench.results.records import Record
-from reports.formatting import cost_text, number
+from reports.formatting import cost_text, named, number
 from reports.names import form_behind, form_name
-from reports.questions.phrases import Sentence, listed
 from reports.questions.question import BOTH, Question
-from reports.questions.words import Words, scene_ref
+from reports.questions.words import Names, Sentence, listed, method_ref
 from reports.ranking import Answer, RankEntry, SceneAnswer
 from reports.series import label_of
-from reports.violations import violation_text
 
-#: Headlines; verdict.js fills in the same ones. ``who`` is one integrator or two.
+#: Headlines; answers.js fills in the same ones. ``who`` is one integrator or two.
 HEADLINES = {
     "unjudged": "No scene here can be judged.",
-    "nobody": "Nobody reaches it on {on}.",
+    "nobody": "No method reaches {target} on {any}.",
     "unpriced": "It is reached, but no costs can be compared.",
     "one": "{who} is cheapest on {on}{but}.",
     "two": "{who} are each cheapest on {on}{but}.",
     "many": "{count} methods tie: each is cheapest on {on}{but}.",
 }
-#: Winners behind the first one, and the next one, are told up to this many.
-_MOST = 3
+#: A winner that other starts of the motion make one, and one with wrong accelerations.
+LATER, WRONG_A = "ties from a later start", "a wrong in every run"
 
 
-def headline(found: Answer, words: Words) -> Sentence:
+def headline(found: Answer, names: Names) -> Sentence:
     """'A is cheapest on 6 of 9 scenes; nobody reaches 2.': twelve words, a name counted as one."""
     judged, rows = len(found.scenes), found.standings
     every = {1: "the scene", 2: "both scenes"}.get(judged, f"all {judged} scenes")
@@ -36,7 +34,8 @@ def headline(found: Answer, words: Words) -> Sentence:
     count, alone = max(((s.alone + s.tied, s.alone) for s in rows), default=(0, 0))
     if not count:
         kind = "unpriced" if missed < judged else "nobody" if judged else "unjudged"
-        return [HEADLINES[kind].format(on=every)]
+        scenes = {1: "the scene"}.get(judged, f"any of {judged} scenes")
+        return [HEADLINES[kind].format(target=found.question.accuracy, any=scenes)]
     lead = [s.label for s in rows if (s.alone + s.tied, s.alone) == (count, alone)]
     on = every if count == judged else f"{count} of {judged} scenes"
     but = f"; nobody reaches {missed}" if missed else ""
@@ -44,56 +43,32 @@ def headline(found: Answer, words: Words) -> Sentence:
         but = f", alone on {alone}" if alone else ", always tied"
     kind = {1: "one", 2: "two"}.get(len(lead), "many")
     said = HEADLINES[kind].rpartition("{who}")[2].format(count=len(lead), on=on, but=but)
-    return [*(words.methods(lead) if kind != "many" else []), said]
+    who = listed([method_ref(label, names)] for label in lead) if kind != "many" else []
+    return [*who, said]
 
 
-def headlines(found: Mapping[Question, Answer], words: Words) -> list[Sentence]:
+def headlines(found: Mapping[Question, Answer], names: Names) -> list[Sentence]:
     """The headline by operations and by time, of answers that ask one accuracy."""
     return [
-        [f"{COSTS[question.cost].least.capitalize()}: ", *headline(own, words)]
+        [f"{COSTS[question.cost].least.capitalize()}: ", *headline(own, names)]
         for question, own in found.items()
         if question.cost in BOTH
     ]
 
 
-def verdict(found: SceneAnswer, words: Words) -> Sentence:
+def verdict(found: SceneAnswer, names: Names) -> str:
     """'A (100 at h=0.1) and B (105 at h=0.2) tie; next: C, 2 times', or why there is no winner."""
-    question = found.question
-    unknown = listed([words.alike(found.names[s.label])] for s in found.unknown)
-    open_ = ["; not measured: ", *unknown] if unknown else []
+    unknown = f"not measured: {named(names.get(k, k) for k in found.unknown)}"
     if not found.tied:
-        if unknown:
-            return ["not measured: ", *unknown]
-        return ["nobody reaches it", *_near(found, words)]
-    winners = [
-        [name := words.alike(found.names[s.label]), *_costs(s, question, words, name.text)]
-        for s in found.first
-    ]
-    said = listed(winners, _MOST)
-    if len(winners) > 1:
-        said.append(" tie")
+        return unknown if found.unknown else "nobody reaches it" + _near(found, names)
+    said = named(names.get(s.label, s.label) + _costs(s, found, names) for s in found.first)
+    if len(found.tied) > 1:
+        said += " tie"
     if second := found.second:
-        said += ["; next: ", words.alike(found.names[second.label]), ", "]
-        said.append(words.run(second.run, second.multiple) if second.run else second.multiple)
-    elif len(winners) == 1 and not unknown:
-        said.append(" alone reaches it" if found.several else "; none to compare")
-    return [*said, *open_]
-
-
-def scene_sentence(found: Answer, scene: str, words: Words) -> Sentence:
-    """The verdict on a scene as a sentence; empty of a scene without the quantity."""
-    question, cost = found.question, COSTS[found.question.cost]
-    if scene in found.unjudged:
-        return [
-            f"{question.accuracy} in {question.quantity} cannot be judged on ", scene_ref(scene),
-            f": {unjudged(found, scene)}.",
-        ]  # fmt: skip
-    if scene not in found.scenes:
-        return []
-    aim = ["For ", *words.accuracy(question), f", {cost.least}: "]
-    own = found.scenes[scene]
-    held = violation_text((s.run for s in own.first), question.target)
-    return [*aim, *verdict(own, words), f"; |Φ| up to {held}." if held else "."]
+        said += f"; next: {names.get(second.label, second.label)}, {second.multiple}"
+    elif len(found.tied) == 1 and not found.unknown:
+        said += " alone reaches it" if len(found.series) > 1 else "; none to compare"
+    return said + (f"; {unknown}" if found.unknown else "")
 
 
 def unjudged(found: Answer, scene: str) -> str:
@@ -103,19 +78,38 @@ def unjudged(found: Answer, scene: str) -> str:
     return f"the reference's own error there is {error}, {than}"
 
 
-def _costs(entry: RankEntry, question: Question, words: Words, name: str) -> Sentence:
-    """' (100 at h=0.1; GGL)': cost and resolution of the cheapest run, and its form of constraints,
-    without what the name says already."""
+def violation_text(runs: Iterable[Record | None], target: float) -> str:
+    """The largest |Phi| of runs, absolute and relative, told to be too large if it is.
+
+    '0.0022 m, relative 0.0073: 73 times the accuracy'; nothing without constraints.
+    """
+    held = [(x, r) for r in runs if r and (x := r.constraint.get("position")) is not None]
+    if not held:
+        return ""
+    size, run = max(held, key=lambda pair: pair[0])
+    shown = f"{number(size)} {run.constraint_unit}".rstrip()
+    worst = max((r.error("constraint", NORM) or 0.0 for _, r in held), default=0.0)
+    if worst > target:
+        return f"{shown}, relative {number(worst)}: {worst / target:.3g} times the accuracy"
+    return f"{shown}, relative {number(worst)}" if worst else shown
+
+
+def _costs(entry: RankEntry, found: SceneAnswer, names: Names) -> str:
+    """' (100 at h=0.1; GGL)': cost and resolution of the cheapest run, its form of constraints
+    without what the name says already, and what speaks against it."""
     run: Record | None = entry.run
-    said = form_behind(name, form_name([run]))
-    form = f"; {said}" if said else ""
-    cost = cost_text(entry.value, question.cost)
-    return [" (", words.run(run, cost), f" at {run.resolution.split(',')[0]}{form})"] if run else []
+    if not run:
+        return ""
+    form = form_behind(names.get(entry.label, entry.label), form_name([run]))
+    wrong = found.question.group != "a" and entry.series.never_right("a")
+    notes = form, LATER * (entry.label in found.later), WRONG_A * wrong
+    at = f"{cost_text(entry.value, found.question.cost)} at {run.resolution.split(',')[0]}"
+    return f" ({'; '.join(filter(None, (at, *notes)))})"
 
 
-def _near(found: SceneAnswer, words: Words) -> Sentence:
+def _near(found: SceneAnswer, names: Names) -> str:
     if not found.nearest:
-        return []
+        return ""
     error, run = found.nearest
-    at = f" at {run.resolution.split(',')[0]})"
-    return [" (nearest: ", words.method(label_of(run)), ", ", words.run(run, number(error)), at]
+    name = names.get(label_of(run), label_of(run))
+    return f" (nearest: {name}, {number(error)} at {run.resolution.split(',')[0]})"

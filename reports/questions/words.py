@@ -1,63 +1,77 @@
-"""Names, scenes and accuracies as the sentences of an answer write them."""
+"""Sentences as parts: plain text, and references that a page makes links of; names in them."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from bench.results.quantities import NORMS
 from bench.results.records import Record
-from reports.names import scene_name, short_names
-from reports.questions.phrases import Piece, Ref, Sentence, listed
+from reports.names import scene_name
 from reports.questions.question import Question
-from reports.series import Series
 
 
 @dataclass(frozen=True)
-class Words:
-    """Names of the report's integrators, tags of its scenes, and its experiments of the atlas."""
+class Ref:
+    """Text that stands for something a page can lead to.
 
-    names: Mapping[str, str]
-    tags: Mapping[str, Sequence[str]]
-    experiments: Collection[str] = ()
+    ``key`` is the label of a method, the name of a scene, the key of a run, the term of the
+    glossary, or the name of an experiment of the failure atlas.
+    """
 
-    def method(self, label: str) -> Ref:
-        """A reference to an integrator."""
-        return Ref("method", label, self.names.get(label, label))
-
-    def run(self, record: Record, text: str) -> Ref:
-        """A reference to a run."""
-        return Ref("run", record.key, text)
-
-    def experiment(self, name: str) -> Piece:
-        """The command of an experiment; a reference to it if the report has it."""
-        command = f"stepbench atlas {name}"
-        return Ref("atlas", name, command) if name in self.experiments else command
-
-    def methods(self, labels: Iterable[str], most: int = 3) -> Sentence:
-        """References to integrators as a list."""
-        return listed(([self.method(label)] for label in labels), most)
-
-    def alike(self, labels: Sequence[str]) -> Ref:
-        """A reference to an integrator and those that do the same."""
-        return Ref("method", labels[0], " = ".join(self.names.get(k, k) for k in labels))
-
-    def accuracy(self, question: Question) -> Sentence:
-        """'1e-4 in acceleration (largest over time)'."""
-        norm = Ref("term", "relative-error", NORMS[question.norm])
-        return [f"{question.accuracy} in {question.quantity} (", norm, ")"]
+    kind: Literal["method", "scene", "run", "term", "atlas"]
+    key: str
+    text: str
 
 
-def words_of(
-    scenes: Mapping[str, Sequence[Series]],
-    tags: Mapping[str, Sequence[str]],
-    experiments: Collection[str] = (),
-) -> Words:
-    """The words of a report: short names of its integrators, tags of its scenes, experiments."""
-    names = short_names(s.label for series in scenes.values() for s in series)
-    return Words(names, tags, experiments=experiments)
+Piece = str | Ref
+Sentence = list[Piece]
+#: Short names of integrators by label.
+Names = Mapping[str, str]
+
+
+def plain(sentence: Sequence[Piece]) -> str:
+    """The sentence without its references."""
+    return rendered(sentence, str, lambda ref: ref.text)
+
+
+def rendered(
+    sentence: Sequence[Piece], text_of: Callable[[str], str], link_of: Callable[[Ref], str]
+) -> str:
+    """The sentence in a page's language: plain parts by ``text_of``, references by ``link_of``."""
+    return "".join(text_of(p) if isinstance(p, str) else link_of(p) for p in sentence)
+
+
+def listed(items: Iterable[Sequence[Piece]], most: int = 3) -> Sentence:
+    """'a', 'a and b', 'a, b and c'; of more than ``most`` the first ones and a count."""
+    shown = [list(item) for item in items]
+    if len(shown) > most:
+        shown = [*shown[:most], [f"{len(shown) - most} more"]]
+    joined: Sentence = []
+    for k, item in enumerate(shown):
+        if k:
+            joined.append(" and " if k == len(shown) - 1 else ", ")
+        joined += item
+    return joined
+
+
+def method_ref(label: str, names: Names) -> Ref:
+    """A reference to an integrator."""
+    return Ref("method", label, names.get(label, label))
+
+
+def run_ref(record: Record, text: str) -> Ref:
+    """A reference to a run."""
+    return Ref("run", record.key, text)
 
 
 def scene_ref(scene: str) -> Ref:
     """A reference to a scene."""
     return Ref("scene", scene, scene_name(scene))
+
+
+def accuracy(question: Question) -> Sentence:
+    """'1e-4 in acceleration (largest over time)'."""
+    norm = Ref("term", "relative-error", NORMS[question.norm])
+    return [f"{question.accuracy} in {question.quantity} (", norm, ")"]

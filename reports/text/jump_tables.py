@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from bench.results.quantities import IMPACTS, NORM, NORMS, quantity
 from bench.results.records import Record, SceneRecord
 from bench.results.table import Table
-from reports.formatting import NO_VALUE, number
+from reports.formatting import number
 from reports.series import Series
 
 #: The group by which policies are judged.
@@ -30,35 +30,26 @@ def miscounted(record: Record) -> bool:
 
 def events_table(series: Sequence[Series]) -> Table | None:
     """The events of the finest run of each integrator; None if the runs have no events."""
-    rows = []
-    for s in series:
-        if not any(r.events for r in s.ok):
-            continue
-        run, odd = s.finest, [r for r in s.ok if miscounted(r)]
-        events = run.events
-        rows.append(
-            {
-                "integrator": s.label,
-                "finest run": run.resolution,
-                "events found": f"{events['events']:g} of {events['expected']:g}",
-                "times off in s": number(events["time"]),
-                **{
-                    f"error of {name}": number(events.get(name))
-                    for name in IMPACTS
-                    if any(name in r.events for own in series for r in own.ok)
-                },
-                "steps": _count(run, "steps"),
-                "steps to locate": _count(run, "rejected"),
-                "runs": s.statuses,
-                "runs with another number of events": f"{len(odd)} of {len(s.ok)}",
-            }
-        )
+    eventful = [s for s in series if any(r.events for r in s.ok)]
+    shown = [n for n in IMPACTS if any(n in r.events for s in eventful for r in s.ok)]
+    rows = [
+        [
+            s.label,
+            s.finest.resolution,
+            f"{s.finest.events['events']:g} of {s.finest.events['expected']:g}",
+            number(s.finest.events["time"]),
+            *(number(s.finest.events.get(name)) for name in shown),
+            f"{sum(map(miscounted, s.ok))} of {len(s.ok)}",
+        ]
+        for s in eventful
+    ]
     note = (
         "Times off: the largest difference from the time of the same event in the reference. Error "
-        "of impulse and energy, which an impact gives and takes: relative to the largest. Steps to "
-        "locate: those that only look for the time of an event, and rejected ones."
+        "of impulse and energy, which an impact gives and takes: relative to the largest."
     )
-    return Table.from_dicts("Events", rows, note=note) if rows else None
+    head = ["integrator", "finest run", "events found", "times off in s"]
+    head += [*(f"error of {name}" for name in shown), "runs with another number"]
+    return Table("Events", head, rows, note=note) if rows else None
 
 
 def policies_table(by_policy: Mapping[str, Sequence[Series]]) -> Table:
@@ -69,32 +60,23 @@ def policies_table(by_policy: Mapping[str, Sequence[Series]]) -> Table:
     by_policy
         The series of the scene with each of `POLICIES` that was run.
     """
-    labels = dict.fromkeys(s.label for own in by_policy.values() for s in own)
-    rows = []
-    for label in labels:
-        cells = {"integrator": label}
-        for name, own in by_policy.items():
-            found = next((s for s in own if s.label == label), None)
-            cells[f"sampling={name}"] = _nearest(found) if found else "not tried"
-        rows.append(cells)
+    runs = {name: {s.label: s for s in own} for name, own in by_policy.items()}
+    labels = dict.fromkeys(label for own in runs.values() for label in own)
+    rows = [[label, *(_nearest(own.get(label)) for own in runs.values())] for label in labels]
     note = (
         f"Smallest error in {quantity(JUDGED)} ({NORMS[NORM]}) and its run. hit: a step ends at "
         "each sample; interpolate: constant steps go over samples; ignore: the controller is "
         "called wherever the method evaluates the equations."
     )
-    return Table.from_dicts("Errors by what runs do at samples", rows, note=note)
+    head = ["integrator", *(f"sampling={name}" for name in runs)]
+    return Table("Errors by what runs do at samples", head, rows, note=note)
 
 
-def _nearest(s: Series) -> str:
+def _nearest(s: Series | None) -> str:
     """The smallest error with its run, and whether every run is wrong; else how runs ended."""
-    near = s.nearest(JUDGED)
-    if near is None:
+    if s is None:
+        return "not tried"
+    if not (near := s.nearest(JUDGED)):
         return s.statuses
-    error, run = near
     wrong = " (wrong)" if s.never_right(JUDGED) else ""
-    return f"{number(error)}{wrong} at {run.resolution.partition(',')[0]}"
-
-
-def _count(record: Record, name: str) -> str:
-    found = record.work.get(name)
-    return NO_VALUE if found is None else str(found)
+    return f"{number(near[0])}{wrong} at {near[1].resolution.partition(',')[0]}"

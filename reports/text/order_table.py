@@ -1,29 +1,34 @@
-"""The order table: orders claimed and measured, per method and group of variables."""
+"""Orders: those claimed beside those measured, and orders that were lost."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 from bench.results.orders import Fit
-from bench.results.records import Plan, Record
+from bench.results.quantities import NORM, NORMS
+from bench.results.records import Plan, Record, SceneRecord
 from bench.results.store import Store
 from bench.results.table import Table
-from reports.formatting import NO_VALUE, order_text
+from reports.explanations import STUCK, Atlas, explained
+from reports.formatting import NO_VALUE, number, order_text
 from reports.names import short_names
-from reports.series import Series, groups_of, ok_runs, series_of
+from reports.series import Series, groups_of, ok_runs, series_of, step_or_tolerance
 
 #: The figure of a study that asks for the table.
 FIGURE = "orders"
 #: Norms of the two measured rows, with their names in the table.
 _MEASURED = {"settled": "settled", "max": "with start"}
-#: A measured order that falls short of the claimed one by more than this is marked.
-_SHORT = 0.2
+#: A measured order that falls short of the claimed one by more than this is marked; one that does
+#: by so much more is lost.
+_SHORT, _LOSS = 0.2, 0.5
 _NOTE = (
-    "Powers of the step by which errors fall. Claimed: those that the method states, for the time "
-    "after the start transient. Settled: measured, of the largest error in the last quarter of the "
-    "interval. With start: measured, of the largest error over time. "
-    f"* less than claimed by more than {_SHORT:g}. {NO_VALUE}: no claim, or no order can be fitted."
+    "Powers of the step by which errors fall. Claimed: those that the method states for the scene, "
+    "for the time after the start transient. Settled: measured, of the largest error in the last "
+    "quarter of the interval. With start: measured, of the largest error over time; 0: errors do "
+    f"not fall. * less than claimed by more than {_SHORT:g}. {NO_VALUE}: no claim, or no order can "
+    "be fitted."
 )
 
 
@@ -49,28 +54,93 @@ def order_tables(plan: Plan | None, records: Mapping[str, Record]) -> list[Table
     return [table for table in made if table]
 
 
-def order_table(series: Sequence[Series], title: str) -> Table | None:
-    """Return three rows per method: orders claimed, settled, and from the first step."""
-    shown = [s for s in series if s.controls == "step" and len(s.ok) > 2]
-    groups = groups_of(ok_runs(shown))
-    if not shown or not groups:
+def order_table(series: Sequence[Series], title: str, scenes: Sequence[str] = ()) -> Table | None:
+    """Return three rows per method: orders claimed, settled, and from the first step.
+
+    ``scenes`` names the rows of one method instead, a scene for each of the series.
+    """
+    short = short_names(s.label for s in series)
+    names = scenes or [short[s.label] for s in series]
+    stepped = [(name, s) for name, s in zip(names, series, strict=True) if s.controls == "step"]
+    shown = [(name, s) for name, s in stepped if len(s.ok) > 2]
+    groups = groups_of(ok_runs(s for _, s in shown))
+    if not groups:
         return None
-    names, rows = short_names(s.label for s in shown), []
-    for s in shown:
+    rows = []
+    for name, s in shown:
         claims = s.finest.claims or {}
-        rows.append([names[s.label], "claimed", *(str(claims.get(g, NO_VALUE)) for g in groups)])
+        rows.append([name, "claimed", *(str(claims.get(g, NO_VALUE)) for g in groups)])
         for norm, said in _MEASURED.items():
             cells = (_cell(s.fit(g, norm), claims.get(g), norm) for g in groups)
-            rows.append([names[s.label], said, *cells])
-    head = ["integrator", "order", *("λ" if g == "lam" else g for g in groups)]
-    few = [s.label for s in series if s.controls == "step" and s not in shown]
+            rows.append([name, said, *cells])
+    head = ["scene" if scenes else "integrator", "order"]
+    head += ["λ" if g == "lam" else g for g in groups]
+    few = [name for name, s in stepped if len(s.ok) < 3]
     missing = f" Left out, with fewer than three runs to the end: {', '.join(few)}." if few else ""
     return Table(title, head, rows, code=(), note=_NOTE + missing)
 
 
 def _cell(fit: Fit, claimed: int | None, norm: str) -> str:
-    if fit.order is None and fit.verdict != "does not converge":
+    if fit.order is None and fit.verdict != STUCK:
         return NO_VALUE
     order = fit.order if fit.verdict == "converges" and fit.order else 0.0
     short = claimed is not None and norm == "settled" and claimed - order > _SHORT
     return (order_text(order) if order else "0") + (" *" if short else "")
+
+
+def lost_orders_table(
+    scenes: Mapping[str, Sequence[Series]],
+    atlas: Atlas = MappingProxyType({}),
+    described: Mapping[str, SceneRecord] = MappingProxyType({}),
+) -> Table | None:
+    """Groups that do not converge, or at less than the claimed order; None if there are none.
+
+    ``atlas`` has the experiments that the report shows, ``described`` its scenes.
+    """
+    rows, links = [], {}
+    for scene, s in ((scene, s) for scene, series in scenes.items() for s in series):
+        alike: dict[tuple[str, str, str], list[str]] = {}
+        for group in groups_of(s.ok):
+            claimed = (s.finest.claims or {}).get(group) if s.controls == "step" else None
+            fit, settled = s.fit(group, NORM), s.fit(group, "settled")
+            if not _is_lost(fit, claimed):
+                continue
+            transient = settled.order is not None and not _is_lost(settled, claimed)
+            found = _ends(s, group) if fit.verdict == STUCK else order_text(fit.order or 0.0)
+            if transient:
+                found += f"; after the start transient {order_text(settled.order or 0.0)}"
+            why = explained(s, group, described.get(scene), atlas, transient)
+            alike.setdefault((str(claimed or "none"), found, why), []).append(group)
+        for (claim, found, why), groups in alike.items():
+            if why:
+                links[len(rows), 5] = [f"atlas-{why}"]
+            rows.append([s.label, scene, ", ".join(groups), claim, found, why.replace("_", " ")])
+    if not rows:
+        return None
+    return Table(
+        "Orders that were lost, and errors that never converge",
+        ["integrator", "scene", "group", "order claimed", "measured", "explained by"],
+        rows,
+        code=(0, 1),
+        note=f"Relative error, {NORMS[NORM]}: it does not converge, or its order at "
+        f"constant steps is lower than the integrator claims by {_LOSS:g} or more. An experiment "
+        "of the failure atlas explains it where it hit the same method on such a scene.",
+        links=links,
+    )
+
+
+def _is_lost(fit: Fit, claimed: int | None) -> bool:
+    """Whether errors do not converge, or with less than the claimed order."""
+    if fit.verdict == STUCK:
+        return True
+    return claimed is not None and fit.order is not None and claimed - fit.order >= _LOSS
+
+
+def _ends(s: Series, group: str) -> str:
+    """The errors of the coarsest and of the finest run."""
+    name = "h" if s.controls == "step" else "rtol"
+    ends = [
+        f"{number(r.error(group, NORM))} at {name}={number(step_or_tolerance(r))}"
+        for r in (s.ok[0], s.ok[-1])
+    ]
+    return f"none: error {', '.join(ends)}"

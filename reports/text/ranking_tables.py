@@ -1,4 +1,4 @@
-"""Tables that compare integrators: the cheapest of them, standings, claims and results."""
+"""Tables that compare integrators: the cheapest of them, standings, and what they claim."""
 
 from __future__ import annotations
 
@@ -10,17 +10,12 @@ from bench.results.quantities import COST, COSTS, NORM, NORMS, RANKED_COSTS
 from bench.results.records import IntegratorFacts
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, tie_text
-from reports.questions.phrases import plain
 from reports.questions.question import TABLE_GROUPS, TABLE_TARGETS, Question
-from reports.questions.verdict import unjudged, verdict
-from reports.questions.words import Words
+from reports.questions.verdict import unjudged, verdict, violation_text
+from reports.questions.words import Names
 from reports.ranking import Answer, answers
 from reports.series import Series
-from reports.text.measured_orders import claims_text, orders_measured
-from reports.violations import violation_text
 
-#: Columns of the ranked costs.
-_LEAST = [COSTS[cost].least for cost in RANKED_COSTS]
 #: When costs tie.
 _TIES = (
     "".join(
@@ -31,79 +26,67 @@ _TIES = (
 )
 
 
-def _row(by_cost: Sequence[Answer], scene: str, words: Words) -> list[str]:
-    """The verdicts by cost on a scene, and the |Φ| of their winners, once if they are alike."""
-    judged = [found.scenes[scene] for found in by_cost if scene in found.scenes]
-    if not judged:
-        reason = f"cannot be judged: {unjudged(by_cost[0], scene)}"
-        return [reason, *[""] * len(by_cost)]
-    target = by_cost[0].question.target
-    held = [violation_text((s.run for s in own.first), target) or NO_VALUE for own in judged]
-    shown = held if len({*held}) > 1 else held[:1]
-    said = "" if {*held} == {NO_VALUE} else " · ".join(shown)
-    return [*(plain(verdict(own, words)) for own in judged), said]
+def _verdicts(
+    caption: str,
+    head: str,
+    rows: Mapping[str, Sequence[Answer]],
+    names: Names,
+    note: str,
+    scene: str | None = None,
+) -> Table:
+    """A table of verdicts: a column per cost, and |Φ| of the winners, left out if it is empty.
+
+    A row has the answers by cost to one question on ``scene``, or on that of the row's name.
+    """
+    cells: list[list[str]] = []
+    for name, by_cost in rows.items():
+        place = name if scene is None else scene
+        judged = [found.scenes[place] for found in by_cost if place in found.scenes]
+        if not judged:
+            reason = f"cannot be judged: {unjudged(by_cost[0], place)}"
+            cells.append([name, reason, *[""] * len(by_cost)])
+            continue
+        target = by_cost[0].question.target
+        held = [violation_text((s.run for s in own.first), target) or NO_VALUE for own in judged]
+        shown = held if len({*held}) > 1 else held[:1]
+        said = "" if {*held} == {NO_VALUE} else " · ".join(shown)
+        cells.append([name, *(verdict(own, names) for own in judged), said])
+    costs = [COSTS[found.question.cost].least for found in next(iter(rows.values()))]
+    whole = [head, *costs, f"|Φ| of the winners, {NORMS[NORM]}"]
+    count = len(whole) - (not any(row[-1] for row in cells))
+    more: dict[str, Any] = {"code": ()} if scene is not None else {}
+    return Table(caption, whole[:count], [row[:count] for row in cells], note=note, **more)
 
 
-def _with_violations(caption: str, head: list[str], rows: list[list[str]], **more: Any) -> Table:
-    """A table of winners; its last column, of violations, is left out if it is empty."""
-    count = len(head) + any(row[-1] for row in rows)
-    head = [*head, f"|Φ| of the winners, {NORMS[NORM]}"]
-    return Table(caption, head[:count], [row[:count] for row in rows], **more)
-
-
-def targets_table(series: Sequence[Series], words: Words) -> Table | None:
+def targets_table(series: Sequence[Series], names: Names) -> Table | None:
     """The cheapest integrators of a scene for each accuracy, by each cost.
 
     None for fewer than two integrators.
     """
-    if len(series) < 2:
-        return None
-    rows = []
-    found = answers({"": series}, TABLE_GROUPS, TABLE_TARGETS)
-    for question in [q for q in found if q.cost == COST]:
-        by_cost = [found[replace(question, cost=cost)] for cost in RANKED_COSTS]
-        entries = [e for own in by_cost[0].scenes.values() for e in own.entries.values()]
-        reached = f"{sum(e.reached for e in entries)} of {len(entries)}" if entries else NO_VALUE
-        cells = [reached, *_row(by_cost, "", words)]
-        rows.append([f"{question.group} to {question.accuracy}", *cells])
-    if not rows:
-        return None
-    return _with_violations(
-        "Cheapest way to an accuracy",
-        ["relative error", "reached by", *_LEAST],
-        rows,
-        code=(),
-        note=f"Relative error: {NORMS[NORM]}. {_TIES}. Seconds also compare languages; counts and "
-        "operations do not.",
-    )
+    found = answers({"": series}, TABLE_GROUPS, TABLE_TARGETS) if len(series) > 1 else {}
+    rows = {
+        f"{question.group} to {question.accuracy}": [
+            found[replace(question, cost=cost)] for cost in RANKED_COSTS
+        ]
+        for question in found
+        if question.cost == COST
+    }
+    note = f"Relative error: {NORMS[NORM]}. {_TIES}. Seconds also compare languages; counts and "
+    note += "operations do not."
+    caption, head = "Cheapest way to an accuracy", "relative error"
+    return _verdicts(caption, head, rows, names, note, "") if rows else None
 
 
-def winners_table(
-    found: Mapping[Question, Answer], ids: Mapping[str, str], words: Words
-) -> Table | None:
-    """The answers on each scene with several contestants, by cost; they ask one accuracy.
-
-    ``ids`` are the anchors of records by key.
-    """
+def winners_table(found: Mapping[Question, Answer], names: Names) -> Table | None:
+    """The answers on each scene with several integrators, by cost; they ask one accuracy."""
     by_cost = [*found.values()]
-    both = [(k, s) for answer in by_cost for k, s in answer.scenes.items() if s.several]
-    names = dict.fromkeys([*(k for k, _ in both), *(k for own in by_cost for k in own.unjudged)])
-    if not both:
+    several = [k for own in by_cost for k, s in own.scenes.items() if len(s.series) > 1]
+    if not several:
         return None
-    return _with_violations(
-        f"Cheapest way to {by_cost[0].question.text}",
-        ["scene", *(COSTS[question.cost].least for question in found)],
-        [[scene, *_row(by_cost, scene, words)] for scene in names],
-        note=f"{_TIES}. Integrators joined by = do the same on the scene (equal errors and equal "
-        "work at every resolution) and are one contestant. Other accuracies and "
-        "costs: on the scenes' pages. The numbers in brackets lead to the runs.",
-        links={
-            (i, j): [ids[run.key] for run in own.scenes[scene].runs if run.key in ids]
-            for i, scene in enumerate(names)
-            for j, own in enumerate(by_cost, 1)
-            if scene in own.scenes
-        },
-    )
+    scenes = dict.fromkeys([*several, *(k for own in by_cost for k in own.unjudged)])
+    caption = f"Cheapest way to {by_cost[0].question.text}"
+    note = f"{_TIES}. Other accuracies: on the scenes' pages."
+    return _verdicts(caption, "scene", dict.fromkeys(scenes, by_cost), names, note)
 
 
 def standings_table(found: Answer) -> Table | None:
@@ -121,26 +104,17 @@ def standings_table(found: Answer) -> Table | None:
     )
 
 
-def integrators_table(
-    scenes: Mapping[str, Sequence[Series]], known: Mapping[str, IntegratorFacts]
-) -> Table | None:
-    """Each integrator with its orders claimed and measured."""
-    own: dict[str, list[Series]] = {}
-    for s in (s for series in scenes.values() for s in series):
-        own.setdefault(s.label, []).append(s)
+def claims_text(facts: IntegratorFacts | None) -> str:
+    """The orders that an integrator claims in general, by group."""
+    return "; ".join(f"{g} {p}" for g, p in facts.orders.items()) if facts else ""
+
+
+def integrators_table(labels: Sequence[str], known: Mapping[str, IntegratorFacts]) -> Table | None:
+    """Each integrator with its title, orders claimed and source."""
     rows = []
-    for label, series in own.items():
-        facts = known.get(series[0].records[0].integrator)
+    for label in labels:
+        facts = known.get(label.partition(" x ")[0])
         title, source = (facts.title.rstrip("."), facts.source) if facts else ("", "")
-        claimed = claims_text(series, facts)
-        rows.append([label, title, claimed, orders_measured(series), source])
-    if not rows:
-        return None
-    return Table(
-        "Integrators",
-        ["integrator", "what it is", "orders claimed", "orders measured", "source"],
-        rows,
-        note="Orders claimed: for the scenes of its runs. Orders measured: of the relative error, "
-        f"{NORMS[NORM]}, from the smallest to the largest over the scenes; at constant steps only. "
-        "None: the error does not converge.",
-    )
+        rows.append([label, title, claims_text(facts), source])
+    head = ["integrator", "what it is", "orders claimed", "source"]
+    return Table("Integrators", head, rows) if rows else None

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
-from bench.results.quantities import ERROR_MEANING, LEVELS, NORM, TRUST
-from bench.results.records import UNSUPPORTED, Record, median
+from bench.results.quantities import ERROR_MEANING, LEVELS, NORM, TRUST, VIOLATIONS
+from bench.results.records import UNSUPPORTED, Record
 from bench.results.table import Table
 from bench.results.timings import FEWEST, LEVEL, interval_width
 from reports.formatting import (
@@ -25,41 +25,29 @@ from reports.series import (
     trusted_error,
     worst_component,
 )
-from reports.text.measured_orders import orders_measured
 
 
 def summary_table(series: Sequence[Series]) -> Table:
-    """One row per integrator: best errors, orders, work of its most accurate run, endings."""
+    """One row per integrator: best errors, costs of its most accurate run, endings."""
     groups = groups_of(ok_runs(series))
     rows, best, doubtful = [], set(), False
     for s in series:
         run = near[1] if (near := s.nearest("q")) else None
-        orders = orders_measured([s]) or "not determined"
-        rows.append(
-            {
-                "integrator": s.label,
-                **{
-                    f"error in {group}": number(near[0] if (near := s.nearest(group)) else None)
-                    for group in groups
-                },
-                "orders": orders if s.controls == "step" else "by tolerance",
-                **_costs(run),
-                "runs": s.statuses,
-                "most accurate run": run.resolution if run else NO_VALUE,
-            }
-        )
-    for j, group in enumerate(groups, 1):
-        errors = [(near[0], i) for i, s in enumerate(series) if (near := s.nearest(group))]
-        trusted = [(e, i) for e, i in errors if e > trusted_error(series[i].ok, group, NORM)]
-        for _, i in set(errors) - set(trusted):
-            rows[i][f"error in {group}"] += " *"
-            doubtful = True
-        if trusted and len(rows) > 1:
-            best.add((min(trusted)[1], j))
-    note = (
-        f"Smallest error over the runs. {ERROR_MEANING} Orders: of the largest error over time; "
-        "none: it does not converge. Time and counts: of the run that is most accurate in q."
-    )
+        nearest = {g: near[0] if (near := s.nearest(g)) else None for g in groups}
+        errors = {f"error in {g}": number(error) for g, error in nearest.items()}
+        for g, error in nearest.items():
+            if error is not None and error <= trusted_error(s.ok, g, NORM):
+                errors[f"error in {g}"] += " *"
+                doubtful = True
+        most = run.resolution if run else NO_VALUE
+        row = {"integrator": s.label, **errors, **_costs(run), "runs": s.statuses}
+        rows.append({**row, "most accurate run": most})
+    for j, g in enumerate(groups, 1):
+        sure = [i for i, row in enumerate(rows) if "*" not in row[f"error in {g}"]]
+        errors = [(near[0], i) for i in sure if (near := series[i].nearest(g))]
+        best |= {(min(errors)[1], j)} if errors and len(rows) > 1 else set()
+    note = f"Smallest error over the runs. {ERROR_MEANING} Time and counts: of the run that is "
+    note += "most accurate in q."
     if doubtful:
         note += f" * within {TRUST:g} times the reference's own error: says nothing more."
     return Table.from_dicts("All integrators", rows, best=best, note=note)
@@ -122,9 +110,18 @@ def _error(record: Record, group: str, components: Mapping[str, Sequence[str]]) 
 
 
 def invariants_table(series: Sequence[Series]) -> Table | None:
-    """Constraint residuals and energy drift of each integrator's finest run."""
+    """Constraint residuals and energy drift of each integrator's finest run.
+
+    Of constraints stand the residual in its unit, and the one relative to the scene's size.
+    """
     runs = [(s, s.finest) for s in series if s.ok]
-    columns = {f"{level} level": [r.constraint.get(level) for _, r in runs] for level in LEVELS}
+    unit = next((f" in {r.constraint_unit}" for _, r in runs if r.constraint_unit), "")
+    columns = {
+        f"Φ of {level}{after}": [r.constraint.get(level) for _, r in runs]
+        for level, after in zip(LEVELS, [unit and unit + s for s in ("", "/s", "/s²")], strict=True)
+    }
+    for group, name in VIOLATIONS.items():
+        columns[f"{name}, relative"] = [r.error(group, NORM) for _, r in runs]
     columns["energy drift"] = [r.energy_drift for _, r in runs]
     known = {name: own for name, own in columns.items() if any(x is not None for x in own)}
     if not known:
@@ -136,7 +133,8 @@ def invariants_table(series: Sequence[Series]) -> Table | None:
             [s.label, form_name([run]) or run.formulation, run.resolution, *map(number, cells)]
             for (s, run), *cells in zip(runs, *known.values(), strict=True)
         ],
-        note="Largest over time; the energy relative to the motion's largest kinetic energy.",
+        note="Largest over time; relative: divided by the change of Φ that positions or velocities "
+        "of their size make; the energy relative to the motion's largest kinetic energy.",
     )
 
 
@@ -178,31 +176,18 @@ def timing_table(series: Sequence[Series]) -> Table | None:
     rows = []
     for s in series:
         timed = [r for r in s.ok if r.run_s]
-        if not timed:
-            continue
         widths = [x for r in timed if (x := interval_width(r)) is not None]
-        compiled = [r.compile_s for r in s.ok if r.compile_s is not None]
-        rows.append(
-            {
-                "integrator": s.label,
-                "runs timed": str(len(timed)),
-                "samples per run": text_range(map(str, sorted(len(r.run_s) for r in timed))),
-                "interval in %, median": _percent(median(widths)),
-                "interval in %, widest": _percent(max(widths, default=None)),
-                "preparation in s, longest": number(max(compiled, default=None)),
-                "preparation in s, median": number(median(compiled)),
-            }
-        )
+        compiled = max((r.compile_s for r in s.ok if r.compile_s is not None), default=None)
+        samples = text_range(map(str, sorted(len(r.run_s) for r in timed)))
+        spread = text_range(number(100 * x) for x in sorted(widths)) or NO_VALUE
+        rows += [[s.label, samples, spread, number(compiled)]] if timed else []
     note = (
         f"Interval: width of the {100 * LEVEL:g} % interval of a run's median, relative to it; of "
         f"fewer than {FEWEST} samples from the fastest to the slowest. Preparation is not timed as "
         "a part of the run; the longest one compiles."
     )
-    return Table.from_dicts("Timing", rows, note=note) if rows else None
-
-
-def _percent(part: float | None) -> str:
-    return number(None if part is None else 100 * part)
+    head = ["integrator", "samples per run", "interval in %", "preparation in s, longest"]
+    return Table("Timing", head, rows, note=note) if rows else None
 
 
 def _count(value: int | None) -> str:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from bench.results.quantities import GROUPS
 from bench.results.records import SceneRecord
 from bench.results.table import Table
-from reports.formatting import component_title, number
+from reports.formatting import number
 
 
 def scene_facts(scene: SceneRecord) -> list[tuple[str, str]]:
@@ -38,23 +37,6 @@ def parameters_table(scene: SceneRecord) -> Table | None:
     head = list(dict.fromkeys(key for row in scene.parameters for key in row))
     rows = [[_cell(row.get(key)) for key in head] for row in scene.parameters]
     return Table("Parameters", ["meaning" if h == "doc" else h for h in head], rows)
-
-
-def motion_table(scene: SceneRecord) -> Table | None:
-    """Largest value and root mean square over time of the reference's components."""
-    rows = []
-    for group in GROUPS:
-        for i, values in enumerate(zip(*scene.reference.values.get(group, []), strict=True)):
-            mean_square = sum(value * value for value in values) / len(values)
-            name = component_title(group, i, scene.components)
-            sizes = [number(f) for f in (max(map(abs, values)), mean_square**0.5)]
-            rows.append([name, *sizes])
-    if not rows:
-        return None
-    note = "Absolute values of the reference at 301 times, in SI units or those of the scene."
-    return Table(
-        "Size of the motion", ["component", "largest", "root mean square"], rows, note=note
-    )
 
 
 def _cell(value: object) -> str:

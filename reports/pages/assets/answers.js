@@ -12,18 +12,18 @@
     if (!tie) return null;
     const states = Array(data.methods.length).fill(null);
     all.forEach(({ method }, k) => {
-      // One that does the same as another has its numbers.
-      const like = typeof parts[k] === "number" ? parts[k] : k, sign = parts[like][place];
+      const sign = parts[k][place];
       if (!sign) return;
       const run = sign.charCodeAt() - 65;
-      states[method] = run < 0 ? SIGNS[sign] : [1, run, stepbench.columnOf(all[like], cost)[run]];
+      states[method] = run < 0 ? SIGNS[sign] : [1, run, stepbench.columnOf(all[k], cost)[run]];
     });
-    const [counts, ...first] = tie, known = [...states.keys()].filter((m) => Array.isArray(states[m])).sort((one, two) => states[one][2] - states[two][2]);
+    // One that ties from a later start of the motion alone has -1 minus its place.
+    const [counts, ...ties] = tie, first = ties.map((m) => m < 0 ? -1 - m : m), later = ties.filter((m) => m < 0).map((m) => -1 - m), known = [...states.keys()].filter((m) => Array.isArray(states[m])).sort((one, two) => states[one][2] - states[two][2]);
     for (const m of known) states[m][0] = m === known[0] ? 1 : states[m][2] / states[known[0]][2];
     const order = all.map(({ method }) => method).filter((m) => states[m]);
     return {
-      states, first, order, votes: counts > 0, alone: counts === 1, second: known.find((m) => !first.includes(m)) ?? null,
-      several: all.filter((_, k) => parts[k] && typeof parts[k] === "string").length > 1,
+      states, first, later, order, votes: counts > 0, alone: counts === 1, second: known.find((m) => !first.includes(m)) ?? null,
+      several: order.length > 1,
       reached: order.some((m) => Array.isArray(states[m]) || states[m] === "unknown"),
     };
   };
@@ -60,8 +60,8 @@
     const lead = rows.filter(([, alone, tied]) => alone === one && alone + tied === most).map(([m]) => stepbench.methodRef(m));
     const kind = !most ? missed < count ? "unpriced" : count ? "nobody" : "unjudged" : ["", "one", "two"][lead.length] ?? "many";
     const but = one < most ? one ? `, alone on ${one}` : ", always tied" : missed ? `; nobody reaches ${missed}` : "";
-    const values = { on: most && most < count ? `${most} of ${count} scenes` : every, but, count: lead.length };
-    const [before, after] = data.headlines[kind].replace(/\{(on|but|count)\}/g, (_, name) => values[name]).split("{who}");
+    const values = { on: most && most < count ? `${most} of ${count} scenes` : every, but, count: lead.length, target: question.target, any: count === 1 ? "the scene" : `any of ${count} scenes` };
+    const [before, after] = data.headlines[kind].replace(/\{(on|but|count|target|any)\}/g, (_, name) => values[name]).split("{who}");
     return after === undefined ? [before] : [...lead.flatMap((ref, k) => k ? [" and ", ref] : [ref]), after];
   };
 })();

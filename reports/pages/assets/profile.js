@@ -8,9 +8,8 @@
 
   const multiples = Array.from({ length: 31 }, (_, k) => 10 ** (k / 10));
 
-  // How many pairs of a chosen scene and an accuracy there are, and lines: the part of its pairs that
-  // a method, or the best of a family, solves within each multiple. One whose cost is not known
-  // has no such pair. In brackets stand the pairs of those that were tried on clearly fewer than all.
+  // How many pairs of a chosen scene and an accuracy there are, and lines: the part of all pairs that
+  // a method, or the best of a family, solves within each multiple.
   const profile = (question) => {
     const families = menu.value === "families", own = new Map();
     let pairs = 0;
@@ -20,17 +19,13 @@
       pairs += 1;
       for (const m of scene.order) {
         const state = scene.states[m], key = families ? data.methods[m].family : m;
-        best.set(key, [...best.get(key) || [], Array.isArray(state) ? state[0] : state === "unknown" ? NaN : Infinity]);
+        best.set(key, Math.min(best.get(key) ?? Infinity, Array.isArray(state) ? state[0] : Infinity));
       }
-      for (const [key, ratios] of best) {
-        const least = Math.min(...ratios.filter((ratio) => ratio < Infinity), Infinity);
-        own.set(key, [...own.get(key) || [], ...(least < Infinity || !ratios.some(Number.isNaN) ? [least] : [])]);
-      }
+      for (const [key, ratio] of best) own.set(key, [...own.get(key) || [], ratio]);
     }
-    const lines = [...own].sort(([one], [two]) => one - two || 0).filter(([, ratios]) => ratios.length).map(([key, ratios]) => {
+    const lines = [...own].sort(([one], [two]) => one - two || 0).map(([key, ratios]) => {
       const method = families ? data.methods.find((one) => one.family === key) : data.methods[key], name = families ? key : method.short;
-      return { name: ratios.length < .9 * pairs ? `${name} (of ${ratios.length})` : name, method,
-        parts: multiples.map((most) => ratios.filter((ratio) => ratio <= most * 1.00005).length / ratios.length) };
+      return { name, method, parts: multiples.map((most) => ratios.filter((ratio) => ratio <= most * 1.00005).length / pairs) };
     });
     return { pairs, lines };
   };

@@ -30,9 +30,9 @@
     });
     return best;
   };
-  // The run of the verdict: the cheapest, or none.
+  // The run of the verdict that stands first there, or none.
   const winner = (own) => {
-    const index = own?.first.find((m) => own.states[m][0] === 1) ?? own?.first[0], state = own?.states[index];
+    const index = own?.first[0], state = own?.states[index];
     return Array.isArray(state) ? { index, k: state[1] } : null;
   };
   const joined = (items, by = " and ") => items.flatMap((item, k) => [...(k ? [k < items.length - 1 ? ", " : by] : []), ...item]);
