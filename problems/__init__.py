@@ -16,6 +16,7 @@ from problems.joints import (
 )
 from problems.runtime import jax, jnp
 from problems.sampled import SampledSystem
+from problems.starts import completed
 from problems.system import MechatronicSystem
 from problems.variables import Published, State, Variables, held, parameter
 
@@ -41,6 +42,7 @@ __all__ = [
     "State",
     "Universal",
     "Variables",
+    "completed",
     "from_mjcf",
     "from_sympy",
     "held",

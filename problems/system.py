@@ -34,8 +34,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from problems import checks, spec
-from problems.models import starts
+from problems import checks, spec, starts
 from problems.runtime import Array, Float, jax
 from problems.variables import Component, Published, Sizes, State, Variables
 

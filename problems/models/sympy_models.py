@@ -20,10 +20,10 @@ from sympy.physics.mechanics import KanesMethod, LagrangesMethod, System, dynami
 
 from problems import spec
 from problems.initial_values import CONSISTENCY_TOLERANCE
-from problems.models.starts import completed, constraints_at, violation
 from problems.models.sympy_text import CLASS, class_of, code_of, function_text
 from problems.plain_text import said
 from problems.spec import SpecError
+from problems.starts import completed, constraints_at, violation
 from problems.system import MechatronicSystem
 
 #: Time in the text of a class, and in models.

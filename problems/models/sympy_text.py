@@ -20,8 +20,7 @@ CLASS = '''\
 
 from dataclasses import dataclass
 
-from problems import MechatronicSystem, jnp, parameter
-from problems.models.starts import completed
+from problems import MechatronicSystem, completed, jnp, parameter
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,165 @@
+"""Starts of scenes: initial values that are left out follow from the constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from problems import spec
+from problems.runtime import Float, jax, jnp
+from problems.variables import Component, State
+
+#: Newton's method takes less than ten iterations, or does not converge.
+_ITERATIONS = 50
+#: A start violates the constraints if Phi or its rate is larger than this, relative to q or v.
+_VIOLATED = 1e-9
+
+
+def started(scene: Any, state: State, given: Mapping[str, float]) -> State:
+    """Return the start of a scene at which some coordinates or velocities have other values.
+
+    Parameters
+    ----------
+    scene
+        A `problems.system.MechatronicSystem`.
+    state
+        Its own start.
+    given
+        Values by "name" of a coordinate or "name.v" of a velocity; a blank may be written as "_".
+        Quaternions are normalised, all others that constraints bind are `completed`.
+
+    Raises
+    ------
+    SpecError
+        If there is no such name, or no such position satisfies the constraints.
+    """
+    own = scene.velocities if scene.has("kinematics") else scene.coordinates
+    names = _names(scene.coordinates, len(state.q)), _names(own, len(state.v))
+    places = {n: (0, k) for k, n in enumerate(names[0])}
+    places |= {f"{n}.v": (1, k) for k, n in enumerate(names[1])}
+    written = {name.replace(" ", "_"): name for name in places}
+    values, fixed = (np.array(state.q), np.array(state.v)), ([], [])
+    for name, value in given.items():
+        key = written.get(name.replace(" ", "_"))
+        if key is None:
+            raise spec.SpecError(
+                f"{scene.name} has no coordinate to start from {name!r}; "
+                f"{spec.suggest(name, places)}."
+            )
+        group, k = places[key]
+        values[group][k] = value
+        fixed[group].append(k)
+    q, v = values
+    for k in (k for k, name in enumerate(names[0]) if name.endswith("p0")):
+        four = range(k, min(k + 4, len(q)))
+        if [names[0][j][-2:] for j in four] == ["p0", "p1", "p2", "p3"]:
+            q[four] /= np.linalg.norm(q[four]) or 1.0
+            fixed[0].extend(four if scene.has("kinematics") else ())  # no constraint holds the norm
+    free_q, free_v = (
+        [k for k in range(len(part)) if k not in own]
+        for part, own in zip(values, fixed, strict=True)
+    )
+    found = completed(scene, q, v, free_q, free_v)._replace(x=state.x)
+    sizes = (max(1.0, np.abs(part).max()) for part in found[:2])
+    off = [part / size for part, size in zip(violation(scene, found), sizes, strict=True)]
+    if not all(part <= _VIOLATED for part in off):
+        told = ", ".join(f"{name}={value:g}" for name, value in given.items())
+        raise spec.SpecError(
+            f"{scene.name} has no start near its own with {told}: its constraints are violated by "
+            f"{max(off):.2g}; give other values, or values of more coordinates."
+        )
+    return found
+
+
+def _names(texts: Iterable[str], count: int) -> list[str]:
+    """Names of all entries of a group; numbers where the scene gives none."""
+    named = [Component.read(str(text)).name for text in texts][:count]
+    return named + [str(k + 1) for k in range(len(named), count)]
+
+
+def completed(
+    scene: Any,
+    q: Sequence[float] | Float[np.ndarray, " nq"],
+    v: Sequence[float] | Float[np.ndarray, " nv"],
+    open_q: Sequence[int],
+    open_v: Sequence[int],
+) -> State:
+    """Return the start at which the entries left open satisfy the constraints.
+
+    Newton's method with the shortest corrections leads from ``q`` to the nearest position at which
+    Phi(q, t) = 0; open velocities get the shortest correction by which d/dt Phi = 0 and A v = b.
+    Where there is no solution the start violates the constraints, and `violation` tells by how
+    much.
+
+    Parameters
+    ----------
+    q, v
+        Values of the entries that are given, and first guesses of the open ones.
+    open_q, open_v
+        Indices of the open entries.
+    """
+    q, v = np.array(q, dtype=float), np.array(v, dtype=float)
+    if scene.has("constraint"):
+        for _ in range(_ITERATIONS):
+            phi, jacobian, *_ = constraints_at(scene, q, v)
+            step = _shortest(jacobian[:, open_q], phi)
+            q[open_q] -= step
+            if not np.abs(step).max(initial=0.0) > 1e-15 * np.abs(q).max():
+                break
+    _, _, rate, rows = constraints_at(scene, q, v)
+    v[open_v] -= _shortest(rows[:, open_v], rate)
+    return State(q, v)
+
+
+def violation(scene: Any, state: State) -> tuple[float, float]:
+    """Return the largest entries of Phi, and of d/dt Phi and A v - b, at the start."""
+    phi, _, rate, _ = constraints_at(scene, state.q, state.v)
+    return np.abs(phi).max(initial=0.0), np.abs(rate).max(initial=0.0)
+
+
+def constraints_at(
+    scene: Any, q: Float[np.ndarray, " nq"], v: Float[np.ndarray, " nv"]
+) -> tuple[np.ndarray, ...]:
+    """Compute the constraints at the start of the interval.
+
+    Returns
+    -------
+    tuple
+        Phi ``(nh,)``, its derivative by q ``(nh, nq)``, d/dt Phi and A v - b ``(nl,)``, and their
+        derivative by v ``(nl, nv)``.
+    """
+    if not (scene.has("constraint") or scene.has("velocity_constraint")):
+        return np.zeros(0), np.zeros((0, len(q))), np.zeros(0), np.zeros((0, len(v)))
+    numbers = spec.numbers_of(type(scene))
+    defaults: dict[str, Any] = {name: field.default for name, field in numbers.items()}
+    program = _program(scene.with_parameters(defaults | {"given": ()}))
+    return tuple(map(np.asarray, program(scene.parameters(), q, v, scene.interval[0])))
+
+
+def _shortest(matrix: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    if not (matrix.size and np.isfinite(matrix).all() and np.isfinite(residual).all()):
+        return np.zeros(matrix.shape[1])
+    return np.linalg.lstsq(matrix, residual, rcond=None)[0]
+
+
+@cache  # not `problems.compiled`, which asks for the sizes, that is, for the start
+def _program(template: Any) -> Callable[..., Any]:
+    def constraints(p: dict[str, Any], q: Any, v: Any, t: Any) -> Any:
+        scene, now = template.with_parameters(p), jnp.asarray(t, dtype=float)
+        positions = scene.constraint if scene.has("constraint") else lambda q, t: jnp.zeros(0)
+        turns = scene.has("kinematics")
+
+        def rates(v: Any) -> Any:
+            moving = (scene.kinematics(q, v) if turns else v), jnp.ones_like(now)
+            rate = jax.jvp(positions, (q, now), moving)[1]
+            if not scene.has("velocity_constraint"):
+                return rate
+            return jnp.concatenate([rate, scene.velocity_constraint(q, v, now)])
+
+        of_q = jax.jacfwd(lambda q: positions(q, now))(q)
+        return positions(q, now), of_q, rates(v), jax.jacfwd(rates)(v)
+
+    return jax.jit(constraints)
