@@ -27,7 +27,7 @@ A method with a published control of its own states it by ``choose`` instead.
 from __future__ import annotations
 
 from functools import cache, partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,7 +37,6 @@ from integrators.native.endings import Ending
 from integrators.native.kernel import (
     STEPS,
     Form,
-    KeptRows,
     Kernel,
     LoopRun,
     bounded,
@@ -53,14 +52,13 @@ from integrators.native.step_records import (
     Errors,
     Reading,
     Scalar,
-    StepReport,
     Time,
     largest,
 )
 from integrators.resolutions import Tolerances
 from problems.formulations import Start
 from problems.named_equations import turns, with_named_blocks
-from problems.runtime import Array, Bool, Int, jax, jnp
+from problems.runtime import Array, Bool, Float, Int, jax, jnp
 from problems.system import MechatronicSystem
 
 _OK, _MOST_STEPS, _ERROR = map(int, (Ending.OK, Ending.BUDGET_EXCEEDED, Ending.ERROR_TEST_FAILED))
@@ -229,36 +227,13 @@ class _Progress(NamedTuple):
     peaks: tuple[Scalar, ...]
     ending: Int[Array, ""]
     counts: tuple[Int[Array, ""], ...]
-    rows: KeptRows
-
-
-class _Tried(NamedTuple):
-    """A tried step: its end, size and result, and whether all values are finite."""
-
-    t: Time
-    h: Time
-    state: Carried
-    now: Reading
-    report: StepReport
-    finite: Bool[Array, ""]
-
-
-class _Verdict(NamedTuple):
-    """Whether a tried step counts, the step to try next, its error, and how the run ends by it."""
-
-    accepted: Bool[Array, ""]
-    h: Time
-    error: Scalar
-    ending: Int[Array, ""]
+    table: Float[Array, "k n"]
+    #: Number of rows so far, those before the first of the table included.
+    number: Int[Array, ""]
 
 
 def _sizes_of(reading: Reading) -> tuple[Scalar, Scalar]:
     return jnp.linalg.norm(reading.a), jnp.linalg.norm(reading.lam)
-
-
-def _fitted(h: Time, left: Scalar) -> Time:
-    """The step, changed a little so that the last step to the end is not tiny."""
-    return jnp.where(left <= h * 1.001, left, jnp.where(left < 2 * h, left / 2, h))
 
 
 @cache
@@ -287,64 +262,66 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
             left = (m.t < span.t_end) & (m.ending == _OK)
             return left & (m.counts[0] + m.counts[1] < span.max_steps)
 
-        def attempt(m: _Progress) -> _Tried:
-            left = span.t_end - m.t
-            # Among many runs an ended run still takes steps, whose results are dropped. With a NaN
-            # step Newton's method ends at once.
-            h = jnp.where(goes_on(m), _fitted(m.h, left), jnp.nan)
-            t = jnp.where(h == left, span.t_end, m.t + h)
-            state, report = step(p, numbers, m.state, t, h)
-            now = program.read(scene, state)
-            return _Tried(t, h, state, now, report, jnp.isfinite(largest(*now[:-1])))
-
-        def judge(m: _Progress, tried: _Tried, peaks: tuple) -> _Verdict:
-            finite, h = tried.finite, tried.h
-            solved, states = finite & tried.report.converged, (m.state.state, tried.state.state)
+        def judged(
+            m: _Progress, h: Time, after: Carried, now: Reading, converged: Any, peaks: tuple
+        ) -> tuple[Array, Array, Scalar, Array]:
+            """Whether a tried step counts, the next one, its error, and how the run ends by it."""
+            finite, states = jnp.isfinite(largest(*now[:-1])), (m.state.state, after.state)
+            solved = finite & converged
             choice, error = method.choose(Attempt(*states, h, solved, span.rtol)), m.error
             if choice is None:
                 errors, before = method.estimate(*states, h), program.read(scene, m.state)
-                error = control.error(errors, before, tried.now, peaks, span)
+                error = control.error(errors, before, now, peaks, span)
                 finite = finite & jnp.isfinite(error)
-                solved = finite & tried.report.converged
+                solved = finite & converged
                 error = jnp.maximum(error, 1e-4)
-                order = method.order_of(tried.state.state)
-                ratio = control.ratio(error, m.error, order, limits, solved)
+                ratio = control.ratio(error, m.error, method.order_of(after.state), limits, solved)
                 choice = Choice(solved & (error <= 1.0), ratio)
             accepted, h_next = choice.accepted, h * choice.ratio
             reason = jnp.where(solved, _ERROR, jnp.where(finite, _NEWTON, _NOT_FINITE))
             ending = jnp.where(~accepted & (h_next < smallest), reason, _OK)
-            ending = jnp.where(accepted & ~is_bounded(tried.now), _DIVERGED, ending)
-            return _Verdict(accepted, jnp.maximum(h_next, smallest), error, ending)
+            ending = jnp.where(accepted & ~is_bounded(now), _DIVERGED, ending)
+            return accepted, jnp.maximum(h_next, smallest), error, ending
 
         def one_step(m: _Progress) -> _Progress:
-            tried = attempt(m)
-            now, peaks = tried.now, tuple(map(jnp.maximum, m.peaks, _sizes_of(tried.now)))
-            accepted, h_next, error, ending = judge(m, tried, peaks)
-            counts = (accepted, ~accepted, *tried.report.counts)
+            left = span.t_end - m.t
+            # The step is changed a little so that the last one is not tiny.
+            h = jnp.where(left <= m.h * 1.001, left, jnp.where(left < 2 * m.h, left / 2, m.h))
+            # Among many runs an ended run still takes steps, whose results are dropped. With a NaN
+            # step Newton's method ends at once.
+            h = jnp.where(goes_on(m), h, jnp.nan)
+            t = jnp.where(h == left, span.t_end, m.t + h)
+            state, report = step(p, numbers, m.state, t, h)
+            now = program.read(scene, state)
+            peaks = tuple(map(jnp.maximum, m.peaks, _sizes_of(now)))
+            accepted, h_next, error, ending = judged(m, h, state, now, report.converged, peaks)
+            counts = (accepted, ~accepted, *report.counts)
             counts = tuple(c + more for c, more in zip(m.counts, counts, strict=True))
-            rows = m.rows
+            table, number = m.table, m.number
             if wanted is not None:
-                row = jnp.concatenate([jnp.stack([1.0 * counts[0], tried.t]), flat_row(now)])
-                before, part = ((at - span.t0) / (span.t_end - span.t0) for at in (m.t, tried.t))
-                kept = accepted & is_row(counts[0], before, part, times)
-                rows = rows.with_row(row, kept, wanted[0])
-            after, before = (tried.t, error, peaks), (m.t, m.error, m.peaks)
+                row = jnp.concatenate([jnp.stack([1.0 * counts[0], t]), flat_row(now)])
+                before, part = ((at - span.t0) / (span.t_end - span.t0) for at in (m.t, t))
+                kept, first = accepted & is_row(counts[0], before, part, times), wanted[0]
+                number = number + kept
+                place = jnp.where(kept & (number >= first), number - first, len(table))
+                table = table.at[place].set(row, mode="drop")
+            after, before = (t, error, peaks), (m.t, m.error, m.peaks)
             t, error, peaks = jax.tree.map(partial(jnp.where, accepted), after, before)
             short = (counts[0] + counts[1] >= span.max_steps) & (t < span.t_end)
             ending = jnp.where((ending == _OK) & short, _MOST_STEPS, ending)
-            state = program.chosen(accepted, tried.state, m.state)
-            return _Progress(t, state, h_next, error, peaks, ending, counts, rows)
+            state = program.chosen(accepted, state, m.state)
+            return _Progress(t, state, h_next, error, peaks, ending, counts, table, number)
 
         width, slots = 2 + flat_row(first).size, 0 if wanted is None else wanted.size
         counts = no_counts(2, step, p, numbers, begun)
-        rows = KeptRows(jnp.zeros((slots, width)), jnp.asarray(0))
         m = _Progress(
-            span.t0, begun, h0, jnp.asarray(1.0), _sizes_of(first), jnp.asarray(_OK), counts, rows
-        )
+            span.t0, begun, h0, jnp.asarray(1.0), _sizes_of(first), jnp.asarray(_OK), counts,
+            jnp.zeros((slots, width)), jnp.asarray(0),
+        )  # fmt: skip
         with turns(STEPS):
             m = jax.lax.while_loop(goes_on, one_step, m)
         last = jnp.stack([1.0 * m.counts[0], m.t]), flat_row(program.read(scene, m.state))
         program.finish(m.state)
-        return m.rows.table, jnp.concatenate(last), jnp.stack([m.ending, m.t, *m.counts])
+        return m.table, jnp.concatenate(last), jnp.stack([m.ending, m.t, *m.counts])
 
     return Kernel(loop, form)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property, partial
 from math import prod
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -239,20 +239,6 @@ def bounded(first: Reading) -> Callable[[Reading], Bool[Array, ""]]:
         return grown_little & jnp.isfinite(largest(now.a, now.lam, now.xdot, now.y))
 
     return sane
-
-
-class KeptRows(NamedTuple):
-    """Rows of a run with an unknown number of steps: those of `is_row`, from ``first`` on."""
-
-    table: Float[Array, "k n"]
-    #: Number of rows so far, those before ``first`` included.
-    number: Int[Array, ""]
-
-    def with_row(self, row: Array, kept: Bool[Array, ""], first: Array) -> Self:
-        """Take the row of a step if it is kept."""
-        number = self.number + kept
-        place = jnp.where(kept & (number >= first), number - first, len(self.table))
-        return type(self)(self.table.at[place].set(row, mode="drop"), number)
 
 
 def rewritten_step(program: StepProgram, template: MechatronicSystem) -> Callable:
