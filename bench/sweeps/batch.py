@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from itertools import islice
 from typing import Any
 
@@ -138,7 +138,8 @@ class Batch:
         program = kinds[0].pop()
         q, t = np.asarray(scenes[0].start().q), scenes[0].interval[0]
         # Why steps fail is told by the constraints at the first start: a map has thousands of them.
-        self._cause = cache(partial(program.cause, scene=scenes[0], rows={"q": [q], "t": [t]}))
+        about = program.functions, scenes[0], {"q": [q], "t": [t]}
+        self._cause = cache(lambda ending: ending.with_cause(*about))
         self._states_only, self._every_row = methods[0].states_only, every_row
         self._starts, without = consistent_starts(scenes)
         refused = {
