@@ -16,6 +16,7 @@ from problems.formulations import (
     event_values,
     linearised,
     ode_rate,
+    with_rates,
 )
 from problems.layouts import state_layout
 from problems.projections import projected_state
@@ -38,6 +39,8 @@ class Compiled(NamedTuple):
     ``linearised(p, q, v, x, t)``
         `formulations.with_rates` at one time, and the Jacobian of the ODE form by s = [q, v, x]
         ``(n, n)``, of scenes with more than `MOST_STATES` states ``(n, 0)``
+    ``starts(p, q, v, x, t)``
+        `formulations.with_rates` at k times, as ``complete`` below
     ``ode(p, t, s)``
         `formulations.ode_rate` of s = [q, v, x]
     ``rates(values, t, s)``
@@ -64,6 +67,7 @@ class Compiled(NamedTuple):
     """
 
     linearised: Callable[..., tuple[Start, Float[Array, "n n"]]]
+    starts: Callable[..., Start]
     ode: Callable[..., Float[Array, " n"]]
     rates: Callable[..., Float[Array, "k n"]]
     complete: Callable[..., tuple[Variables, Float[np.ndarray, "k nx"]]]
@@ -109,6 +113,7 @@ def _compiled(template: MechatronicSystem) -> Compiled:
 
     return Compiled(
         linearised=jax.jit(start, compiler_options=FEW_CALLS),
+        starts=_over_rows(lambda p, q, v, x, t: with_rates(at(p), q, v, x, t)),
         ode=jax.jit(lambda p, t, s: ode_rate(at(p), t, s)),
         rates=jax.jit(jax.vmap(rate, (None, 0, 0))),
         complete=_over_rows(lambda p, q, v, x, t: complete(at(p), q, v, x, t)),

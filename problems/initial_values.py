@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -11,9 +11,8 @@ import numpy as np
 
 from problems import checks, sparsity
 from problems.compiled import compiled
-from problems.constraints import constraint_velocity
-from problems.formulations import Start, with_rates
-from problems.runtime import Array, Float, jax, jnp
+from problems.formulations import Start
+from problems.runtime import Float, jax
 from problems.start_equations import least_start, sparse_start
 from problems.system import MechatronicSystem
 from problems.variables import State
@@ -190,12 +189,18 @@ def consistent_starts(scenes: Sequence[MechatronicSystem]) -> tuple[Start, dict[
     dict
         Indices of the scenes that have no consistent start, each with the reason.
     """
-    count = len(scenes)
+    count, functions = len(scenes), compiled(scenes[0])
     given = [(scene.parameters(), *scene.start()) for scene in scenes]
-    given += given[-1:] * ((1 << (count - 1).bit_length()) - count)  # few sizes are compiled
-    stacked = jax.tree.map(lambda *rows: np.array(rows, dtype=float), *given)
-    answer = _starts(scenes[0].template())(*stacked, scenes[0].interval[0])
-    start, violation = jax.tree.map(lambda part: np.array(part)[:count], answer)
+    p, q, v, x = jax.tree.map(lambda *rows: np.array(rows, dtype=float), *given)
+    t = np.full(count, float(scenes[0].interval[0]))
+    start = functions.starts(p, q, v, x, t)
+    violation = np.zeros(count)
+    if scenes[0].sizes.nl:
+        levels = functions.levels(p, q, v, np.zeros_like(v), t)
+        for residual, of in zip(levels, (q, v), strict=False):
+            scale = np.maximum(1.0, np.abs(of).max(axis=1))
+            largest = np.abs(residual).max(axis=1, initial=0.0)
+            violation = np.maximum(violation, largest / scale)
     numbers = np.column_stack([part.reshape(count, -1) for part in jax.tree.leaves(start)])
     # Another program rounds differently: scenes near the limit are computed alone, too.
     good = np.isfinite(numbers).all(axis=1) & (violation <= 0.5 * CONSISTENCY_TOLERANCE)
@@ -209,22 +214,3 @@ def consistent_starts(scenes: Sequence[MechatronicSystem]) -> tuple[Start, dict[
         for table, row in zip(jax.tree.leaves(start), jax.tree.leaves(alone), strict=True):
             table[k] = row
     return start, refused
-
-
-@cache
-def _starts(template: MechatronicSystem) -> Callable[..., tuple[Start, Array]]:
-    """Program of (parameters, q, v, x, t) of many scenes: starts, and the largest violation of the
-    constraints in units of q and v."""
-
-    def one(p: Mapping, q: Array, v: Array, x: Array, t: float) -> tuple[Start, Array]:
-        scene, now = template.with_parameters(p), jnp.asarray(t, dtype=float)
-        worst = jnp.asarray(0.0)
-        start = with_rates(scene, q, v, x, now)
-        if scene.sizes.nl:
-            position = scene.constraint(q, now) if scene.sizes.nh else jnp.zeros(0)
-            for residual, of in ((position, q), (constraint_velocity(scene, q, v, now), v)):
-                scale = jnp.maximum(1.0, jnp.max(jnp.abs(of)))
-                worst = jnp.maximum(worst, jnp.max(jnp.abs(residual), initial=0.0) / scale)
-        return start, worst
-
-    return jax.jit(jax.vmap(one, in_axes=(0, 0, 0, 0, None)))
