@@ -97,7 +97,7 @@ def order_(o: Given) -> None:
     else:
         scene = registry.problem(o.problem, **o.settings)
         suite = _on_scene(registry, scene, o.integrators, o.budget or BUDGET_S, **sizes)
-    outcome = run_suite(suite, registry, o.out, o.fresh, o.jobs, drawn=not o.markdown)
+    outcome = run_suite(suite, registry, o.out, o.fresh, o.jobs)
     from reports.pages.order_tables import markdown_order_tables
     from reports.text.order_table import stored_order_tables
 

@@ -11,7 +11,7 @@ import click
 
 from bench.commands import completion, options
 from bench.commands.options import Given
-from bench.commands.pages import GrowingPage, write_reports
+from bench.commands.pages import write_reports
 from bench.guard.interrupts import remark
 from bench.results.experiments import ExperimentResult
 from bench.results.records import INTERRUPTED, Record, counted, endings
@@ -72,12 +72,8 @@ def run_suite(
     fresh: bool = False,
     jobs: int = 2,
     cluster: str | None = None,
-    drawn: bool = True,
 ) -> Outcome:
-    """Measure what a folder lacks of a suite, with a progress bar, and store it.
-
-    A long run draws its page while it goes, if ``drawn``.
-    """
+    """Measure what a folder lacks of a suite, with a progress bar, and store it."""
     from bench.atlas.experiments import read_experiments
     from bench.atlas.runs import complete_experiments
     from bench.commands.terminal import RunProgress
@@ -91,18 +87,14 @@ def run_suite(
         RunProgress() as progress,
         runner_for(suite, jobs, progress, cluster) as runner,  # a cluster answers before it counts
         Store(out, create=True, fresh=fresh) as store,
-        GrowingPage(out, progress.note) as page,
     ):
-        if drawn:
-            progress.after_step = page.look
         remark("Finished runs are stored; the same command goes on.")
         for sentence in suite.lost:
             progress.note(sentence)
         measured = measure_suite(suite, store, registry, runner)
         complete_damping(suite, store, registry, runner)
-        with page.at_rest():
-            time_suite(suite, store, registry, runner)
-            runner.end_workers()
+        time_suite(suite, store, registry, runner)
+        runner.end_workers()
         stored = store.records()
         limits = suite.plan.budget_s, suite.memory_gib
         results = complete_experiments(experiments, added, store, registry, jobs, progress, *limits)
@@ -140,7 +132,8 @@ def run_(o: Given) -> None:
     """Run a suite and write its report.
 
     SUITE is the name of a built-in suite (below) or a TOML file. A run that was stopped goes on
-    where it stopped when the same command is given again.
+    where it stopped when the same command is given again. While it goes, `stepbench report` in
+    another terminal makes pages of what there is.
 
     \b
     Examples:

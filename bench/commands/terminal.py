@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any, TextIO
 
 from rich import table as rich_table
@@ -100,17 +100,11 @@ class RunProgress(progress.Progress):
     lines
         Whether, without a terminal, phases, the first result, and work that belongs to no phase
         and takes long are told in lines.
-
-    Attributes
-    ----------
-    after_step
-        Called after each step.
     """
 
     def __init__(self, lines: bool = True) -> None:
         super().__init__()
         self._lines = lines
-        self.after_step: Callable[[], None] = lambda: None
         self._console = _WideConsole(sys.stderr)
         self._bar = _Bar(
             SpinnerColumn(),
@@ -163,7 +157,6 @@ class RunProgress(progress.Progress):
             self._bar.advance(task.id)
             if task.finished or time.monotonic() - self._spoken > _LINE_EVERY_SECONDS:
                 self._say()
-        self.after_step()
 
     def found(self, text: str) -> None:
         """Show the last result below the bar; without a terminal, the first one as a line."""
