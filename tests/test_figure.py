@@ -177,7 +177,7 @@ def test_a_figure_is_as_wide_as_a_column_in_every_format(folder, tmp_path, stepb
 
 def test_figures_are_refused_in_one_sentence(folder, refused):
     for arguments, words in (
-        ("work_precison --scene pendulum", "did you mean 'work_precision'"),
+        ("work_precison --scene pendulum", "is not one of 'work_precision'"),
         ("convergence", "choose one with --scene: spring_mass, pendulum"),
         ("convergence --scene pendulm", "did you mean 'pendulum'"),
         ("convergence --scene pendulum --error x", "no error of 'x'; known: a, lam"),

@@ -43,9 +43,8 @@ _QUESTION = ("scene", "error", "cost", "component", "integrators", "t_end")
         "--json", "form", flag_value="json", help="Write them as a JSON array of flat rows."
     ),
     options.option(
-        "--figure", "kind", metavar="KIND", shell_complete=completion.choices(*_KINDS),
-        help="Write one figure for a paper, as wide as a column: work_precision, convergence, "
-        "trajectory or errors_over_time.",
+        "--figure", "kind", type=click.Choice(_KINDS),
+        help="Write one figure for a paper, as wide as a column.",
     ),
     options.option(
         "--scene", shell_complete=completion.scenes,

@@ -151,7 +151,7 @@ def solve_ensemble(o: Given) -> None:
     from bench.running.runner import Runner
     from bench.sweeps.ensemble import OUT_OF_TIME
     from bench.sweeps.jobs import EnsembleRequest
-    from bench.sweeps.members import check_file_name, json_texts, run_members, write_members
+    from bench.sweeps.members import check_file_name, run_members, write_members
     from problems.usage import cores
 
     scene, method = options.asked_for(o)
@@ -168,13 +168,13 @@ def solve_ensemble(o: Given) -> None:
     with RunProgress() as progress, make(limits, progress) as runner:
         found, fault = run_members(runner, request, scene.sources | method.sources)
     if o.as_json:
-        for text in json_texts(found):
-            click.echo(text, nl=False)
-        click.echo()
+        facts = ("problem", "integrator", "t_end", "work", "compile_s", "run_s")
+        counts = {"statuses": Counter(found.status), "summary": found.summary()}
+        options.print_json({name: getattr(found, name) for name in facts} | counts)
     else:
         show(*_shown(found, time.perf_counter() - began))
     if o.out:
-        write_members(o.out, found.tables())
+        write_members(o.out, found.columns())
         click.echo(f"{len(found.status)} members in {o.out}", err=o.as_json)
     if "ok" not in found.status:
         raise click.ClickException(f"No member succeeded. The first: {found.message[0]}")

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -21,8 +20,6 @@ from problems.system import MechatronicSystem
 WORK = "work_"
 #: Message of members that were not run.
 OUT_OF_TIME = "The ensemble's time was used up before; raise the budget."
-#: Members whose rows and texts are in memory together.
-_ROWS = 1024
 
 
 @dataclass(frozen=True)
@@ -60,32 +57,26 @@ class Ensemble:
     compile_s: float
     run_s: float
 
-    def columns(self, of: slice = slice(None)) -> dict[str, np.ndarray]:
-        """Return all as a table for pandas, or a slice of it."""
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return all as a table for pandas."""
+        texts = {"status": self.status, "message": self.message}
         return {
-            "member": self.member[of],
-            **{name: column[of] for name, column in self.vary.items()},
-            "status": np.array(self.status[of]),
-            "message": np.array(self.message[of]),
-            **{name: column[of] for name, column in self.values.items()},
+            "member": self.member,
+            **self.vary,
+            **{name: np.array(own, dtype=object) for name, own in texts.items()},
+            **self.values,
         }
-
-    def tables(self) -> Iterator[dict[str, np.ndarray]]:
-        """Yield the columns of some members after the other; texts of all would take much room."""
-        for k in range(0, len(self.status), _ROWS):
-            yield self.columns(slice(k, k + _ROWS))
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Return "min", "median" and "max" of each end value over the members that are ok."""
-        ok = np.array(self.status) == "ok"
+        ok, rules = (
+            np.array(self.status) == "ok",
+            {"min": np.min, "median": np.median, "max": np.max},
+        )
+        ends = [name for name in self.values if name != "t" and not name.startswith(WORK)]
         return {
-            name: {
-                "min": float((good := column[ok]).min()),
-                "median": float(np.median(good)),
-                "max": float(good.max()),
-            }
-            for name, column in self.values.items()
-            if name != "t" and not name.startswith(WORK) and ok.any()
+            name: {rule: float(of(self.values[name][ok])) for rule, of in rules.items()}
+            for name in (ends if ok.any() else ())
         }
 
     @property
@@ -105,31 +96,21 @@ class Ensemble:
 
 def joined(parts: Sequence[Ensemble]) -> Ensemble:
     """Return the members of several parts of an ensemble, one part after the other."""
+
+    def table(name: str) -> dict[str, np.ndarray]:
+        tables = [getattr(part, name) for part in parts]
+        return {key: np.concatenate([own[key] for own in tables]) for key in tables[0]}
+
     return replace(
         parts[0],
         member=np.concatenate([part.member for part in parts]),
-        vary=_joined([part.vary for part in parts]),
+        vary=table("vary"),
         status=[status for part in parts for status in part.status],
         message=[message for part in parts for message in part.message],
-        values=_joined([part.values for part in parts]),
+        values=table("values"),
         compile_s=sum(part.compile_s for part in parts),
         run_s=sum(part.run_s for part in parts),
     )
-
-
-def _joined(tables: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-
-
-def member_rows(columns: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
-    """Return a row per entry of the columns; None stands for what is not finite."""
-    lists = []
-    for column in columns.values():
-        values = column.astype(object)
-        if column.dtype.kind == "f":
-            values[~np.isfinite(column)] = None
-        lists.append(values.tolist())
-    return [dict(zip(columns, row, strict=True)) for row in zip(*lists, strict=True)]
 
 
 def ensemble(

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import io
 import itertools
-import json
 import os
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,13 +23,15 @@ from bench.plugins.registry import Sources
 from bench.results.csv_text import csv_export
 from bench.running.cluster import ClusterRunner
 from bench.running.runner import Runner, Task
-from bench.sweeps.ensemble import Ensemble, joined, member_rows
+from bench.sweeps.ensemble import Ensemble, joined
 from bench.sweeps.jobs import EnsembleRequest, members_job
 from problems.spec import SpecError
 from problems.whole_files import put
 
 #: Most members of a part, which come back, or are lost, together. A GPU needs many.
 _OF_PART, _OF_PART_GPU = 1024, 65536
+#: Members that are text together.
+_ROWS = 1024
 
 Columns = Mapping[str, np.ndarray]
 
@@ -112,52 +113,30 @@ def check_file_name(path: Path) -> None:
         )
 
 
-def write_members(path: Path, tables: Iterable[Columns]) -> None:
+def write_members(path: Path, columns: Columns) -> None:
     """Write all members, a flat row each, and put the file in place when it is whole."""
-    put(path, _parquet(tables) if path.suffix == ".parquet" else "".join(_csv_texts(tables)))
+    if path.suffix == ".parquet":
+        import pyarrow
+        from pyarrow import parquet
+
+        masks = {k: ~np.isfinite(c) for k, c in columns.items() if c.dtype.kind == "f"}
+        arrays = {k: pyarrow.array(c, mask=masks.get(k)) for k, c in columns.items()}
+        file = io.BytesIO()
+        parquet.write_table(pyarrow.table(arrays), file)
+        put(path, file.getvalue())
+        return
+    count = len(columns["member"])
+    slices = [slice(k, k + _ROWS) for k in range(0, count, _ROWS)]
+    texts = [csv_export(member_rows({k: c[of] for k, c in columns.items()})) for of in slices]
+    put(path, "".join([texts[0], *(text.partition("\n")[2] for text in texts[1:])]))
 
 
-def json_texts(found: Ensemble) -> Iterator[str]:
-    """Yield the pieces of an object of JSON with a summary, and the rows of all members."""
-    answer = {
-        "problem": found.problem,
-        "integrator": found.integrator,
-        "t_end": found.t_end,
-        "statuses": Counter(found.status),
-        "summary": found.summary(),
-        "compile_s": found.compile_s,
-        "run_s": found.run_s,
-    }
-    before = json.dumps(answer, indent=1, allow_nan=False)[:-2] + ',\n "members": [\n'
-    for table in found.tables():
-        yield before + json.dumps(member_rows(table), indent=1, allow_nan=False)[2:-2]
-        before = ",\n"
-    yield "\n]}"
-
-
-def _csv_texts(tables: Iterable[Columns]) -> Iterator[str]:
-    head = True
-    for table in tables:
-        text = csv_export(member_rows(table))
-        yield text if head else text.partition("\n")[2]
-        head = False
-
-
-def _parquet(tables: Iterable[Columns]) -> bytes:
-    import pyarrow
-    from pyarrow import parquet
-
-    file = io.BytesIO()
-    whole = pyarrow.concat_tables(
-        pyarrow.table(
-            {
-                name: pyarrow.array(
-                    column, mask=~np.isfinite(column) if column.dtype.kind == "f" else None
-                )
-                for name, column in table.items()
-            }
-        )
-        for table in tables
-    )
-    parquet.write_table(whole, file)
-    return file.getvalue()
+def member_rows(columns: Columns) -> list[dict[str, Any]]:
+    """Return a row per entry of the columns; None stands for what is not finite."""
+    lists = []
+    for column in columns.values():
+        values = column.astype(object)
+        if column.dtype.kind == "f":
+            values[~np.isfinite(column)] = None
+        lists.append(values.tolist())
+    return [dict(zip(columns, row, strict=True)) for row in zip(*lists, strict=True)]

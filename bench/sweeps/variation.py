@@ -23,8 +23,6 @@ _TIME = {"step": ["h"], "tolerance": ["rtol", "atol"]}
 _TOLERANCES = {"rtol": (1e-6, 1e-1), "atol": (1e-8, 1e-2)}
 #: A range whose ends differ by this factor is divided evenly in its logarithm.
 _LOGARITHMIC = 10.0
-#: Numbers that Philox's generator gives for each count.
-_OF_ONE_COUNT = 4
 _RANGE = re.compile(r"([^:]+):(.+)\.\.(.+)")
 
 
@@ -66,13 +64,10 @@ class Range:
         """Return values of a uniform random draw for ``count`` members from the ``first`` on.
 
         The number of a member decides its value, with the seed and the ``place`` of the quantity
-        among those that vary: a generator that counts (Salmon et al. 2011,
-        doi:10.1145/2063384.2063405) begins anywhere.
+        among those that vary.
         """
         key = np.random.SeedSequence(seed, spawn_key=(place,)).generate_state(2, np.uint64)
-        counted, before = divmod(first, _OF_ONE_COUNT)
-        generator = np.random.Generator(np.random.Philox(key=key, counter=counted))
-        part = generator.random(before + count)[before:]
+        part = np.random.Generator(np.random.Philox(key=key)).random(first + count)[first:]
         if not self.logarithmic:
             return self.low + (self.high - self.low) * part
         low, high = math.log(self.low), math.log(self.high)
