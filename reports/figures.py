@@ -9,12 +9,11 @@ from typing import Any
 
 from bench.results.quantities import COST, COSTS, GROUPS, error_note, group_and_norm
 from problems.spec import SpecError, one_of
-from reports.charts.error_panels import ACROSS
-from reports.charts.errors import error_charts
+from reports.charts.errors import ACROSS, error_charts
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import histories, trajectory_chart
 from reports.charts.paper_style import FORMATS, file_content, on_paper
-from reports.charts.vega_lite import ChartOptions, Spec
+from reports.charts.vega_lite import Spec
 from reports.formatting import words
 from reports.selection import Selection, group_and_place
 from reports.series import Series, ok_runs
@@ -119,8 +118,8 @@ def write_figure(kind: str, folder: Path, path: Path, **chosen: Any) -> Path:
 
 def _errors(chosen: Selection, series: Sequence[Series], error: str, across: str) -> Spec:
     group, norm = group_and_norm(error, {g for r in ok_runs(chosen.series) for g in r.errors})
-    options = ChartOptions(line_styles(s.label for s in series), norm)
-    chart = error_charts(series, [group], [across], options)
+    styles = line_styles(s.label for s in series)
+    chart = error_charts(series, [group], [across], styles, norm)
     if chart is None:
         raise SpecError(
             f"No chosen run on {chosen.name} has both an error of {group} ({norm}) and "

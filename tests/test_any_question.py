@@ -136,7 +136,7 @@ def profile_of(found, chosen):
 
 
 def test_the_table_of_the_page_and_python_agree(browser, folder):
-    report = read_report(folder, interactive=False)
+    report = read_report(folder)
     visit(browser, folder / "report.html")
     data = browser.execute_script("return stepbench.data")
     names = [m["label"] for m in data["methods"]]

@@ -8,12 +8,11 @@ import shutil
 import pytest
 from chromium import waited
 
-from bench.results.quantities import NORMS
 from bench.results.store import Store
 from reports.formatting import cost_text, number, times
 from reports.pages.html_report import write_html_report
 
-EXPLORER = "scene-2-1-work_precision"
+EXPLORER = "scene-2-1-convergence-max"
 
 
 @pytest.fixture(autouse=True)
@@ -57,52 +56,22 @@ def chart(browser, name):
     )
 
 
-def shown(browser, name):
-    """The points of a chart: (integrator, residual evaluations, error)."""
-    points = browser.execute_script(
-        """
-        const found = [];
-        for (const path of document.querySelectorAll("#" + arguments[0] + " path")) {
-          const d = path.__data__ && path.__data__.datum;
-          if (d && d.error && path.__data__.mark.marktype === "symbol")
-            found.push([d.series, d.residuals, d.error]);
-        }
-        return found;
-        """,
-        name,
-    )
-    return set(map(tuple, points))
-
-
-#: Takes each of the buttons of a chart.
-CHOOSE_ALL = """
-const [name, done] = arguments;
-(async () => {
-  const place = document.getElementById(name);
-  for (const button of place.querySelectorAll("input[type=radio]")) {
-    button.click();
-    await place.view.runAsync();
-  }
-  return "done";
-})().then(done, (error) => done(String(error)));
-"""
-
-
-def test_the_buttons_show_the_errors_of_the_store_in_every_norm(browser, site):
+def test_a_chart_shows_the_errors_of_the_store(browser, site):
+    points = """
+        return [...arguments[0].querySelectorAll("path")].map((path) => path.__data__)
+          .filter((item) => item?.mark?.marktype === "symbol" && item.datum?.run)
+          .flatMap(({ datum }) => ["q", "v", "a", "lam"].map(
+            (group) => [datum.series, group, datum.h, datum[`${group}_max`]]));
+    """
     place = chart(browser, EXPLORER)
     with Store(site) as store:
         records = [r for r in store.records().values() if r.problem == "pendulum"]
-    for button in place.find_elements("css selector", "input[type=radio]"):
-        browser.execute_script("arguments[0].click()", button)
-        norm = button.get_attribute("value")
-        expected = {
-            (r.integrator, float(r.work["residuals"]), float(f"{r.errors[group][norm]:.5g}"))
-            for r in records
-            if r.status == "ok"
-            for group in "qa"
-        }
-        waited(lambda wanted=expected: shown(browser, EXPLORER) == wanted)
-    assert norm == [*NORMS][-1]
+    assert {tuple(point) for point in browser.execute_script(points, place)} == {
+        (r.integrator, group, r.h, float(f"{errors['max']:.5g}"))
+        for r in records
+        if r.status == "ok" and r.controls == "step"
+        for group, errors in r.errors.items()
+    }
 
 
 def test_a_point_tells_its_numbers(browser, site):
@@ -153,7 +122,7 @@ def test_the_data_of_a_chart_can_be_taken_along(browser, site):
     rows = list(csv.DictReader(file.open()))
     with Store(site) as store:
         records = [r for r in store.records().values() if r.problem == "pendulum"]
-    good = [r for r in records if r.status == "ok"]
+    good = [r for r in records if r.status == "ok" and r.controls == "step"]
     assert len(rows) == len(good)
     assert {row["series"] for row in rows} == {r.integrator for r in good}
     assert {float(row["a_max"]) for row in rows} == {
@@ -174,9 +143,6 @@ def test_nothing_is_asked_of_the_network_and_nothing_is_complained_of(browser, s
         )
         for name in names:
             chart(browser, name)
-        assert [entry["message"] for entry in browser.get_log("browser")] == []
-        for name in names:
-            assert browser.execute_async_script(CHOOSE_ALL, name) == "done"
         assert [entry["message"] for entry in browser.get_log("browser")] == []
         width = browser.execute_script("return document.documentElement.scrollWidth - innerWidth")
         assert width <= 0, page.name

@@ -2,27 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import math
 
 import pandas as pd
 import pytest
-from planted import curves, everything, plant, planted
+from planted import plant, planted
 
 from bench.results.csv_text import csv_export, csv_text
 from bench.results.published import Digits
-from reports.charts.errors import (
-    acceleration_accuracy,
-    convergence_chart,
-    error_against_cost,
-    work_precision_chart,
-)
-from reports.charts.line_styles import line_styles
-from reports.charts.over_time import histories, trajectory_chart
-from reports.questions.question import FIRST
-from reports.series import series_of
 
 
 @pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@a", "\tx", "\rx", "=cmd|' /C calc'!A0"])
@@ -86,31 +75,3 @@ def test_the_export_has_lists_and_names(stepbench, tmp_path):
     assert frame.run_s[0] == "3e-05 3.03e-05 3.06e-05"
     assert frame.error_q_components_max[0] == "0.142857143 nan"
     assert frame.environment[0] == row["environment"]
-
-
-@pytest.mark.parametrize("interactive", [False, True])
-def test_no_chart_has_a_number_in_the_place_of_a_name(tmp_path, interactive):
-    runs = [r for r in everything() if r.status == "ok" and r.problem == "pendulum"]
-    for run in runs:
-        run.run_s = [1e-3]
-    series = series_of(runs)
-    labels = {s.label for s in series}
-    styles = line_styles(r.integrator for r in runs)
-    rows = [(label, curves(1.0, {"q": 2})) for label in sorted(labels)]
-    rows[0][1].notes["h"] = [0.01 * k for k in range(61)]
-    charts = [
-        work_precision_chart(series, ["q", "a"], styles, interactive),
-        convergence_chart(series, ["q", "a"], styles, interactive=interactive),
-        acceleration_accuracy(series, styles, interactive=interactive),
-        error_against_cost({"pendulum": series}, styles, FIRST),
-        trajectory_chart(rows, curves(1.0, {"q": 2}), ["q"], styles, interactive=interactive),
-        histories(rows, styles, interactive),
-    ]
-    for chart in charts:
-        assert chart is not None
-        for name, text in chart["datasets"].items():
-            table = list(csv.DictReader(io.StringIO(text)))
-            if name == "floors":
-                continue
-            assert {row["series"] for row in table} <= labels | {"reference"}
-            assert not {"s", "style"} & set(table[0])

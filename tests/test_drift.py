@@ -233,7 +233,7 @@ def test_gain_and_loss_are_on_both_sides_of_zero():
     (said,) = drift_sentences([a_run("newmark", energy=COURSES["growing swing"][0])])
     assert said == "The energy drifts otherwise with Newmark (from -0.0989 to 0.0958)."
     assert {row[3] for row in drift_table([gains, loses]).rows} == {"0.1", "-0.1"}
-    chart = drift_chart([gains, loses], interactive=False)
+    chart = drift_chart([gains, loses])
     rows = csv.DictReader(io.StringIO(chart["datasets"]["long_runs"]))
     ends = {(row["series"], float(row[name]) >= 0) for row in rows if float(row["t"]) > 1
             for name in ("energy", "energy_low")}  # fmt: skip
@@ -258,7 +258,7 @@ def plant_long_runs(folder):
 
 def test_long_runs_have_a_page_that_the_side_links(tmp_path):
     plant_long_runs(tmp_path)
-    report = read_report(tmp_path, interactive=True)
+    report = read_report(tmp_path)
     site = Site(report, tmp_path)
     linked = [link.address for _, below in site.contents("report.html") for link in below]
     assert linked.count("report/drift.html") == 1

@@ -112,7 +112,7 @@ def test_page_markdown_and_terminal_take_the_same_cost_first(folders, name):
     folder, cost = folders[name], COSTS[name]
     winner, other = ("swift", "lean") if cost == "seconds" else ("lean", "swift")
     least = {"seconds": "Least time", "operations": "Fewest operations"}
-    report = read_report(folder, interactive=False)
+    report = read_report(folder)
     found = report.answer
     assert found.question == stored_runs(folder).first == Question("a", 1e-4, cost)
     beside = "operations" if cost == "seconds" else "seconds"

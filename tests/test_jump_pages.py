@@ -129,6 +129,6 @@ def test_a_report_without_jumps_has_no_chapter_on_them(tmp_path):
     from bench.results.store import Store
 
     with Store(plant(tmp_path / "plain", everything())) as store:
-        report = Report(store, interactive=True)
+        report = Report(store)
     assert report.chapters == []
     assert all(chapter.events is None for chapter in report.scenes)

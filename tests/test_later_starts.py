@@ -14,7 +14,6 @@ from problems.reference import Reference
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.soft_impact import SoftImpact
 from problems.variables import State
-from reports.charts.error_panels import run_rows
 from reports.questions.question import FIRST
 from reports.ranking import answers
 from reports.series import series_of
@@ -99,9 +98,3 @@ def test_a_winner_that_changes_with_the_start_is_a_tie():
     assert firsts(one("cheap", 9e-5, 100.0, [8e-5, None]), dear) == ["cheap", "dear"]
     # A run that was not repeated has its own errors there.
     assert firsts(one("cheap", 9e-5, 100.0, []), dear) == ["cheap"]
-
-
-def test_charts_have_a_bar_over_the_errors():
-    series = series_of([one("cheap", 9e-5, 100.0, [8e-5, None, 3e-4])])
-    (row,) = run_rows(series, ["a"], [NORM], ["operations"])
-    assert (row["a_low"], row["a_high"]) == (8e-5, 3e-4)

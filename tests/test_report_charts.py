@@ -11,33 +11,51 @@ from xml.etree import ElementTree
 import altair
 import pytest
 import vl_convert
-from planted import STEPS, everything, planted
+from planted import STEPS, curves, everything, plant, planted
 
-from bench.results.quantities import NORMS
-from reports.charts.errors import (
-    acceleration_accuracy,
-    convergence_chart,
-    error_against_cost,
-    work_precision_chart,
-)
+from bench.results.quantities import COSTS
+from bench.results.records import Rows
+from bench.results.store import Store
+from reports.charts.errors import convergence_chart, error_against_cost, error_charts
 from reports.charts.line_styles import line_styles
+from reports.charts.over_time import ERRORS, MOST_ROWS, histories, thinned, trajectory_chart
+from reports.pages.report import read_report
 from reports.questions.question import Question
 from reports.series import series_of
 
 
-@pytest.mark.long
-def test_charts_are_valid_and_join_their_panels_in_one_legend() -> None:
+def table(chart, name):
+    return list(csv.DictReader(io.StringIO(chart["datasets"][name])))
+
+
+def near(value):
+    """The number that a chart has for it."""
+    return float(f"{value:.5g}")
+
+
+@pytest.fixture
+def series():
     records = [r for r in everything() if r.problem == "pendulum"]
-    for record in records:
-        record.run_s = [1e-3, 2e-3]
-    series = series_of(records)
-    styles = line_styles(s.label for s in series)
-    by_step = convergence_chart(series, ["q", "v", "a", "lam"], styles, interactive=True)
+    for i, record in enumerate(records):
+        record.run_s = [1e-3 * (i + 1), 2e-3 * (i + 1), 4e-3 * (i + 1)]
+    return series_of(records)
+
+
+@pytest.fixture
+def styles(series):
+    return line_styles(s.label for s in series)
+
+
+# ---- errors ------------------------------------------------------------------------------
+@pytest.mark.long
+def test_charts_are_valid_and_join_their_panels_in_one_legend(series, styles):
+    by_step = convergence_chart(series, ["q", "v", "a", "lam"], styles)
     assert len(by_step["concat"]) == 4
+    costs = ["seconds", "residuals"]
     for chart in (
         by_step,
-        work_precision_chart(series, ["q", "a"], styles, interactive=True),
-        acceleration_accuracy(series, styles, interactive=True),
+        error_charts(series, ["q", "a"], costs, styles),
+        error_charts(series, ["a"], ["q"], styles),
     ):
         altair.Chart.from_dict(chart, validate=True)
         vega = json.dumps(vl_convert.vegalite_to_vega(chart))
@@ -45,21 +63,68 @@ def test_charts_are_valid_and_join_their_panels_in_one_legend() -> None:
         assert vega.count('"name": "series_legend_symbols"') == 1
 
 
-def test_the_legend_of_a_convergence_chart_names_the_fitted_orders() -> None:
+def test_errors_against_costs_and_each_other_are_those_of_the_records(series, styles):
+    groups, runs = ["q", "a", "lam"], [(s, r) for s in series for r in s.ok]
+    for norm in ("max", "end"):
+        chart = error_charts(series, groups, ["seconds", "residuals", "q"], styles, norm)
+        shown = {
+            (
+                row["series"],
+                row["run"],
+                near(float(row["seconds"])),
+                int(row["residuals"]),
+                *(float(row[f"{g}_{norm}"]) for g in groups),
+            )
+            for row in table(chart, "runs")
+        }
+        assert shown == {
+            (
+                s.label,
+                r.resolution,
+                near(r.seconds),
+                r.work["residuals"],
+                *(near(r.errors[g][norm]) for g in groups),
+            )
+            for s, r in runs
+        }
+        axes = [[p["layer"][-1]["encoding"][c] for c in "xy"] for p in chart["concat"]]
+        assert [(x["field"], y["field"]) for x, y in axes] == [
+            (x, f"{y}_{norm}") for x in ("seconds", "residuals", f"q_{norm}") for y in groups
+        ]
+        assert axes[0][0]["title"] == COSTS["seconds"].title
+        assert axes[1][1]["title"] == "relative error in acceleration a" + (
+            "" if norm == "max" else ", at the end"
+        )
+    assert error_charts([], ["a"], ["q"], styles) is None
+
+
+def test_a_reference_that_is_near_is_drawn_as_a_floor(series, styles):
+    def floors():
+        (panel,) = error_charts(series, ["q"], ["seconds"], styles)["concat"]
+        return [layer["data"]["values"] for layer in panel["layer"] if "data" in layer]
+
+    assert floors() == []  # 1e-15, far below
+    for record in series[0].records:
+        record.reference_error["q"]["max"] = 1e-4
+    assert floors() == [[{"floor": 1e-4}]]
+
+
+def test_the_legend_names_the_fitted_orders_by_short_names():
+    label = "generalized_alpha[rho_inf=0.8]"
     steps = [2.0**-k for k in range(3, 8)]
-    records = [planted("pendulum", "m", {"q": (1.0, 2.0), "lam": (1.0, 1.0)}, h=h) for h in steps]
+    records = [planted("pendulum", label, {"q": (1.0, 2.0), "lam": (1.0, 1.0)}, h=h) for h in steps]
     records += [planted("pendulum", "n", {"q": (1.0, 2.0), "lam": (1.0, 0.0)}, h=h) for h in steps]
     records += [planted("pendulum", "two", {"q": (1.0, 2.0)}, h=h) for h in steps[:2]]
     series = series_of(records)
-    styles = line_styles(s.label for s in series)
-    svg = vl_convert.vegalite_to_svg(convergence_chart(series, ["q", "lam"], styles))
+    chart = convergence_chart(series, ["q", "lam"], line_styles(s.label for s in series))
+    svg = vl_convert.vegalite_to_svg(chart)
     text = [element.text for element in ElementTree.fromstring(svg).iter() if element.text]
-    assert "m: order q 2.00, lam 1.00" in text
-    assert "n: order q 2.00, lam 0.00" in text
+    assert {"gα 0.8: order q 2.00, lam 1.00", "n: order q 2.00, lam 0.00"} <= set(text)
     assert "two: order not determined" in text
+    assert {row["series"] for row in table(chart, "runs")} == {label, "n", "two"}
 
 
-def test_error_against_cost_has_a_panel_for_each_scene_with_several_integrators() -> None:
+def test_error_against_cost_has_a_panel_for_each_scene_with_several_integrators():
     records = everything()
     records.append(planted("alone", "good[rho_inf=0.8]", {"a": (1.0, 2.0)}, h=0.1))
     scenes: dict[str, list] = {}
@@ -72,17 +137,17 @@ def test_error_against_cost_has_a_panel_for_each_scene_with_several_integrators(
     titles = [panel["title"]["text"] for panel in chart["concat"]]
     assert titles == ["spring mass", "pendulum"]
     for name in ("spring_mass", "pendulum"):
-        rows = csv.DictReader(io.StringIO(chart["datasets"][f"runs on {name}"]))
+        rows = table(chart, f"runs on {name}")
         shown = {(r["series"], float(r["residuals"]), float(r["a_end"])) for r in rows}
         ok = [r for r in scenes[name] if r.status == "ok" and "a" in r.errors]
         assert shown == {
-            (r.integrator, r.work["residuals"], float(f"{r.errors['a']['end']:.5g}")) for r in ok
+            (r.integrator, r.work["residuals"], near(r.errors["a"]["end"])) for r in ok
         }
     assert "<svg" in vl_convert.vegalite_to_svg(chart)
     assert error_against_cost({"alone": series["alone"]}, styles, Question("a", 1, "steps")) is None
 
 
-def guides(chart: dict) -> dict[str, list[tuple[str, float]]]:
+def guides(chart):
     """Name and slope of the guides to the eye of each panel."""
     return {
         panel["layer"][-1]["encoding"]["y"]["field"].partition("_")[0]: [
@@ -95,33 +160,91 @@ def guides(chart: dict) -> dict[str, list[tuple[str, float]]]:
     }
 
 
-def test_guides_to_the_eye_have_the_slope_of_the_whole_orders_found() -> None:
-    records = [r for r in everything() if r.problem == "pendulum"]
-    series = series_of(records)
-    styles = line_styles(s.label for s in series)
+def test_guides_to_the_eye_have_the_slope_of_the_whole_orders_found(series, styles):
     for norm, order in (("end", 2), ("max", 1)):
         found = guides(convergence_chart(series, ["q", "lam"], styles, norm))
         assert found["q"] == [("order 2", pytest.approx(2, abs=1e-3))]
         assert found["lam"] == [(f"order {order}", pytest.approx(order, abs=1e-3))]
     odd = [planted("pendulum", "odd", {"q": (1.0, 1.5)}, h=h) for h in STEPS]
-    styles = line_styles(["odd"])
-    assert guides(convergence_chart(series_of(odd), ["q"], styles)) == {"q": []}
+    assert guides(convergence_chart(series_of(odd), ["q"], line_styles(["odd"]))) == {"q": []}
 
 
-def test_a_norm_without_errors_is_not_the_first_one_shown() -> None:
-    records = [planted("pendulum", "m", {"q": (1.0, 2), "lam": (1.0, 2)}, h=h) for h in STEPS]
-    for record in records:
-        record.errors["lam"]["end"] = 0.0
-        record.errors["q"]["rms"] = record.h**1.5  # an order that is nearly none
-    series, styles = series_of(records), line_styles(["m"])
-    chart = convergence_chart(series, ["q", "lam"], styles, "end", interactive=True)
-    (choice,) = chart["params"]
-    assert (choice["value"], choice["bind"]["options"]) == ("max", list(NORMS))
-    # Layers hold something in every norm in which there are errors, so that no scale is empty.
-    for panel, norms in zip(chart["concat"], (set(NORMS), {"max", "rms", "settled"}), strict=True):
-        rows = [row for layer in panel["layer"][:2] for row in layer["data"]["values"]]
-        assert {row["norm"] for row in rows} == norms
-        unnamed = [row for row in rows if not row["name"]]
-        assert all((row["h"], row["error"]) == (row["h2"], row["error2"]) for row in unnamed)
-    picture = convergence_chart(series, ["q", "lam"], styles, "end")
-    assert [*guides(picture)] == ["q"]
+# ---- over time ---------------------------------------------------------------------------
+def test_only_what_varies_is_drawn_over_time_errors_logarithmically(styles):
+    label, rows = next(iter(styles)), curves(1.0, {"q": 1})
+    count = len(rows.t)
+    rows.notes = {
+        "h": [None, *(1e-3 * (1 + k % 3) for k in range(1, count))],
+        "gamma": [None, *[0.6] * (count - 1)],
+        "position": [0.0, *(1e-12 * k for k in range(1, count))],
+        "error_a": [0.0, *(10.0**-k for k in range(count - 1))],
+    }
+    chart = histories([(label, rows)], styles)
+    axes = [panel["layer"][0]["encoding"]["y"] for panel in chart["concat"]]
+    assert [axis["field"] for axis in axes] == ["error_a", "h", "position"]
+    assert axes[0]["title"] == "error in acceleration a"
+    assert {axis["scale"]["type"] for axis in axes} == {"log"}
+    shown = table(chart, "histories")
+    assert shown[0]["h"] == ""  # no step led to the start
+    assert [float(row["h"]) for row in shown[1:]] == pytest.approx(rows.notes["h"][1:])
+    assert float(shown[8]["error_a"]) == 1e-7
+    assert histories([(label, curves(1.0, {"q": 1}))], styles, tuple(ERRORS)) is None
+
+
+def test_a_scene_s_page_shows_errors_over_time_where_they_are_stored(tmp_path):
+    def over_time(name):
+        (chapter,) = [c for c in read_report(folder).scenes if c.name == name]
+        figures = [f for study in chapter.studies for f in study.figures if f.topic == "time"]
+        return [name for figure in figures for name in figure.charts]
+
+    folder = plant(tmp_path, everything())
+    assert over_time("pendulum") == ["scene-2-1-trajectory"]
+    with Store(folder, create=True) as store:
+        for key, record in store.records().items():
+            if rows := store.rows(key) if record.problem == "pendulum" else None:
+                rows.notes = {"error_q": [1e-3 * (1 + k) for k in range(len(rows.t))]}
+                store.save(record, rows)
+    assert over_time("pendulum")[0] == "scene-2-1-errors"
+    assert over_time("spring_mass") == ["scene-1-1-trajectory"]
+
+
+def test_a_study_chooses_what_is_drawn_over_time_or_over_another_component(styles):
+    label, rows = next(iter(styles)), curves(1.0, {"q": 5, "x": 2})
+    chosen = [("q", 4), ("x", 0), ("q", 1, "q", 0)]
+    chart = trajectory_chart([(label, rows)], rows, ["q", "x"], styles, components=chosen)
+    for panel, (x, y) in zip(
+        chart["concat"], (("t", "q4"), ("t", "x0"), ("q0", "q1")), strict=True
+    ):
+        for layer in panel["layer"]:  # the reference and the run
+            assert [layer["encoding"][c]["field"] for c in ("x", "y", "order")] == [x, y, "t"]
+    assert chart["concat"][2]["layer"][1]["encoding"]["x"]["title"] == "q[1]"
+    first = table(chart, "runs")[0]
+    assert float(first["q4"]) == pytest.approx(rows.values["q"][0][4], rel=1e-4)
+    assert "q2" not in first
+
+
+def test_a_chart_shows_few_rows_and_the_last_among_them():
+    count = 3 * MOST_ROWS + 1
+    t = [float(k) for k in range(count)]
+    shown = thinned(Rows(t=t, values={"q": [[2 * x] for x in t]}, notes={"h": t}))
+    assert len(shown.t) <= MOST_ROWS + 1
+    assert (shown.t[0], shown.t[-1]) == (0.0, t[-1])
+    assert shown.values["q"] == [[2 * x] for x in shown.t]
+    assert shown.notes["h"] == shown.t
+    few = Rows(t=t[:5], values={"q": [[0.0]] * 5})
+    assert thinned(few) == few
+    assert thinned(Rows(t=[])) == Rows(t=[])
+
+
+def test_no_chart_has_a_number_in_the_place_of_a_name(series, styles):
+    rows = [(label, curves(1.0, {"q": 2})) for label in styles]
+    rows[0][1].notes["h"] = [0.01 * k for k in range(61)]
+    for chart in (
+        error_charts(series, ["q", "a"], ["seconds", "residuals", "q"], styles),
+        convergence_chart(series, ["q", "a"], styles),
+        error_against_cost({"pendulum": series}, styles, Question("a", 1e-4, "operations")),
+        trajectory_chart(rows, curves(1.0, {"q": 2}), ["q"], styles),
+        histories(rows, styles),
+    ):
+        for name in chart["datasets"]:
+            assert {row["series"] for row in table(chart, name)} <= {*styles, "reference"}

@@ -45,7 +45,7 @@ def test_runs_that_are_not_supported_are_no_failures():
 def test_a_report_tells_unsupported_runs_apart_from_failures(tmp_path):
     runs = [ended("ok"), ended("unsupported", integrator="shy")]
     runs += [ended("diverged", integrator="wild"), ended("diverged", 0.05, integrator="wild")]
-    report = read_report(plant(tmp_path / "store", runs), interactive=False)
+    report = read_report(plant(tmp_path / "store", runs))
     assert "1 ok, 1 not supported, 2 failed with a reason." in report.stored.state
     (study,) = report.scenes[0].studies
     assert "1 of 4 runs are not supported by their method." in study.state
@@ -83,7 +83,7 @@ def test_a_part_of_a_suite_is_titled_by_what_was_run(tmp_path):
     folder = plant(tmp_path / "store", runs, plan=False)
     with Store(folder, create=True) as store:
         store.keep(part)
-    report = read_report(folder, interactive=False)
+    report = read_report(folder)
     assert report.title == "quick: 1 scene, 2 integrators"
     assert "3 ok, 0 failed with a reason" in report.stored.state
 

@@ -31,12 +31,9 @@ def cost_heat_map(found: Answer, styles: Mapping[str, LineStyle]) -> vl.Spec | N
     ]
     if len({row["series"] for row in rows}) < 2:
         return None
-    data = vl.Dataset("ranking", rows)
-    axis = {"labelLimit": 420, "labelExpr": vl.short_label(styles)}
-    place = {
-        "x": vl.category("scene", title=None, sort=list(found.scenes), axis={"labelAngle": -35}),
-        "y": vl.category("series", title=None, sort=list(styles), axis=axis),
-    }
+    axis = {"labelLimit": 420, "labelExpr": vl.names_of(styles)}
+    x = vl.category("scene", title=None, sort=list(found.scenes), axis={"labelAngle": -35})
+    y = vl.category("series", title=None, sort=list(styles), axis=axis)
     shade = {
         "type": "log",
         "domain": [1, _FAR],
@@ -50,23 +47,22 @@ def cost_heat_map(found: Answer, styles: Mapping[str, LineStyle]) -> vl.Spec | N
         **vl.quantity("ratio", scale=shade, legend=legend),
     }
     ink = {"condition": {"test": "!isValid(datum.ratio)", "value": vl.GREY}, "value": "#fff"}
-    chart: vl.Spec = {
+    return _grid(vl.Dataset("ranking", rows), {"x": x, "y": y}, color, ink, 58)
+
+
+def _grid(data: vl.Dataset, place: vl.Spec, color: vl.Spec, ink: vl.Spec, width: int) -> vl.Spec:
+    """A coloured cell with its text for each row."""
+    box = {"mark": {"type": "rect", "stroke": "#80808060"}, "encoding": place | {"color": color}}
+    written = place | {"text": vl.category("text"), "color": ink}
+    text = {"mark": {"type": "text", "fontSize": 11}, "encoding": written}
+    return {
         "datasets": vl.datasets([data]),
         "data": data.source,
-        "layer": [
-            {
-                "mark": {"type": "rect", "stroke": "#80808060"},
-                "encoding": place | {"color": color},
-            },
-            {
-                "mark": {"type": "text", "fontSize": 11},
-                "encoding": place | {"text": vl.category("text"), "color": ink},
-            },
-        ],
-        "width": {"step": 58},
+        "layer": [box, text],
+        "width": {"step": width},
         "height": {"step": 22},
+        "config": vl.config(),
     }
-    return chart | {"config": vl.config()}
 
 
 def performance_profile(found: Answer, styles: Mapping[str, LineStyle]) -> vl.Spec | None:
@@ -87,7 +83,7 @@ def performance_profile(found: Answer, styles: Mapping[str, LineStyle]) -> vl.Sp
             rows.append({"series": label, "tau": vl.short(tau), "part": vl.short(part)})
     if not rows:
         return None
-    options = vl.ChartOptions({label: styles[label] for label in drawn})
+    lines = vl.Lines({label: styles[label] for label in drawn})
     data = vl.Dataset("profile", rows)
     scale = {"type": "log", "domain": [1, _FAR]}
     layer: vl.Spec = {
@@ -96,9 +92,8 @@ def performance_profile(found: Answer, styles: Mapping[str, LineStyle]) -> vl.Sp
         "encoding": {
             "x": vl.quantity("tau", title="times the best cost", scale=scale),
             "y": vl.quantity("part", title="part of the scenes", scale={"domain": [0, 1]}),
-            "color": options.colors(),
-            "strokeDash": options.dashes(),
-            "opacity": options.opacity(),
+            "color": lines.colors(),
+            "strokeDash": lines.dashes(),
             "order": vl.quantity("tau"),
         },
     }
@@ -146,22 +141,12 @@ def method_strip(
         state, text = _LOOKS["wrong"][0], f"{len(wrong)} of {len(s.records)}"
         cell = {"scene": scene_name(scene), "target": "wrong", "state": state, "text": text}
         rows += [cell] if wrong else []
-    data = vl.Dataset("strip", rows)
-    used = {row["state"]: None for row in rows}
+    used = {row["state"] for row in rows}
     looks = [look for look in _LOOKS.values() if look[0] in used]
     scale = dict(zip(("domain", "range"), map(list, zip(*looks, strict=True)), strict=True))
     order = [*(answer.question.accuracy for answer in found), "wrong"]
-    place = {
-        "x": vl.category("target", title=None, sort=order, axis={"labelAngle": 0, "orient": "top"}),
-        "y": vl.category("scene", title=None, sort=[*map(scene_name, series)]),
-    }
+    x = vl.category("target", title=None, sort=order, axis={"labelAngle": 0, "orient": "top"})
+    y = vl.category("scene", title=None, sort=[*map(scene_name, series)])
     color = vl.category("state", scale=scale, legend={"title": None})
-    box = {"mark": {"type": "rect", "stroke": "#80808060"}, "encoding": place | {"color": color}}
     ink = {"condition": {"test": "datum.target === 'wrong'", "value": "#fff"}, "value": "#1b2430"}
-    text = {
-        "transform": [{"filter": "datum.text"}],
-        "mark": {"type": "text", "fontSize": 11},
-        "encoding": place | {"text": vl.category("text"), "color": ink},
-    }
-    chart: vl.Spec = {"datasets": vl.datasets([data]), "data": data.source, "layer": [box, text]}
-    return chart | {"width": {"step": 50}, "height": {"step": 22}, "config": vl.config()}
+    return _grid(vl.Dataset("strip", rows), {"x": x, "y": y}, color, ink, 50)

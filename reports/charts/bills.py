@@ -27,38 +27,26 @@ def bills(series: Sequence[Series], styles: Mapping[str, LineStyle]) -> vl.Spec 
         runs = [(s, s.finest) for s in series if s.finest.cost("operations")]
     if not runs:
         return None
-    bars: list[str] = []
     rows: list[dict[str, Any]] = []
     for s, r in runs:
         total = r.cost("operations") or 0.0
-        bars.append(f"{styles[s.label].name}, {r.resolution.split(',')[0]}: {number(total)}")
+        bar = f"{styles[s.label].name}, {r.resolution.split(',')[0]}: {number(total)}"
         for order, part in enumerate(PARTS):
-            count = r.operations.get(part)
-            if count:
-                percent = vl.short(100 * count / total)
-                row = {
-                    "line": bars[-1],
-                    "series": s.label,
-                    "text": part,
-                    "percent": percent,
-                    "order": order,
-                }
+            if count := r.operations.get(part):
+                row = {"line": bar, "series": s.label, "text": part}
+                row |= {"percent": vl.short(100 * count / total), "order": order}
                 rows.append(row | {"count": vl.short(count)})
-    data = vl.Dataset("bills", rows)
+    data, bars = vl.Dataset("bills", rows), list(dict.fromkeys(row["line"] for row in rows))
     legend = {"title": None, "orient": "top", "direction": "horizontal", "columns": len(PARTS)}
+    scale = {"domain": list(PARTS), "range": list(_COLORS)}
+    title = "part of the floating-point operations in %"
     panel = {
         "data": data.source,
         "mark": {"type": "bar"},
         "encoding": {
             "y": vl.category("line", title=None, sort=bars, axis={"labelLimit": 420}),
-            "x": vl.quantity(
-                "percent",
-                title="part of the floating-point operations in %",
-                scale={"domain": [0, 100]},
-            ),
-            "color": vl.category(
-                "text", scale={"domain": list(PARTS), "range": list(_COLORS)}, legend=legend
-            ),
+            "x": vl.quantity("percent", title=title, scale={"domain": [0, 100]}),
+            "color": vl.category("text", scale=scale, legend=legend),
             "order": vl.quantity("order"),
             "tooltip": [
                 vl.category("series", title="integrator"),

@@ -14,11 +14,11 @@ from reports.series import label_of
 #: A kind of scene is drawn from this many sizes on.
 _LEAST = 3
 #: Fields and titles of the panels.
-_PANELS = (
-    ("per_second", "seconds per simulated second"),
-    ("per_step", "seconds per step"),
-    ("per_unknown", "seconds per step and unknown"),
-)
+_PANELS = {
+    "per_second": "seconds per simulated second",
+    "per_step": "seconds per step",
+    "per_unknown": "seconds per step and unknown",
+}
 
 
 def size_charts(
@@ -26,20 +26,10 @@ def size_charts(
     scenes: Mapping[tuple[str, float], SceneRecord],
     styles: Mapping[str, LineStyle],
 ) -> dict[str, vl.Spec]:
-    """A chart for every kind of scene with runs in several sizes, by the name of the kind."""
-    made = {}
-    for kind, rows in _rows(records, scenes).items():
-        if len({row["unknowns"] for row in rows}) >= _LEAST:
-            chart = _chart(kind, rows, styles)
-            if chart:
-                made[kind] = chart
-    return made
+    """A chart for every kind of scene with runs in several sizes, by the name of the kind.
 
-
-def _rows(
-    records: Iterable[Record], scenes: Mapping[tuple[str, float], SceneRecord]
-) -> dict[str, list[dict[str, Any]]]:
-    """The run with the most steps of every method and size, by kind of scene."""
+    Of every method and size it has the run with the most steps.
+    """
     best: dict[tuple[str, int, str], Record] = {}
     for record in records:
         scene, steps = scenes.get((record.problem, record.t_end)), record.work.get("steps")
@@ -51,43 +41,35 @@ def _rows(
     rows = defaultdict(list)
     for (kind, unknowns, label), record in sorted(best.items(), key=lambda item: item[0]):
         seconds, steps = record.seconds or 0.0, record.work["steps"] or 1
-        rows[kind].append(
-            {
-                "series": label,
-                "unknowns": unknowns,
-                "per_second": vl.short(seconds / (record.t_end - record.t0)),
-                "per_step": vl.short(seconds / steps),
-                "per_unknown": vl.short(seconds / steps / unknowns),
-            }
-        )
-    return rows
+        costs = seconds / (record.t_end - record.t0), seconds / steps, seconds / steps / unknowns
+        row = {"series": label, "unknowns": unknowns}
+        rows[kind].append(row | dict(zip(_PANELS, map(vl.short, costs), strict=True)))
+    return {
+        kind: _chart(kind, own, styles)
+        for kind, own in rows.items()
+        if len({row["unknowns"] for row in own}) >= _LEAST
+    }
 
 
-def _chart(
-    kind: str, rows: list[dict[str, Any]], styles: Mapping[str, LineStyle]
-) -> vl.Spec | None:
+def _chart(kind: str, rows: list[dict[str, Any]], styles: Mapping[str, LineStyle]) -> vl.Spec:
     shown = {row["series"] for row in rows}
-    options = vl.ChartOptions({label: style for label, style in styles.items() if label in shown})
+    lines = vl.Lines({label: style for label, style in styles.items() if label in shown})
     data = vl.Dataset(f"sizes-{kind}", rows)
     x_axis = vl.log_axis([row["unknowns"] for row in rows], "~s")
-    panels = [
-        {
-            "data": data.source,
-            "mark": {"type": "line", "strokeWidth": 1.8, "point": {"size": 45}},
-            "encoding": {
-                "x": vl.log_quantity("unknowns", axis=x_axis),
-                "y": vl.log_quantity(
-                    field, title=title, axis=vl.log_axis([row[field] for row in rows], ".0e")
-                ),
-                "color": options.colors(),
-                "strokeDash": options.dashes(),
-                "tooltip": [
-                    vl.category("series"),
-                    vl.quantity("unknowns"),
-                    vl.quantity(field, title=title, format=".3g"),
-                ],
-            },
+    panels = []
+    for field, title in _PANELS.items():
+        y_axis = vl.log_axis([row[field] for row in rows], ".0e")
+        encoding = {
+            "x": vl.log_quantity("unknowns", axis=x_axis),
+            "y": vl.log_quantity(field, title=title, axis=y_axis),
+            "color": lines.colors(),
+            "strokeDash": lines.dashes(),
+            "tooltip": [
+                vl.category("series"),
+                vl.quantity("unknowns"),
+                vl.quantity(field, title=title, format=".3g"),
+            ],
         }
-        for field, title in _PANELS
-    ]
-    return vl.arrange(panels, [data], 3)
+        mark = {"type": "line", "strokeWidth": 1.8, "point": {"size": 45}}
+        panels.append({"data": data.source, "mark": mark, "encoding": encoding})
+    return vl.arrange(panels, [data], 3) or {}

@@ -1,22 +1,30 @@
-"""Charts of errors: against step size, against cost, acceleration against position."""
+"""Charts of errors: of a group against step sizes, costs or the error of another group."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
-from bench.results.quantities import COST, GROUP_NAMES, NORM, NORMS
+from bench.results.quantities import COST, COSTS, ERROR_NAMES, NORM, NORMS
 from reports.charts import vega_lite as vl
-from reports.charts.error_panels import (
-    error_lines,
-    error_panel,
-    full_norm,
-    run_rows,
-)
 from reports.charts.line_styles import LineStyle, styles_of
 from reports.formatting import order_text
 from reports.names import scene_name
 from reports.questions.question import Question
-from reports.series import Series
+from reports.series import Series, ok_runs, reference_error, step_or_tolerance, whole_order
+
+#: Titles of what errors are shown against.
+ACROSS = {name: cost.title for name, cost in COSTS.items()} | {
+    "h": "step size h in s",
+    "rtol": "relative tolerance",
+}
+ACROSS |= {group: f"relative error in {name}" for group, name in ERROR_NAMES.items()}
+#: A reference's error is drawn if it lies less than this factor below the errors.
+_DEEP = 1e3
+#: Number formats of an axis by its field; counts have a suffix.
+_FORMATS = {"h": "~g", "seconds": ".0e"} | dict.fromkeys(ERROR_NAMES, ".0e")
+#: A guide to the eye runs this factor above the errors.
+_CLEAR = 2.0
 
 
 def convergence_chart(
@@ -24,20 +32,12 @@ def convergence_chart(
     groups: Sequence[str],
     styles: Mapping[str, LineStyle],
     norm: str = NORM,
-    interactive: bool = False,
 ) -> vl.Spec | None:
-    """Error against step size, one panel per group; None if there is nothing to draw.
-
-    An interactive chart holds all norms and starts with one that has errors in every group. The
-    legend names the fitted orders of the norm that is shown.
-    """
-    constant_steps = [s for s in series if s.controls == "step" and s.ok]
-    if interactive:
-        norm = full_norm(constant_steps, groups, norm)
-    norms = NORMS if interactive else (norm,)
-    notes = {n: {s.label: _orders(s, groups, n) for s in constant_steps} for n in norms}
-    options = vl.ChartOptions(styles_of(constant_steps, styles), norm, interactive, notes)
-    return error_charts(constant_steps, groups, ["h"], options)
+    """Error against step size, a panel per group; the legend names the fitted orders."""
+    own = [s for s in series if s.controls == "step" and s.ok]
+    return error_charts(
+        own, groups, ["h"], styles, norm, {s.label: _orders(s, groups, norm) for s in own}
+    )
 
 
 def _orders(series: Series, groups: Sequence[str], norm: str) -> str:
@@ -57,90 +57,169 @@ def error_against_cost(
     group, cost, norm = question.group, question.cost, question.norm
     ended = {name: [s for s in series if s.ok] for name, series in scenes.items()}
     own = {name: series for name, series in ended.items() if len(series) > 1}
-    options = vl.ChartOptions(styles_of((s for runs in own.values() for s in runs), styles), norm)
+    lines = vl.Lines(styles_of((s for runs in own.values() for s in runs), styles))
     panels, data = [], []
     for name, series in own.items():
-        rows = run_rows(series, [group], [norm], [cost, "seconds"])
-        data.append(vl.Dataset(f"runs on {name}", rows))
-        panel = error_panel(series, data[-1], group, cost, options, first=not panels)
+        data.append(vl.Dataset(f"runs on {name}", run_rows(series, [group], norm, [cost])))
+        panel = _panel(series, data[-1], group, cost, lines, norm, first=not panels)
         title = {"text": scene_name(name), "color": vl.GREY, "fontSize": 12}
         panels += [panel | {"title": title}] if panel else []
     return vl.arrange(panels, data, 3, height=170)
 
 
-def work_precision_chart(
+def error_charts(
     series: Sequence[Series],
     groups: Sequence[str],
+    across: Sequence[str],
     styles: Mapping[str, LineStyle],
-    interactive: bool = False,
+    norm: str = NORM,
+    notes: Mapping[str, str] | None = None,
 ) -> vl.Spec | None:
-    """Errors in the groups against seconds and residual evaluations, a panel each.
+    """Errors in the groups against some of `ACROSS`, a panel each; None if all are empty.
 
-    None if there is nothing to draw.
+    ``notes`` stand after the names of integrators in the legend.
     """
     series = [s for s in series if s.ok]
-    norm = full_norm(series, groups, NORM) if interactive else NORM
-    options = vl.ChartOptions(styles_of(series, styles), norm, interactive)
-    return error_charts(series, groups, ["seconds", "residuals"], options)
-
-
-def error_charts(
-    series: Sequence[Series], groups: Sequence[str], across: Sequence[str], options: vl.ChartOptions
-) -> vl.Spec | None:
-    """Errors in the groups against some of `ACROSS`, a panel each; None if all are empty."""
-    shown = dict.fromkeys([*across, "seconds", COST])
-    data = vl.Dataset("runs", run_rows(series, groups, options.norms, [*shown]))
+    lines = vl.Lines(styles_of(series, styles), notes or {})
+    data = vl.Dataset("runs", run_rows(series, groups, norm, across))
     panels: list[vl.Spec] = []
     for name in across:
         for group in groups:
-            panel = error_panel(series, data, group, name, options, first=not panels)
+            panel = _panel(series, data, group, name, lines, norm, first=not panels)
             panels += [panel] if panel else []
     columns = {1: 1, 2: 2, 4: 2, 8: 4}.get(len(panels), 3)
-    return vl.arrange(panels, [data], columns, params=options.norm_buttons)
+    return vl.arrange(panels, [data], columns, height=340 if across[0] in ERROR_NAMES else 250)
 
 
-def acceleration_accuracy(
-    series: Sequence[Series],
-    styles: Mapping[str, LineStyle],
-    norm: str = NORM,
-    interactive: bool = False,
-) -> vl.Spec | None:
-    """Error in the acceleration over the error in the position, a line per integrator.
+def run_rows(
+    series: Sequence[Series], groups: Sequence[str], norm: str, across: Sequence[str]
+) -> list[dict[str, Any]]:
+    """A row per run that has an error: what it is shown against, its costs, and the errors.
 
-    Below the grey diagonal accelerations are relatively better than positions, above it worse.
+    The column of an error has the name of its group and norm, such as "a_max". An error of zero
+    has no place on a logarithmic axis.
     """
-    series = [s for s in series if s.ok]
-    options = vl.ChartOptions(styles_of(series, styles), norm, interactive)
-    rows = run_rows(series, "qa", options.norms, ())
-    norms = [n for n in options.norms if any({f"q_{n}", f"a_{n}"} <= row.keys() for row in rows)]
-    if not norms:
+    rows = []
+    shown = [*dict.fromkeys([*(g for g in across if g in ERROR_NAMES), *groups])]
+    for s in series:
+        for r in s.ok:
+            row: dict[str, Any] = {"series": s.label, "run": r.resolution}
+            for name in dict.fromkeys([*across, "seconds", COST]):
+                if name not in ERROR_NAMES:
+                    value = getattr(r, name) if name in ("h", "rtol") else r.cost(name)
+                    row[name] = value if isinstance(value, int) else vl.short(value)
+            errors = {f"{g}_{norm}": e for g in shown if (e := vl.short(r.error(g, norm)))}
+            rows += [row | errors] if errors else []
+    return rows
+
+
+def _panel(
+    series: Sequence[Series],
+    data: vl.Dataset,
+    group: str,
+    across: str,
+    lines: vl.Lines,
+    norm: str,
+    first: bool,
+) -> vl.Spec | None:
+    """Error of a group against one of `ACROSS`, log-log; None if there is nothing to draw."""
+    x, y = (f"{name}_{norm}" if name in ERROR_NAMES else name for name in (across, group))
+    rows = [row for row in data.rows if row.get(x) and row.get(y)]
+    if not rows:
         return None
-    data = vl.Dataset("accuracy", rows)
-    values = {g: [e for row in rows for n in norms if (e := row.get(f"{g}_{n}"))] for g in "qa"}
-    ends = [f(f(errors) for errors in values.values()) for f in (min, max)]
-    line: vl.Spec = {
-        "data": {"values": [{"q": e, "a": e} for e in ends]},
+    errors, zoom = [row[y] for row in rows], f"zoom_{across}_{group.strip('|')}"
+
+    def place(field: str, name: str, **more: Any) -> vl.Spec:
+        values = [row[field] for row in rows]
+        axis = vl.log_axis(values, _FORMATS.get(name, "~s"), f"{zoom}['{field}']", **more)
+        told = f", {NORMS[norm]}" if name in ERROR_NAMES and norm != NORM else ""
+        return vl.log_quantity(field, title=ACROSS[name] + told, axis=axis)
+
+    titles = {y: f"error in {group}"} | {n: ACROSS[n] for n in ("seconds", COST)}
+    titles |= {x: f"error in {across}"} if across in ERROR_NAMES else {}
+    tooltip = [vl.quantity(name, title=text, format=".3g") for name, text in titles.items()]
+    places = {"x": place(x, across), "y": place(y, group, minExtent=38)}
+    layers = _lines(lines, places, tooltip, vl.moves(zoom, first))
+    behind = _floor(reference_error(ok_runs(series), group, norm), min(errors))
+    if across == "h":
+        behind += _slopes(series, group, norm)
+    if across in ERROR_NAMES:
+        behind.append(_diagonal([*errors, *(row[x] for row in rows)]))
+    filtered = {"filter": f"datum['{y}'] > 0 && datum['{x}'] > 0"}
+    return {"data": data.source, "transform": [filtered], "layer": [*behind, *layers]}
+
+
+def _lines(
+    lines: vl.Lines, places: vl.Spec, tooltip: list[vl.Spec], params: list[vl.Spec]
+) -> list[vl.Spec]:
+    """The layers of lines and points at ``places`` (the channels x, y), from coarse to fine."""
+    names = [vl.category("series", title="integrator"), vl.category("run", title="resolution")]
+    bright = places | {"color": lines.colors(), "opacity": lines.opacity()}
+    return [
+        {
+            "params": params,
+            "transform": [vl.COPIED],
+            "mark": {"type": "line", "strokeWidth": 1.8, "order": False},  # that of the rows
+            "encoding": bright | {"strokeDash": lines.dashes_without_legend()},
+        },
+        {
+            "mark": {"type": "point", "filled": True, "size": 55},
+            "encoding": bright | {"shape": lines.shapes(), "tooltip": [*names, *tooltip]},
+        },
+    ]
+
+
+# ---- guides to the eye -------------------------------------------------------------------
+def _floor(floor: float, lowest: float) -> list[vl.Spec]:
+    """A dashed line at the reference's own error, unless it lies far below all errors."""
+    if floor <= 0 or floor * _DEEP < lowest:
+        return []
+    tooltip = vl.quantity("floor", title="reference's own error", format=".2g")
+    return [
+        {
+            "data": {"values": [{"floor": vl.short(floor)}]},
+            "mark": {"type": "rule", "color": vl.GREY, "strokeDash": [5, 5]},
+            "encoding": {"y": vl.log_quantity("floor"), "tooltip": tooltip},
+        }
+    ]
+
+
+def _diagonal(errors: Sequence[float]) -> vl.Spec:
+    """The line on which both errors are the same."""
+    return {
+        "data": {"values": [{"x": error, "y": error} for error in (min(errors), max(errors))]},
         "mark": {"type": "line", "color": vl.GREY, "strokeWidth": 1, "strokeDash": [5, 5]},
-        "encoding": {g: vl.log_quantity(f) for g, f in (("x", "q"), ("y", "a"))},
+        "encoding": {name: vl.log_quantity(name) for name in "xy"},
     }
-    place = {
-        channel: vl.log_quantity(
-            group,
-            title=f"relative error in {GROUP_NAMES[group]}",
-            axis=vl.log_axis(values[group], ".0e"),
-        )
-        for channel, group in (("x", "q"), ("y", "a"))
-    }
-    tooltip = [vl.quantity(group, title=f"error in {group}", format=".3g") for group in "qa"]
-    layers = error_lines(options, place, vl.run_tooltip(*tooltip))
-    panel: vl.Spec = {
-        "data": data.source,
-        "transform": [
-            *({"calculate": f"datum['{g}_' + {options.shown_norm}]", "as": g} for g in "qa"),
-            {"filter": "datum.q > 0 && datum.a > 0"},
-        ],
-        "layer": [line, *layers],
-    }
-    if interactive:
-        layers[0]["params"] = [vl.zoom("zoom_a"), vl.pick()]
-    return vl.arrange([panel], [data], 1, height=340, params=options.norm_buttons)
+
+
+def _slopes(series: Sequence[Series], group: str, norm: str) -> list[vl.Spec]:
+    """A thin line for each whole order found, above the errors that were fitted by it."""
+    if not (rows := list(_guides(series, group, norm))):
+        return []
+    place = {"x": vl.log_quantity("h"), "y": vl.log_quantity("error")}
+    ends = place | {"x2": {"field": "h2"}, "y2": {"field": "error2"}}
+    rule = {"type": "rule", "color": vl.GREY, "strokeWidth": 1}
+    text = {"type": "text", "color": vl.GREY, "align": "right", "dx": -6, "dy": -5}
+    layer: vl.Spec = {"data": {"values": rows}}
+    named = place | {"text": {"field": "name"}}
+    return [layer | {"mark": rule, "encoding": ends}, layer | {"mark": text, "encoding": named}]
+
+
+def _guides(series: Sequence[Series], group: str, norm: str) -> Iterator[dict[str, Any]]:
+    fits = [(s, fit) for s in series if (fit := s.fit(group, norm)).window]
+    for order in sorted({whole for _, fit in fits if (whole := whole_order(fit))}):
+        ends = []
+        for s, fit in fits:
+            if whole_order(fit) == order and fit.window:
+                coarse, fine = fit.window
+                last = min(s.ok, key=lambda r, h=fine: abs(step_or_tolerance(r) - h))
+                ends.append((_CLEAR * (last.error(group, norm) or 0.0), fine, coarse))
+        error, fine, coarse = max(ends)
+        yield {
+            "name": f"order {order}",
+            "h": vl.short(coarse),
+            "error": vl.short(error * (coarse / fine) ** order),
+            "h2": vl.short(fine),
+            "error2": vl.short(error),
+        }

@@ -28,8 +28,8 @@ HISTORIES = ERRORS | {
     "phase": ("phase in s", True),
 }
 
-#: Rows of a run in a still picture.
-STILL_ROWS = 110
+#: Rows of a run that a chart shows.
+MOST_ROWS = 150
 #: A run is drawn until a value exceeds the reference's largest one by this factor.
 _OUT_OF_SCALE = 5
 
@@ -40,7 +40,6 @@ def trajectory_chart(
     groups: Sequence[str],
     styles: Mapping[str, LineStyle],
     names: Mapping[str, Sequence[str]] = MappingProxyType({}),
-    interactive: bool = False,
     components: Sequence[Sequence[Any]] = (),
 ) -> vl.Spec | None:
     """Components of the groups over time, the reference as a broad grey line behind.
@@ -61,16 +60,17 @@ def trajectory_chart(
     rows = [row for label, run in runs for row in time_rows(run, label, needed)]
     drawn = vl.Dataset("runs", rows)
     behind = vl.Dataset("reference", time_rows(reference, "reference", needed))
-    options = vl.ChartOptions(styles, interactive=interactive)
+    broad = {"type": "line", "color": vl.GREY, "strokeWidth": 5, "opacity": 0.4, "clip": True}
     panels: list[vl.Spec] = []
     for parts in chosen:
         axes = [(f"{g}{i}", component_title(g, i, names)) for g, i in _pairs(*parts)]
         (name, title), over = axes[0], axes[1] if len(axes) > 1 else TIME
         layers = []
         if {name, over[0]} <= set(behind.columns):
-            layers.append(reference_line(behind, name, title, over))
+            places = _places(name, title, over)
+            layers.append({"data": behind.source, "mark": broad, "encoding": places})
         if {name, over[0]} <= set(drawn.columns):
-            layers.append(run_lines(drawn, name, title, options, not panels, over))
+            layers.append(_run_lines(drawn, name, title, vl.Lines(styles), not panels, over))
         panels += [{"layer": layers}] if layers else []
     return vl.arrange(panels, [drawn, behind], min(3, len(panels)), height=150)
 
@@ -78,25 +78,23 @@ def trajectory_chart(
 def histories(
     runs: Sequence[tuple[str, Rows]],
     styles: Mapping[str, LineStyle],
-    interactive: bool = False,
     notes: Sequence[str] = tuple(HISTORIES),
 ) -> vl.Spec | None:
     """Notes of runs over time, such as step sizes, a panel each; constant ones are left out."""
-    labels = list(dict.fromkeys(label for label, _ in runs))
-    options = vl.ChartOptions({label: styles[label] for label in labels}, interactive=interactive)
+    lines = vl.Lines({label: styles[label] for label, _ in runs})
     rows = [row for label, run in runs for row in time_rows(run, label, notes=notes)]
     data, panels = vl.Dataset("histories", rows), []
     for name in notes:
         noted = [[v for v in run.notes.get(name, []) if v is not None] for _, run in runs]
         if any(v and max(v) - min(v) > 1e-9 * max(map(abs, v)) for v in noted):
-            panels.append({"layer": [note_lines(data, name, options, first=not panels)]})
+            panels.append({"layer": [note_lines(data, name, lines, first=not panels)]})
     return vl.arrange(panels, [data], min(3, len(panels)), height=170)
 
 
-def note_lines(data: vl.Dataset, name: str, options: vl.ChartOptions, first: bool) -> vl.Spec:
+def note_lines(data: vl.Dataset, name: str, lines: vl.Lines, first: bool) -> vl.Spec:
     """One of `HISTORIES` over time, a line per run."""
     title, logarithmic = HISTORIES[name]
-    layer = run_lines(data, name, title, options, first)
+    layer = _run_lines(data, name, title, lines, first)
     if logarithmic:
         values = [abs(v) for row in data.rows if (v := row.get(name))]
         layer["transform"] = [{"filter": f"datum.{name} > 0"}]
@@ -105,51 +103,40 @@ def note_lines(data: vl.Dataset, name: str, options: vl.ChartOptions, first: boo
     return layer
 
 
-def _pairs(*chosen: Any) -> list[tuple[str, int]]:
-    """The components that a panel needs."""
-    return list(zip(chosen[::2], chosen[1::2], strict=True))
-
-
-# ---- panels ------------------------------------------------------------------------------
-def run_lines(
+def _run_lines(
     data: vl.Dataset,
     field: str,
     title: str,
-    options: vl.ChartOptions,
+    lines: vl.Lines,
     first: bool,
     over: tuple[str, str] = TIME,
 ) -> vl.Spec:
     """One component over time or another one, a line per run."""
     legend = {"symbolType": "stroke", "symbolSize": 400}
-    layer: vl.Spec = {
+    return {
         "data": data.source,
+        "params": vl.moves(f"zoom_{field}_{over[0]}", first),
         "mark": {"type": "line", "strokeWidth": 1.4, "clip": True},
         "encoding": {
-            **_axes(field, title, over),
-            "color": options.colors(**legend),
-            "strokeDash": options.dashes(**legend),
-            "opacity": options.opacity(),
+            **_places(field, title, over),
+            "color": lines.colors(**legend),
+            "strokeDash": lines.dashes(**legend),
+            "opacity": lines.opacity(),
         },
     }
-    if options.interactive:
-        layer["params"] = [vl.zoom(f"zoom_{field}_{over[0]}"), *([vl.pick()] if first else [])]
-    return layer
 
 
-def reference_line(
-    data: vl.Dataset, field: str, title: str, over: tuple[str, str] = TIME
-) -> vl.Spec:
-    """One component of the reference over time or another one, broad and grey."""
-    mark = {"type": "line", "color": vl.GREY, "strokeWidth": 5, "opacity": 0.4, "clip": True}
-    return {"data": data.source, "mark": mark, "encoding": _axes(field, title, over)}
-
-
-def _axes(field: str, title: str, over: tuple[str, str]) -> vl.Spec:
+def _places(field: str, title: str, over: tuple[str, str]) -> vl.Spec:
     return {
         "x": vl.quantity(over[0], title=over[1], scale={"nice": False, "zero": False}),
         "y": vl.quantity(field, title=title, scale={"zero": False}),
         "order": vl.quantity(TIME[0]),  # else a line joins its points from left to right
     }
+
+
+def _pairs(*chosen: Any) -> list[tuple[str, int]]:
+    """The components that a panel needs."""
+    return list(zip(chosen[::2], chosen[1::2], strict=True))
 
 
 def first_components(groups: Sequence[str]) -> list[tuple[str, int]]:
@@ -158,6 +145,7 @@ def first_components(groups: Sequence[str]) -> list[tuple[str, int]]:
     return motion + [(g, i) for g in groups if g not in "qva" for i in range(COMPONENTS_SHOWN)]
 
 
+# ---- rows of a run that a chart shows ----------------------------------------------------
 def time_rows(
     rows: Rows | None,
     label: str,
@@ -177,16 +165,10 @@ def time_rows(
     return table
 
 
-# ---- rows of a run that a chart shows ----------------------------------------------------
 def thinned(rows: Rows) -> Rows:
-    """At most about ``STILL_ROWS`` rows, evenly chosen, the last among them."""
-    stride = -(-len(rows.t) // STILL_ROWS)
-    places = [*range(0, len(rows.t) - 1, stride or 1), len(rows.t) - 1] if rows.t else []
-    return Rows(
-        t=[rows.t[k] for k in places],
-        values={name: [table[k] for k in places] for name, table in rows.values.items()},
-        notes={name: [column[k] for k in places] for name, column in rows.notes.items()},
-    )
+    """At most about ``MOST_ROWS`` rows, evenly chosen, the last among them."""
+    stride = -(-len(rows.t) // MOST_ROWS)
+    return _chosen(rows, [*range(0, len(rows.t) - 1, stride), len(rows.t) - 1] if rows.t else [])
 
 
 def before_divergence(rows: Rows, reference: Rows) -> Rows | None:
@@ -206,9 +188,15 @@ def before_divergence(rows: Rows, reference: Rows) -> Rows | None:
         for x in values[keep]
     ):
         keep += 1
-    if keep < 2:
-        return None
-    return Rows(t=rows.t[:keep], values={name: v[:keep] for name, v in rows.values.items()})
+    return _chosen(rows, range(keep)) if keep > 1 else None
+
+
+def _chosen(rows: Rows, places: Sequence[int]) -> Rows:
+    return Rows(
+        t=[rows.t[k] for k in places],
+        values={name: [table[k] for k in places] for name, table in rows.values.items() if table},
+        notes={name: [column[k] for k in places] for name, column in rows.notes.items() if column},
+    )
 
 
 def groups_with_values(samples: Iterable[Rows]) -> list[str]:

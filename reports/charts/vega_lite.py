@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import Any
 
 from bench.results.csv_text import csv_text
-from bench.results.quantities import NORM, NORMS
 from problems.plain_text import clean_json
 from reports.charts.line_styles import LineStyle
 
@@ -33,48 +32,26 @@ COPIED: Spec = {"calculate": "'line of ' + datum.series", "as": "dashed"}
 
 
 @dataclass(frozen=True)
-class ChartOptions:
-    """The line styles by label, the norm shown, and whether the chart is interactive."""
+class Lines:
+    """Channels of a chart's lines: their styles by label, and notes behind names in the legend."""
 
     styles: Mapping[str, LineStyle]
-    norm: str = NORM
-    interactive: bool = False
-    #: Text of the legend after a label, for each norm: notes[norm][label].
-    notes: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-
-    @property
-    def norms(self) -> tuple[str, ...]:
-        """The norms that the chart holds."""
-        return tuple(NORMS) if self.interactive else (self.norm,)
-
-    @property
-    def shown_norm(self) -> str:
-        """The Vega expression of the norm that is shown."""
-        return "norm" if self.interactive else json.dumps(self.norm)
-
-    @property
-    def norm_buttons(self) -> list[Spec]:
-        """Buttons above the chart that choose the norm of all its panels."""
-        if not self.interactive:
-            return []
-        names = {"options": list(NORMS), "labels": list(NORMS.values())}
-        buttons = {"input": "radio", **names, "name": "Error "}
-        return [{"name": "norm", "value": self.norm, "bind": buttons}]
+    notes: Mapping[str, str] = field(default_factory=dict)
 
     def colors(self, **legend: Any) -> Spec:
-        """A channel: a colour per label."""
+        """A colour per label."""
         return self._by_series([style.color for style in self.styles.values()], legend)
 
     def dashes(self, **legend: Any) -> Spec:
-        """A channel: dashes per label."""
+        """Dashes per label."""
         return self._by_series([list(style.dash) for style in self.styles.values()], legend)
 
     def shapes(self) -> Spec:
-        """A channel: a point shape per label."""
+        """A point shape per label."""
         return self._by_series([style.shape for style in self.styles.values()], {})
 
     def dashes_without_legend(self) -> Spec:
-        """A channel: dashes per label, of a layer with `COPIED`.
+        """Dashes per label, of a layer with `COPIED`.
 
         In the legend they would be drawn around the points, too. Channels of one domain share a
         legend, so this one has a domain of its own.
@@ -84,28 +61,22 @@ class ChartOptions:
         return category("dashed", scale={"domain": domain, "range": dashes}, legend=None)
 
     def opacity(self, full: float = 1.0) -> Spec:
-        """A channel: in an interactive chart the lines that are not picked fade."""
-        if not self.interactive:
-            return {"value": full}
+        """Lines that are not picked fade."""
         return {"condition": {"param": "pick", "value": full}, "value": 0.07}
 
     def _by_series(self, values: list[Any], legend: Spec) -> Spec:
         """A channel by series; all panels have one domain, so they share a legend."""
-        name = short_label(self.styles)
-        if self.notes:
-            note = f"{json.dumps(self.notes)}[{self.shown_norm}][datum.value]"
-            # One column, as the lines are long; not cut at the usual width.
-            legend |= {"labelExpr": f"{name} + {note}", "labelLimit": 0, "columns": 1}
-        elif name != "datum.value":
-            legend |= {"labelExpr": name}
+        legend = {"title": None, "labelExpr": names_of(self.styles, self.notes), **legend}
+        if self.notes:  # one column, as the lines are long; not cut at the usual width
+            legend |= {"labelLimit": 0, "columns": 1}
         scale = {"domain": list(self.styles), "range": values}
-        return category("series", scale=scale, legend={"title": None, **legend})
+        return category("series", scale=scale, legend=legend)
 
 
-def short_label(styles: Mapping[str, LineStyle]) -> str:
-    """The Vega expression of the short name of an integrator, in a legend or on an axis."""
-    short = {label: style.name for label, style in styles.items() if style.name not in ("", label)}
-    return f"({json.dumps(short)}[datum.value] || datum.value)" if short else "datum.value"
+def names_of(styles: Mapping[str, LineStyle], notes: Mapping[str, str] | None = None) -> str:
+    """The Vega expression of an integrator's short name and its note, in a legend or on an axis."""
+    names = {k: (style.name or k) + (notes or {}).get(k, "") for k, style in styles.items()}
+    return f"({json.dumps(names)}[datum.value] || datum.value)"
 
 
 @dataclass(frozen=True)
@@ -174,12 +145,6 @@ def category(field: str, **more: Any) -> Spec:
     return {"field": field, "type": "nominal", **more}
 
 
-def run_tooltip(*more: Spec) -> list[Spec]:
-    """Texts at a point: integrator, resolution, and ``more``."""
-    names = (("series", "integrator"), ("run", "resolution"))
-    return [*(category(field, title=title) for field, title in names), *more]
-
-
 def log_axis(values: Sequence[float | None], numbers: str, zoomed: str = "", **more: Any) -> Spec:
     """A logarithmic axis with strong grid lines at decades and labels at few digits.
 
@@ -204,16 +169,16 @@ def log_axis(values: Sequence[float | None], numbers: str, zoomed: str = "", **m
 
 
 # ---- interaction -------------------------------------------------------------------------
-def pick() -> Spec:
-    """A click on the legend isolates a method; with Shift, several."""
-    return {"name": "pick", "select": {"type": "point", "fields": ["series"]}, "bind": "legend"}
+def moves(name: str, first: bool) -> list[Spec]:
+    """Parameters of a panel's first layer; all panels share the legend that the first one hears.
 
-
-def zoom(name: str) -> Spec:
-    """Pan by mouse, zoom with Ctrl and the wheel: plain scrolling and touch move the page."""
+    A click on the legend isolates a method, with Shift several. The mouse pans, Ctrl and the wheel
+    zoom: plain scrolling and touch move the page. In a picture they do nothing.
+    """
     drag = "[pointerdown[event.pointerType === 'mouse'], window:pointerup] > window:pointermove!"
     select = {"type": "interval", "zoom": "wheel![event.ctrlKey]", "translate": drag}
-    return {"name": name, "select": select, "bind": "scales"}
+    pick = {"name": "pick", "select": {"type": "point", "fields": ["series"]}, "bind": "legend"}
+    return [{"name": name, "select": select, "bind": "scales"}, *([pick] if first else [])]
 
 
 # ---- charts ------------------------------------------------------------------------------
@@ -222,7 +187,6 @@ def arrange(
     data: Sequence[Dataset],
     columns: int,
     height: int = 250,
-    params: Sequence[Spec] = (),
 ) -> Spec | None:
     """Panels in a grid with their data; None if there are no panels."""
     if not panels:
@@ -230,7 +194,6 @@ def arrange(
     size = {"width": {1: 620, 2: 410}.get(columns, 270), "height": height}
     return {
         "datasets": datasets(data),
-        "params": list(params),
         "concat": [panel | size for panel in panels],
         "columns": columns,
         "spacing": 24,

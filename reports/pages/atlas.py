@@ -69,7 +69,7 @@ def experiment_chart(part: PartResult) -> vl.Spec | None:
     None if there are no numbers, either.
     """
     cases = [(f"{k}. {c.label}", c) for k, c in enumerate(part.cases, 1)]
-    options = vl.ChartOptions(line_styles(label for label, _ in cases))
+    options = vl.Lines(line_styles(label for label, _ in cases))
     sweep = [
         {"series": label, "x": vl.short(x), "value": vl.short(y)}
         for label, case in cases
@@ -109,7 +109,7 @@ def experiment_chart(part: PartResult) -> vl.Spec | None:
     return vl.arrange(panels, data, 2, height=210)
 
 
-def _numbers(data: vl.Dataset, options: vl.ChartOptions, x: vl.Spec) -> vl.Spec:
+def _numbers(data: vl.Dataset, options: vl.Lines, x: vl.Spec) -> vl.Spec:
     """A row per case with a mark at its number."""
     y = {"field": "series", "type": "nominal", "title": None, "sort": None}
     y["axis"] = {"labelLimit": 320, "grid": True}
@@ -120,9 +120,7 @@ def _numbers(data: vl.Dataset, options: vl.ChartOptions, x: vl.Spec) -> vl.Spec:
     }
 
 
-def _lines(
-    data: vl.Dataset, options: vl.ChartOptions, x: vl.Spec, y: vl.Spec, points: bool
-) -> vl.Spec:
+def _lines(data: vl.Dataset, options: vl.Lines, x: vl.Spec, y: vl.Spec, points: bool) -> vl.Spec:
     mark = {"type": "line", "strokeWidth": 1.6, "clip": True}
     return {
         "data": data.source,

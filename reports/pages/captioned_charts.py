@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 from reports.charts.vega_lite import Spec
 
+#: The topic of charts that pages draw themselves: Markdown alone has them.
+PAPER = "paper"
+
 
 @dataclass
 class CaptionedCharts:

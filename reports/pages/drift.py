@@ -43,12 +43,12 @@ _VERDICTS = {
 }
 
 
-def drift_chapter(runs: Mapping[str, LongRun], interactive: bool) -> Chapter:
+def drift_chapter(runs: Mapping[str, LongRun]) -> Chapter:
     """The chapter on these long runs: a section for each scene with the same steps."""
     sections = []
     for k, own in enumerate(comparable_runs(runs), 1):
         first, anchor = own[0], f"drift-{k}"
-        figure = captioned(_CAPTION, {f"{anchor}-chart": drift_chart(own, interactive)})
+        figure = captioned(_CAPTION, {f"{anchor}-chart": drift_chart(own)})
         sections.append(
             Section(
                 anchor,
@@ -70,7 +70,7 @@ def drift_chapter(runs: Mapping[str, LongRun], interactive: bool) -> Chapter:
 
 def write_drift_page(runs: Mapping[str, LongRun], folder: Path) -> Path:
     """Write drift.html into a folder."""
-    return write_chapter(drift_chapter(runs, interactive=False), folder)
+    return write_chapter(drift_chapter(runs), folder)
 
 
 # ---- sentences ---------------------------------------------------------------------------
@@ -114,13 +114,13 @@ def _known(values: Sequence[float | None]) -> list[float]:
 
 
 # ---- the chart ---------------------------------------------------------------------------
-def drift_chart(runs: Sequence[LongRun], interactive: bool) -> vl.Spec | None:
+def drift_chart(runs: Sequence[LongRun]) -> vl.Spec | None:
     """Draw a panel per quantity: the band of values in each part of the run, per integrator.
 
     Ends of the band are lines in the integrator's colour and dashes: both of quantities with a
     sign, the upper one of others, whose band ends at the end of the logarithmic axis.
     """
-    options = vl.ChartOptions(line_styles(r.integrator for r in runs), interactive=interactive)
+    options = vl.Lines(line_styles(r.integrator for r in runs))
     quantities = [name for name in DRIFTS if any(map(len, _sizes(runs, name)))]
     ends = {name: min(map(min, filter(None, _sizes(runs, name)))) for name in quantities}
     data = vl.Dataset("long_runs", [row for run in runs for row in _rows(run, ends)])

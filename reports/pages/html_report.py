@@ -49,7 +49,7 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
     bench.results.store.StoreError
         If the folder holds no readable store.
     """
-    site = Site(read_report(folder, interactive=True), Path(folder), single_file)
+    site = Site(read_report(folder), Path(folder), single_file)
     made = {LIBRARY: javascript_library()}
     if data := site_data(site.report):
         text = chart_json(data, separators=(",", ":")).replace("<", "\\u003c")

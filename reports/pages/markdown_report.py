@@ -40,7 +40,7 @@ def write_markdown_report(folder: Path) -> Path:
     bench.results.store.StoreError
         If the folder holds no readable store.
     """
-    report = read_report(folder, interactive=False)
+    report = read_report(folder)
     charts = {name: chart for f in _figures(report) for name, chart in f.charts.items()}
     failed = draw(charts, folder / _FIGURES)
     files = {name: FOLDER + quote(_scene_file(name)) for name in report.series}
@@ -103,6 +103,7 @@ def _escaped(text: str) -> str:
 
 def _figures(report: Report) -> Iterator[CaptionedCharts]:
     yield from report.overview
+    yield from report.sizes
     for scene in report.scenes:
         yield from [scene.picture] if scene.picture else []
         yield from (figure for study in scene.studies for figure in study.figures)

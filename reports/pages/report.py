@@ -43,16 +43,9 @@ class Report:
     ``stored`` are the runs that it is made of; ``run_ids`` are the anchors of records by key,
     ``names`` short names by label, ``measured`` the series of scenes with runs. ``mine`` is the
     label of the integrator that is put in the foreground.
-
-    Parameters
-    ----------
-    store
-        The store of the run folder.
-    interactive
-        Whether charts are interactive instead of still.
     """
 
-    def __init__(self, store: Store, interactive: bool) -> None:
+    def __init__(self, store: Store) -> None:
         self.stored = stored = StoredRuns.of(store)
         plan, runs = stored.plan, list(stored.records.values())
         self.series = series = stored.series
@@ -76,8 +69,8 @@ class Report:
         silent = sum(w.silent for own in wrong.values() for w in own)
         self.bad = f"{self.failed} · silent {silent}" if silent else self.failed
         self.winners = winners_table(self.answered, self.names)
-        self.overview = [*([] if interactive else self._overview()), *self._cost_by_size()]
-        self.scenes = list(self._scenes(store, interactive))
+        self.sizes = self._cost_by_size()
+        self.scenes = list(self._scenes(store))
         self.integrators = integrators_table([*self.names], facts)
         damping, experiments = store.damping(), list(stored.atlas.values())
         own = {name: damping[name] for name in facts if name in damping}
@@ -87,7 +80,7 @@ class Report:
         self.lost_orders = lost_orders_table(series, stored.atlas, stored.scenes)
         self.orders = order_tables(plan, stored.records)
         self.ratings = overviews(plan, stored.records)
-        drifts = drift_chapter(store.long_runs(), interactive)
+        drifts = drift_chapter(store.long_runs())
         found = jumps_chapter(stored), drifts, atlas_chapter(experiments)
         self.chapters = [chapter for chapter in found if chapter.sections]
         self.timing, self.times = timing_table(series_of(runs)), times_sentence(stored.times)
@@ -97,7 +90,7 @@ class Report:
             for label in self.names
         ]
 
-    def _scenes(self, store: Store, interactive: bool) -> Iterator[SceneChapter]:
+    def _scenes(self, store: Store) -> Iterator[SceneChapter]:
         stored = self.stored
         told: dict[tuple[Any, ...], str] = {}
         for i, (key, title) in enumerate(stored.titles.items(), 1):
@@ -110,7 +103,6 @@ class Report:
                 styles=self.styles,
                 read_rows=store.rows,
                 ids=self.run_ids,
-                interactive=interactive,
             )
             own = [s for s in studies if (s.problem, s.t_end) == key]
             # The same scene over another interval is described once.
@@ -119,7 +111,8 @@ class Report:
             same_as = "" if first == title else first
             yield SceneChapter(f"scene-{i}", sections, stored.series[title], own, same_as)
 
-    def _overview(self) -> list[CaptionedCharts]:
+    @property
+    def overview(self) -> list[CaptionedCharts]:
         """Pictures of the answer to the first question, which a page draws itself."""
         which = f"({self.stored.first.text}; {COSTS[self.stored.first.cost].title})"
         heat = (
@@ -154,7 +147,7 @@ class Report:
         ]
 
 
-def read_report(folder: Path, interactive: bool) -> Report:
+def read_report(folder: Path) -> Report:
     """Read the store in a folder and make the content of its report.
 
     Raises
@@ -163,4 +156,4 @@ def read_report(folder: Path, interactive: bool) -> Report:
         If the folder holds no readable store.
     """
     with Store(folder) as store:
-        return Report(store, interactive)
+        return Report(store)

@@ -89,7 +89,7 @@ def _curve(
     if not rows:
         return None
     data = vl.Dataset(field, rows)
-    options = vl.ChartOptions(line_styles(f["integrator"] for f in found))
+    options = vl.Lines(line_styles(f["integrator"] for f in found))
     values = [row["value"] for row in rows]
     x_axis = vl.log_axis([row["omega_h"] for row in rows], "~g")
     y = vl.quantity("value", title=title, scale={"zero": True})

@@ -13,11 +13,7 @@ from bench.results.records import UNSUPPORTED, Record, Rows, SceneRecord, Study
 from bench.results.store import StoreError
 from bench.results.table import Table
 from reports.charts.bills import bills
-from reports.charts.errors import (
-    acceleration_accuracy,
-    convergence_chart,
-    work_precision_chart,
-)
+from reports.charts.errors import convergence_chart, error_charts
 from reports.charts.line_styles import LineStyle, line_styles
 from reports.charts.over_time import (
     COMPONENTS_SHOWN,
@@ -29,7 +25,7 @@ from reports.charts.over_time import (
     trajectory_chart,
 )
 from reports.formatting import number, words
-from reports.pages.captioned_charts import CaptionedCharts, captioned
+from reports.pages.captioned_charts import PAPER, CaptionedCharts, captioned
 from reports.series import (
     Series,
     groups_of,
@@ -44,8 +40,8 @@ from reports.text.run_tables import runs_table
 
 #: Most runs of a study that are all drawn over time; of a larger one the finest of each.
 ALL_RUNS = 6
-#: Most lines that a reader can tell apart over time, and in a still chart of errors.
-MOST_LINES, MOST_STILL = 12, 24
+#: Most lines that a reader can tell apart over time, and in a chart of errors.
+MOST_LINES, MOST_ERRORS = 12, 24
 #: Notes of a run that a chart shows over time, and their meaning.
 _HISTORIES = {
     "time": (
@@ -92,7 +88,6 @@ class StudySections:
     styles: Mapping[str, LineStyle]
     read_rows: Callable[[str], Rows]
     ids: Mapping[str, str]
-    interactive: bool
 
     @property
     def component_names(self) -> Mapping[str, Sequence[str]]:
@@ -130,60 +125,45 @@ class StudySections:
             else None,
         )
 
-    def _few(self, series: Sequence[Series]) -> tuple[Sequence[Series], str]:
-        """The series of a chart of errors: all if a click can isolate one."""
-        return _most_accurate(series, len(series) if self.interactive else MOST_STILL)
-
     def _convergence(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
         groups = groups_of(ok_runs(series))
-        # An interactive chart offers every norm; of pictures there is one for each that matters.
-        held = any(r.constraint for r in self.records)
-        norms = [NORM, "end"] if held and not self.interactive else [NORM]
-        shown, left_out = self._few(series)
-        made = {
-            f"{name}-{norm}": convergence_chart(shown, groups, self.styles, norm, self.interactive)
-            for norm in norms
-        }
+        norms = [NORM, *(["end"] if any(r.constraint for r in self.records) else [])]
+        shown, left_out = _most_accurate(series, MOST_ERRORS)
+        made = {f"{name}-{n}": convergence_chart(shown, groups, self.styles, n) for n in norms}
         caption = (
-            f"Error {self._norms_text(norms)} against step size; thin grey lines have the slope of "
-            f"a whole order. {self._reference_error(groups)}{left_out}"
+            f"Error {words(NORMS[norm] for norm in norms)} against step size; thin grey lines have "
+            f"the slope of a whole order. {self._reference_error(groups)}{left_out}"
         )
         return captioned(caption, made)
 
     def _work_precision(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
-        groups = groups_of(ok_runs(series))
-        shown, left_out = self._few(series)
-        drawn = groups_of(ok_runs(series), ("q", "a", *VIOLATIONS))
-        chart = work_precision_chart(shown, drawn, self.styles, self.interactive)
+        """Error against cost on paper; a page draws it itself, for any question."""
+        groups = groups_of(ok_runs(series), ("q", "a", *VIOLATIONS))
+        shown, left_out = _most_accurate(series, MOST_ERRORS)
+        chart = error_charts(shown, groups, ["seconds", "residuals"], self.styles)
         caption = (
-            f"Error {self._norms_text([NORM])} against cost: median seconds per run (bars: fastest "
-            "to slowest sample) or counted work. A line joins the resolutions of one integrator. "
-            f"{ERROR_MEANING} {self._reference_error(groups)}{left_out}"
+            f"Error {NORMS[NORM]} against cost: median seconds per run or counted work. A line "
+            f"joins the resolutions of one integrator. {ERROR_MEANING} "
+            f"{self._reference_error(groups)}{left_out}"
         )
-        return captioned(caption, {name: chart})
+        return captioned(caption, {name: chart}, PAPER)
 
     def _accuracy(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
-        shown, left_out = self._few(series)
-        chart = acceleration_accuracy(shown, self.styles, NORM, self.interactive)
+        shown, left_out = _most_accurate(series, MOST_ERRORS)
         caption = (
-            f"Error in a against error in q, each {self._norms_text([NORM])}: good in q is not "
-            f"always good in a. On the dashed line both have the same relative error.{left_out}"
+            f"Error in a against error in q, each {NORMS[NORM]}: good in q is not always good in "
+            f"a. On the dashed line both have the same relative error.{left_out}"
         )
-        return captioned(caption, {name: chart})
+        return captioned(caption, {name: error_charts(shown, ["a"], ["q"], self.styles)})
 
     def _histories(self, series: Sequence[Series], name: str, topic: str) -> CaptionedCharts | None:
         """Charts over time of the constraints and the energy (drift), or of the steps."""
         notes, said = _HISTORIES[topic]
         few, left_out = _most_accurate(series, MOST_LINES)
         runs = [(s.label, rows) for s in few if (rows := self._rows(s.finest)) and rows.notes]
-        chart = histories(runs, self.styles, self.interactive, notes)
+        chart = histories(runs, self.styles, notes)
         caption = f"Over time, for the finest run of each: {said}.{left_out}"
         return captioned(caption, {name: chart}, topic)
-
-    def _norms_text(self, norms: Sequence[str]) -> str:
-        if self.interactive:
-            return "(choose the norm above the chart)"
-        return words(NORMS[norm] for norm in norms)
 
     def _reference_error(self, groups: Iterable[str]) -> str:
         errors = {g: reference_error(self.records, g, NORM) for g in groups}
@@ -201,9 +181,7 @@ class StudySections:
         runs = [r for s in series for r in s.records]
         runs = runs if len(runs) <= ALL_RUNS else [s.finest for s in few]
         shown = [(r, rows) for r in runs if (rows := self._rows(r))]
-        reference = self.scene.reference if self.scene else None
-        if reference and not self.interactive:
-            reference = thinned(reference)
+        reference = thinned(self.scene.reference) if self.scene and self.scene.reference else None
         if not shown and reference is None:
             return None
         by_name = {run_name(r): r for r, _ in shown}
@@ -215,9 +193,7 @@ class StudySections:
         lines = [(run_name(r), rows) for r, rows in shown]
         groups = groups_with_values([rows for _, rows in lines] or [reference or Rows(t=[])])
         names = self.component_names
-        chart = trajectory_chart(
-            lines, reference, groups, styles, names, self.interactive, components
-        )
+        chart = trajectory_chart(lines, reference, groups, styles, names, components)
         caption = "Values over time"
         caption += "; the reference is the broad grey line." if reference else "."
         caption += left_out
@@ -229,11 +205,9 @@ class StudySections:
     def _rows(self, record: Record) -> Rows | None:
         """The rows of a run that can be drawn; None of a run without any."""
         try:
-            rows = self.read_rows(record.key)
+            rows = thinned(self.read_rows(record.key))
         except (KeyError, StoreError):
             return None
-        if not self.interactive:
-            rows = thinned(rows)
         if record.status == "ok" or not self.scene:
             return rows if rows.t else None
         return before_divergence(rows, self.scene.reference)
