@@ -24,46 +24,29 @@ ACTUATORS = {
     '<motor joint="j0" group="2"/>': (),
 }
 FIELDS = {
-    f"actuator {text[1:].split()[0]} {k}": File(
-        mjcf(
-            chain(2, inner='<site name="s"/>'), f"<actuator>{text}</actuator>",
-            '<option actuatorgroupdisable="2"/>' if "group" in text else "<option/>",
-        ),
-        left_out=left_out,
-    )
+    f"actuator {text[1:].split()[0]} {k}": File(mjcf(
+        chain(2, inner='<site name="s"/>'), f"<actuator>{text}</actuator>",
+        '<option actuatorgroupdisable="2"/>' if "group" in text else "<option/>",),
+        left_out=left_out,)
     for k, (text, left_out) in enumerate(ACTUATORS.items())
 } | {
-    "control beyond its range": File(
-        mjcf(
-            chain(1), actuated("motor", 1, 'ctrlrange="-1 1"')
-            + '<keyframe><key qpos=".3" ctrl="4"/></keyframe>',
-            '<option><flag clampctrl="disable"/></option>',
-        )
-    ),
-    "equality of tendons": File(
-        mjcf(
-            chain(2),
-            '<tendon><fixed name="t"><joint joint="j0" coef="1"/></fixed></tendon>'
-            '<equality><tendon tendon1="t"/></equality>',
-        ),
-        left_out=("tendons", "equalities"),
-    ),
+    "control beyond its range": File(mjcf(chain(1), actuated("motor", 1, 'ctrlrange="-1 1"')
+        + '<keyframe><key qpos=".3" ctrl="4"/></keyframe>',
+        '<option><flag clampctrl="disable"/></option>')),
+    "equality of tendons": File(mjcf(chain(2),
+        '<tendon><fixed name="t"><joint joint="j0" coef="1"/></fixed></tendon>'
+        '<equality><tendon tendon1="t"/></equality>',),
+        left_out=("tendons", "equalities"),),
     "equality that is not active": File(
-        mjcf(chain(2), '<equality><joint joint1="j0" joint2="j1" active="false"/></equality>')
-    ),
-    "motor of a ball": File(
-        mjcf(
-            body('<joint name="b" type="ball"/>', "0 0 .4"),
-            '<actuator><motor joint="b" gear="0 1 0"/></actuator>',
-        ),
-        left_out=("actuators",),
-    ),
+        mjcf(chain(2), '<equality><joint joint1="j0" joint2="j1" active="false"/></equality>')),
+    "motor of a ball": File(mjcf(body('<joint name="b" type="ball"/>', "0 0 .4"),
+        '<actuator><motor joint="b" gear="0 1 0"/></actuator>',),
+        left_out=("actuators",),),
 }  # fmt: skip
 
 #: A little of all that a flag can switch off.
 ALL = (
-    chain(
-        2, 'range="-20 20" frictionloss=".2" stiffness="3" damping=".4"', axes=("0 1 0",),
+    chain(2, 'range="-20 20" frictionloss=".2" stiffness="3" damping=".4"', axes=("0 1 0",),
     ).replace("<body ", '<body gravcomp=".2" ')
     + '<geom type="plane" size="1 1 1"/>'
 )  # fmt: skip
@@ -86,24 +69,18 @@ _GONE = {
     "frictionloss": ("friction_loss",),
 }  # fmt: skip
 FLAGS = {
-    f"flag {flag}": File(
-        mjcf(ALL, ALL_ELSE, f'<option><flag {flag}="disable"/></option>', ""),
-        left_out=tuple(part for part in _RIGID if part not in _GONE.get(flag, ())),
-    )
+    f"flag {flag}": File(mjcf(ALL, ALL_ELSE, f'<option><flag {flag}="disable"/></option>', ""),
+        left_out=tuple(part for part in _RIGID if part not in _GONE.get(flag, ())),)
     for flag in OFF
 } | {
-    f"flag {flag}": File(
-        mjcf(
-            ALL, ALL_ELSE, f'<option{_OWN.get(flag, "")}><flag {flag}="enable"/></option>', ""
-        ),
-        left_out=(*_RIGID, *(("sleep",) if flag == "sleep" else ())),
-    )
+    f"flag {flag}": File(mjcf(
+        ALL, ALL_ELSE, f'<option{_OWN.get(flag, "")}><flag {flag}="enable"/></option>', ""),
+        left_out=(*_RIGID, *(("sleep",) if flag == "sleep" else ())),)
     for flag in ON
 } | {
     "flags spring and damper": File(
         mjcf(ALL, ALL_ELSE, '<option><flag spring="disable" damper="disable"/></option>', ""),
-        left_out=_RIGID,
-    ),
+        left_out=_RIGID,),
 }  # fmt: skip
 
 
@@ -136,52 +113,36 @@ def urdf(*parts: str) -> str:
 LIMIT = '<limit lower="-1" upper="1" effort="30" velocity="2"/>'
 SHAPE = '<geometry><cylinder radius=".05" length=".2"/></geometry>'
 URDF = {
-    f"urdf with {file}": File(
-        urdf(
-            link("base", mesh(file), 0), link("arm", mesh(file)), link("tip", mesh(file)),
-            joint("a", "continuous", "base", "arm"), joint("b", "continuous", "arm", "tip"),
-        ),
-        ".urdf", ("contacts",),
-    )
-    for file in (
-        "package://robot_description/meshes/arm.stl", "model://robot/meshes/arm.dae",
-        "meshes/arm.obj", "file:///opt/robot/arm.STL", "package://robot/visual/arm.DAE",
-    )
+    f"urdf with {file}": File(urdf(
+        link("base", mesh(file), 0), link("arm", mesh(file)), link("tip", mesh(file)),
+        joint("a", "continuous", "base", "arm"), joint("b", "continuous", "arm", "tip"),),
+        ".urdf", ("contacts",),)
+    for file in ("package://robot_description/meshes/arm.stl", "model://robot/meshes/arm.dae",
+        "meshes/arm.obj", "file:///opt/robot/arm.STL", "package://robot/visual/arm.DAE",)
 } | {
-    "urdf with limits": File(
-        urdf(link("base", mass=0), link("arm"), link("tip"),
-             joint("a", "revolute", "base", "arm", LIMIT),
-             joint("b", "prismatic", "arm", "tip", LIMIT)),
-        ".urdf", ("limits",),
-    ),
-    "urdf with cylinders": File(
-        urdf(link("base", SHAPE, 0), link("arm", SHAPE), link("tip", SHAPE),
-             joint("a", "continuous", "base", "arm"), joint("b", "continuous", "arm", "tip")),
-        ".urdf", ("contacts",),
-    ),
-    "urdf that follows": File(
-        urdf(link("base", mass=0), link("arm"), link("tip"),
-             joint("a", "continuous", "base", "arm"),
-             joint("b", "continuous", "arm", "tip", '<mimic joint="a" multiplier="-2"/>')),
-        ".urdf",
-    ),
-    "urdf that floats": File(
-        urdf(link("base", mass=0), link("body"), link("arm"),
-             joint("f", "floating", "base", "body"), joint("a", "continuous", "body", "arm")),
-        ".urdf",
-    ),
-    "urdf with friction": File(
-        urdf(link("base", mass=0), link("arm"), joint(
-            "a", "continuous", "base", "arm", '<dynamics damping=".1" friction=".2"/>')),
-        ".urdf", ("friction_loss",),
-    ),
+    "urdf with limits": File(urdf(link("base", mass=0), link("arm"), link("tip"),
+         joint("a", "revolute", "base", "arm", LIMIT),
+         joint("b", "prismatic", "arm", "tip", LIMIT)),
+        ".urdf", ("limits",),),
+    "urdf with cylinders": File(urdf(link("base", SHAPE, 0), link("arm", SHAPE), link("tip", SHAPE),
+         joint("a", "continuous", "base", "arm"), joint("b", "continuous", "arm", "tip")),
+        ".urdf", ("contacts",),),
+    "urdf that follows": File(urdf(link("base", mass=0), link("arm"), link("tip"),
+         joint("a", "continuous", "base", "arm"),
+         joint("b", "continuous", "arm", "tip", '<mimic joint="a" multiplier="-2"/>')),
+        ".urdf",),
+    "urdf that floats": File(urdf(link("base", mass=0), link("body"), link("arm"),
+         joint("f", "floating", "base", "body"), joint("a", "continuous", "body", "arm")),
+        ".urdf",),
+    "urdf with friction": File(urdf(link("base", mass=0), link("arm"), joint(
+        "a", "continuous", "base", "arm", '<dynamics damping=".1" friction=".2"/>')),
+        ".urdf", ("friction_loss",),),
     "urdf of simulators": File(
         urdf(link("base", mass=0), link("arm"), link("tool", mesh("package://r/tool.stl"), 0.2),
-             joint("a", "continuous", "base", "arm"), joint("t", "fixed", "arm", "tool"),
-             '<transmission name="t"><type>SimpleTransmission</type></transmission>'
-             '<gazebo reference="arm"><mu1>0.2</mu1></gazebo>'),
-        ".urdf",
-    ),
+         joint("a", "continuous", "base", "arm"), joint("t", "fixed", "arm", "tool"),
+         '<transmission name="t"><type>SimpleTransmission</type></transmission>'
+         '<gazebo reference="arm"><mu1>0.2</mu1></gazebo>'),
+        ".urdf",),
 }  # fmt: skip
 
 #: A mesh that is not beside the file.

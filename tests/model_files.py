@@ -69,304 +69,212 @@ LOOPS = {
 } | {
     "four bar on a free base": File(four_bar("20 35 50", inner=FREE)),
     "four bar on a turntable": File(
-        four_bar("10 0 0", inner=hinge("table", "0 0 1") + '<geom size=".1"/>')
-    ),
-    "gripper that a weld carries": File(
-        mjcf(
-            body(hinge("a", "1 0 0"), "0 0 .3", body(hinge("b", "1 0 0"), "0 .3 0", at="0 0 .3"),
-                 turn="10 20 30", name="one")
-            + body("<freejoint/>", ".1 0 .1", at=".2 0 .4", name="two"),
-            '<equality><weld body1="one" body2="two"/></equality>',
-        )
-    ),
-    "hinge of two connects": File(
-        mjcf(
-            body('<joint name="b" type="ball"/>', "0 0 .4", name="one")
-            + body("<freejoint/>", ".3 0 0", at=".2 0 .4", name="two"),
-            '<equality><connect body1="one" body2="two" anchor="0 0 .4"/>'
-            '<connect body1="one" body2="two" anchor=".1 .2 .4"/></equality>',
-        )
-    ),
-    "slider and crank": File(
-        mjcf(
-            '<body euler="15 25 35">'
-            + body(hinge("crank"), ".1 0 0", body(hinge("rod"), ".3 0 0", at=".1 0 0", name="rod"))
-            + '<body name="slider" pos=".4 0 0"><joint name="slider" type="slide" axis="1 0 0"/>'
-            '<geom type="box" size=".02 .02 .02"/></body></body>',
-            '<equality><connect body1="rod" body2="slider" anchor=".3 0 0"/></equality>',
-        )
-    ),
-    "parallelogram": File(
-        mjcf(
-            '<body euler="40 0 20">'
-            + body(hinge("a"), "0 0 .3", body(hinge("b"), ".5 0 0", at="0 0 .3", name="bar"))
-            + body(hinge("c"), "0 0 .3", at=".5 0 0", name="arm")
-            + body(hinge("d"), "0 0 .3", at=".25 0 0", name="mid")
-            + "</body>",
-            '<equality><connect body1="bar" body2="arm" anchor=".5 0 0"/>'
-            '<connect body1="bar" body2="mid" anchor=".25 0 0"/></equality>',
-        )
-    ),
-    "three loops on a crank": File(
-        mjcf(
-            '<body euler="0 20 70">'
-            + body(hinge("crank"), ".1 0 .2", "".join(
-                body(hinge(f"rod{k}"), ".4 0 .1", at=".1 0 .2", name=f"rod{k}") for k in range(3)))
-            + "".join(
-                body(hinge(f"arm{k}"), "0 0 .2", at=f".5 0 .{k}", name=f"arm{k}") for k in range(3)
-            )
-            + "</body>",
-            "<equality>" + "".join(
-                f'<connect body1="rod{k}" body2="arm{k}" anchor=".4 0 .1"/>' for k in range(3))
-            + "</equality>",
-        )
-    ),
-    "legs with tarsus loops": File(
-        mjcf(
-            f'<body name="pelvis" pos="0 0 1">{FREE}'
-            + "".join(
-                body(
-                    hinge(f"hip{side}", "1 0 0"), "0 0 -.3",
-                    body(hinge(f"knee{side}"), ".1 0 -.3", at="0 0 -.3", name=f"shin{side}")
-                    + body(hinge(f"drive{side}"), ".1 0 0", body(
-                        hinge(f"rod{side}"), "0 0 -.6", at=".1 0 0", name=f"rod{side}")),
-                    f"0 {y} -.05", turn=turn,
-                )
-                for side, y, turn in (("l", ".1", "10 20 30"), ("r", "-.1", "-10 5 -30"))
-            )
-            + "</body>",
-            "<equality>"
-            + "".join(
-                f'<connect body1="shin{s}" body2="rod{s}" anchor=".1 0 -.3"/>' for s in "lr"
-            )
-            + "</equality>",
-        )
-    ),
-    "spatial loop of balls": File(
-        mjcf(
-            body(hinge("in", "0 0 1"), ".1 0 0", body(
-                '<joint name="b" type="ball"/>', "0 .4 .1", at=".1 0 0", name="rod"))
-            + body(hinge("out", "1 0 0"), "0 0 .1", at=".1 .4 0", name="out"),
-            '<equality><connect body1="rod" body2="out" anchor="0 .4 .1"/></equality>',
-        )
-    ),
-    "connect of sites": File(
-        mjcf(
-            '<body euler="0 30 60">'
-            + body(hinge("a"), "0 0 .3", '<site name="p" pos="0 0 .3"/>')
-            + body(hinge("b"), "0 0 .3", body(
-                hinge("c"), "-.2 0 0", '<site name="q" pos="-.2 0 0"/>', "0 0 .3"), ".2 0 0")
-            + "</body>",
-            '<equality><connect site1="p" site2="q"/></equality>',
-        )
-    ),
+        four_bar("10 0 0", inner=hinge("table", "0 0 1") + '<geom size=".1"/>')),
+    "gripper that a weld carries": File(mjcf(
+        body(hinge("a", "1 0 0"), "0 0 .3", body(hinge("b", "1 0 0"), "0 .3 0", at="0 0 .3"),
+             turn="10 20 30", name="one")
+        + body("<freejoint/>", ".1 0 .1", at=".2 0 .4", name="two"),
+        '<equality><weld body1="one" body2="two"/></equality>')),
+    "hinge of two connects": File(mjcf(body('<joint name="b" type="ball"/>', "0 0 .4", name="one")
+        + body("<freejoint/>", ".3 0 0", at=".2 0 .4", name="two"),
+        '<equality><connect body1="one" body2="two" anchor="0 0 .4"/>'
+        '<connect body1="one" body2="two" anchor=".1 .2 .4"/></equality>')),
+    "slider and crank": File(mjcf('<body euler="15 25 35">'
+        + body(hinge("crank"), ".1 0 0", body(hinge("rod"), ".3 0 0", at=".1 0 0", name="rod"))
+        + '<body name="slider" pos=".4 0 0"><joint name="slider" type="slide" axis="1 0 0"/>'
+        '<geom type="box" size=".02 .02 .02"/></body></body>',
+        '<equality><connect body1="rod" body2="slider" anchor=".3 0 0"/></equality>')),
+    "parallelogram": File(mjcf('<body euler="40 0 20">'
+        + body(hinge("a"), "0 0 .3", body(hinge("b"), ".5 0 0", at="0 0 .3", name="bar"))
+        + body(hinge("c"), "0 0 .3", at=".5 0 0", name="arm")
+        + body(hinge("d"), "0 0 .3", at=".25 0 0", name="mid")
+        + "</body>",
+        '<equality><connect body1="bar" body2="arm" anchor=".5 0 0"/>'
+        '<connect body1="bar" body2="mid" anchor=".25 0 0"/></equality>')),
+    "three loops on a crank": File(mjcf('<body euler="0 20 70">'
+        + body(hinge("crank"), ".1 0 .2", "".join(
+            body(hinge(f"rod{k}"), ".4 0 .1", at=".1 0 .2", name=f"rod{k}") for k in range(3)))
+        + "".join(
+            body(hinge(f"arm{k}"), "0 0 .2", at=f".5 0 .{k}", name=f"arm{k}") for k in range(3))
+        + "</body>",
+        "<equality>" + "".join(
+            f'<connect body1="rod{k}" body2="arm{k}" anchor=".4 0 .1"/>' for k in range(3))
+        + "</equality>")),
+    "legs with tarsus loops": File(mjcf(f'<body name="pelvis" pos="0 0 1">{FREE}'
+        + "".join(body(hinge(f"hip{side}", "1 0 0"), "0 0 -.3",
+                body(hinge(f"knee{side}"), ".1 0 -.3", at="0 0 -.3", name=f"shin{side}")
+                + body(hinge(f"drive{side}"), ".1 0 0", body(
+                    hinge(f"rod{side}"), "0 0 -.6", at=".1 0 0", name=f"rod{side}")),
+                f"0 {y} -.05", turn=turn,)
+            for side, y, turn in (("l", ".1", "10 20 30"), ("r", "-.1", "-10 5 -30")))
+        + "</body>",
+        "<equality>"
+        + "".join(f'<connect body1="shin{s}" body2="rod{s}" anchor=".1 0 -.3"/>' for s in "lr")
+        + "</equality>")),
+    "spatial loop of balls": File(mjcf(body(hinge("in", "0 0 1"), ".1 0 0", body(
+            '<joint name="b" type="ball"/>', "0 .4 .1", at=".1 0 0", name="rod"))
+        + body(hinge("out", "1 0 0"), "0 0 .1", at=".1 .4 0", name="out"),
+        '<equality><connect body1="rod" body2="out" anchor="0 .4 .1"/></equality>')),
+    "weld and gear": File(mjcf(
+        body(hinge("a"), "0 0 .3", body('<joint name="b" type="ball"/>', ".5 0 .1",
+             at="0 0 .3", name="b"))
+        + '<body name="r" pos=".5 0 0"><freejoint/><geom type="box" size=".1 .2 .05"/></body>'
+        + body(hinge("s1"), "0 0 .3", body(hinge("s2"), "0 0 .3", at="0 0 .3"), ".5 0 1"),
+        '<equality><weld body1="b" body2="r" anchor=".1 0 .2" torquescale="0.5"/>'
+        '<joint joint1="s1" joint2="s2" polycoef="0.1 .5 .2 0 0"/></equality>')),
+    "connect of sites": File(mjcf('<body euler="0 30 60">'
+        + body(hinge("a"), "0 0 .3", '<site name="p" pos="0 0 .3"/>')
+        + body(hinge("b"), "0 0 .3", body(
+            hinge("c"), "-.2 0 0", '<site name="q" pos="-.2 0 0"/>', "0 0 .3"), ".2 0 0")
+        + "</body>",
+        '<equality><connect site1="p" site2="q"/></equality>')),
 }  # fmt: skip
 
+#: Every kind of joint, two in one body, polynomial springs and dampers, a weight that is held up.
+MIXED = mjcf(
+    body('<joint name="j1" axis="0 0 1" damping="0.1 0.2 0.3"/>', "0 0 .3",
+        body('<joint axis="0 1 0" stiffness="1 2 3" springref="20"/>'
+        '<joint type="slide" axis="1 0 .2" armature=".1" ref="0.1"/>',
+        "0.3 0 .1",
+        '<body pos=".3 0 .1" euler="20 30 40" gravcomp="0.4">'
+        '<joint type="ball" pos=".01 .02 0" damping="0.2"/>'
+        '<geom type="box" size=".1 .05 .02" pos=".1 0 0"/>'
+        '<body pos=".1 0 0"><geom size=".05"/></body></body>',
+        "0 0 .3",),)
+    + '<body pos="0 2 1"><freejoint/><geom type="box" size=".1 .2 .3" pos=".1 .1 0"/>'
+    + body(hinge("h"), "0 0 .3") + "</body>",
+    '<actuator><position joint="j1" kp="30" kv="2" ctrlrange="-1 1"/>'
+    '<motor joint="h" gear="3" forcerange="-2 2"/></actuator>'
+    '<keyframe><key qpos=".1 .2 .3 1 0 0 .2 0 2 1 1 0 .3 0 .4" ctrl="0.3 0.1"/></keyframe>',
+)  # fmt: skip
 ROBOTS = {
+    "every joint": File(MIXED),
+    "every joint in a wind": File(
+        MIXED.replace("<option/>", '<option density="30" viscosity="0.7" wind="1 -2 0.5"/>')),
+    "two motors at a bound joint": File(mjcf(chain(1, 'actuatorfrcrange="-88 88"', axes=("0 1 0",)),
+        '<actuator><motor joint="j0"/><motor joint="j0" gear="2"/></actuator>'
+        '<keyframe><key ctrl="60 20"/></keyframe>')),
     "servo arm": File(mjcf(chain(4), actuated("position", 4, 'kp="50" kv="3"'))),
-    "arm with classes": File(
-        mjcf(
-            chain(3, 'class="big"'),
-            actuated("general", 3, 'class="big"'),
-            '<compiler angle="radian" autolimits="true"/><option integrator="implicitfast"/>',
-            '<default><geom contype="0" conaffinity="0"/><default class="big"><joint armature="0.1"'
-            ' damping="2"/><general gaintype="fixed" biastype="affine" gainprm="200"'
-            ' biasprm="0 -200 -10" ctrlrange="-2 2" forcerange="-80 80"/></default></default>',
-        )
-    ),
-    "arm above a floor": File(
-        mjcf(
-            '<geom type="plane" size="1 1 1"/>' + chain(3, 'range="-90 90" frictionloss=".1"'),
-            actuated("motor", 3, 'gear="20" ctrlrange="-1 1"'),
-            default="",
-        ),
-        left_out=("contacts", "limits", "friction_loss"),
-    ),
-    "arm with a bound of its joints": File(
-        mjcf(
-            chain(3, 'actuatorfrcrange="-5 5"'),
-            actuated("position", 3, 'kp="900"')
-            + '<keyframe><key qpos=".1 .2 -.2" ctrl="1 -1 .002"/></keyframe>',
-        )
-    ),
+    "arm with classes": File(mjcf(chain(3, 'class="big"'),
+        actuated("general", 3, 'class="big"'),
+        '<compiler angle="radian" autolimits="true"/><option integrator="implicitfast"/>',
+        '<default><geom contype="0" conaffinity="0"/><default class="big"><joint armature="0.1"'
+        ' damping="2"/><general gaintype="fixed" biastype="affine" gainprm="200"'
+        ' biasprm="0 -200 -10" ctrlrange="-2 2" forcerange="-80 80"/></default></default>')),
+    "arm above a floor": File(mjcf(
+        '<geom type="plane" size="1 1 1"/>' + chain(3, 'range="-90 90" frictionloss=".1"'),
+        actuated("motor", 3, 'gear="20" ctrlrange="-1 1"'),
+        default="",),
+        left_out=("contacts", "limits", "friction_loss"),),
+    "arm with a bound of its joints": File(mjcf(chain(3, 'actuatorfrcrange="-5 5"'),
+        actuated("position", 3, 'kp="900"')
+        + '<keyframe><key qpos=".1 .2 -.2" ctrl="1 -1 .002"/></keyframe>')),
     "arm held up by its motors": File(
         mjcf(chain(2, 'actuatorgravcomp="true"').replace("<body ", '<body gravcomp="1" '),
-             actuated("motor", 2))
-    ),
+         actuated("motor", 2))),
     "arm held up": File(mjcf(chain(2).replace("<body ", '<body gravcomp="0.7" '))),
-    "gripper of two tendons": File(
-        mjcf(
-            chain(2),
-            '<tendon><fixed name="split"><joint joint="j0" coef=".5"/><joint joint="j1" coef=".5"/>'
-            '</fixed></tendon><actuator><general name="grip" tendon="split"/></actuator>',
-        ),
-        left_out=("tendons", "actuators"),
-    ),
-    "hand with coupled joints": File(
-        mjcf(
-            chain(3, axes=("0 1 0",)),
-            '<equality><joint joint1="j1" joint2="j0" polycoef="0 .8 .1 0 0"/>'
-            '<joint joint1="j2" joint2="j1" polycoef="0 .7 0 0 0"/></equality>'
-            + actuated("position", 1, 'kp="2"'),
-        )
-    ),
+    "gripper of two tendons": File(mjcf(chain(2),
+        '<tendon><fixed name="split"><joint joint="j0" coef=".5"/><joint joint="j1" coef=".5"/>'
+        '</fixed></tendon><actuator><general name="grip" tendon="split"/></actuator>',),
+        left_out=("tendons", "actuators"),),
+    "hand with coupled joints": File(mjcf(chain(3, axes=("0 1 0",)),
+        '<equality><joint joint1="j1" joint2="j0" polycoef="0 .8 .1 0 0"/>'
+        '<joint joint1="j2" joint2="j1" polycoef="0 .7 0 0 0"/></equality>'
+        + actuated("position", 1, 'kp="2"'),)),
     "hand of muscles": File(
-        mjcf(chain(2), actuated("muscle", 2, 'lengthrange="0.1 2"')), left_out=("actuators",)
-    ),
-    "quadruped": File(
-        mjcf(
-            f'<body pos="0 0 .5">{FREE}'
-            + "".join(
-                body(
-                    hinge(f"hip{k}", "1 0 0"), "0 0 -.1",
-                    body(hinge(f"thigh{k}"), "0 0 -.25", body(
-                        hinge(f"calf{k}", more='range="-150 -50"'), "0 0 -.25", at="0 0 -.25"),
-                        "0 0 -.1"),
-                    f"{x} {y} 0",
-                )
-                for k, (x, y) in enumerate(product((".15", "-.15"), (".1", "-.1")))
-            )
-            + "</body>"
-        ),
-        left_out=("limits",),
-    ),
-    "biped with bounds": File(
-        mjcf(
-            f'<body pos="0 0 1">{FREE}'
-            + "".join(
-                body(hinge(f"hip{s}", more='actuatorfrcrange="-88 88"'), "0 0 -.4",
-                     body(hinge(f"knee{s}", more='actuatorfrcrange="-139 139"'), "0 0 -.4",
-                          at="0 0 -.4"), f"0 {y} 0")
-                for s, y in (("l", ".1"), ("r", "-.1"))
-            )
-            + "</body>",
-            '<actuator><motor joint="hipl"/><motor joint="kneer" gear="2"/></actuator>'
-            '<sensor><jointpos joint="hipl"/></sensor>',
-        )
-    ),
-    "arm with sensors and lights": File(
-        mjcf(
-            '<light pos="0 0 3"/><camera name="c" pos="0 -2 1"/>'
-            + chain(2, inner='<site name="tip" pos="0 0 .3"/>'),
-            '<sensor><framepos objtype="site" objname="tip"/><gyro site="tip"/></sensor>'
-            '<custom><numeric name="n" data="1 2"/></custom>',
-        )
-    ),
+        mjcf(chain(2), actuated("muscle", 2, 'lengthrange="0.1 2"')), left_out=("actuators",)),
+    "quadruped": File(mjcf(f'<body pos="0 0 .5">{FREE}'
+        + "".join(body(hinge(f"hip{k}", "1 0 0"), "0 0 -.1",
+                body(hinge(f"thigh{k}"), "0 0 -.25", body(
+                    hinge(f"calf{k}", more='range="-150 -50"'), "0 0 -.25", at="0 0 -.25"),
+                    "0 0 -.1"),
+                f"{x} {y} 0",)
+            for k, (x, y) in enumerate(product((".15", "-.15"), (".1", "-.1"))))
+        + "</body>"),
+        left_out=("limits",),),
+    "biped with bounds": File(mjcf(f'<body pos="0 0 1">{FREE}'
+        + "".join(body(hinge(f"hip{s}", more='actuatorfrcrange="-88 88"'), "0 0 -.4",
+                 body(hinge(f"knee{s}", more='actuatorfrcrange="-139 139"'), "0 0 -.4",
+                      at="0 0 -.4"), f"0 {y} 0")
+            for s, y in (("l", ".1"), ("r", "-.1")))
+        + "</body>",
+        '<actuator><motor joint="hipl"/><motor joint="kneer" gear="2"/></actuator>'
+        '<sensor><jointpos joint="hipl"/></sensor>')),
+    "arm with sensors and lights": File(mjcf('<light pos="0 0 3"/><camera name="c" pos="0 -2 1"/>'
+        + chain(2, inner='<site name="tip" pos="0 0 .3"/>'),
+        '<sensor><framepos objtype="site" objname="tip"/><gyro site="tip"/></sensor>'
+        '<custom><numeric name="n" data="1 2"/></custom>')),
     "goal that is moved by hand": File(
-        mjcf('<body name="goal" mocap="true" pos="1 0 0"><geom size=".1"/></body>' + chain(2))
-    ),
-    "goal that a keyframe moves": File(
-        mjcf(
-            '<body name="goal" mocap="true" pos="1 0 0"><geom size=".1"/>'
-            '<body><joint/><geom size=".1" pos=".2 0 0"/></body></body>',
-            '<keyframe><key qpos=".1" mpos="0 1 0" mquat=".7 .7 0 0"/></keyframe>',
-        )
-    ),
-    "bob tied to a goal": File(
-        mjcf(
-            '<body name="goal" mocap="true" pos=".1 0 .6"><geom size=".01"/></body>'
-            + body("<freejoint/>", "0 0 -.4", at=".1 0 .6", name="bob"),
-            '<equality><connect body1="bob" body2="goal" anchor="0 0 0"/></equality>',
-        )
-    ),
+        mjcf('<body name="goal" mocap="true" pos="1 0 0"><geom size=".1"/></body>' + chain(2))),
+    "goal that a keyframe moves": File(mjcf(
+        '<body name="goal" mocap="true" pos="1 0 0"><geom size=".1"/>'
+        '<body><joint/><geom size=".1" pos=".2 0 0"/></body></body>',
+        '<keyframe><key qpos=".1" mpos="0 1 0" mquat=".7 .7 0 0"/></keyframe>')),
+    "bob tied to a goal": File(mjcf(
+        '<body name="goal" mocap="true" pos=".1 0 .6"><geom size=".01"/></body>'
+        + body("<freejoint/>", "0 0 -.4", at=".1 0 .6", name="bob"),
+        '<equality><connect body1="bob" body2="goal" anchor="0 0 0"/></equality>')),
 }  # fmt: skip
 
 BOX = '<geom type="box" size=".1 .1 .1"/>'
 STUDENTS = {
     "pendulum": File(mjcf(body(hinge("a"), "0 0 .6"))),
     "double pendulum": File(mjcf(chain(2, 'damping=".05"', axes=("0 1 0",)))),
-    "cart and pole": File(
-        mjcf(
-            '<body><joint name="cart" type="slide" axis="1 0 0" range="-1 1"/>'
-            + BOX + body(hinge("pole"), "0 0 .6") + "</body>",
-            '<actuator><motor joint="cart" gear="100" ctrlrange="-1 1" ctrllimited="true"/>'
-            "</actuator>",
-            '<option integrator="RK4" timestep="0.01"/>',
-        ),
-        left_out=("limits",),
-    ),
-    "cart in its gap": File(
-        mjcf(
-            '<body><joint type="slide" axis="1 0 0" range="-1 1"/>' + BOX + "</body>",
-            option='<option><flag constraint="disable"/></option>',
-        )
-    ),
-    "rotary pendulum": File(
-        mjcf(
-            '<body pos="0 0 .5"><body pos="-.2 0 0" euler="0 90 0">'
-            '<joint name="arm" axis="-1 0 0" pos="0 0 .2"/>'
-            '<geom type="cylinder" size=".02 .2" mass=".4"/>'
-            '<body pos="-.15 0 -.2" euler="90 90 0">'
-            '<joint name="pole" axis="0 -1 0" pos="0 0 .15"/>'
-            '<geom type="cylinder" size=".015 .15" mass=".2"/></body></body></body>',
-            '<actuator><motor joint="arm"/></actuator>',
-        )
-    ),
+    "cart and pole": File(mjcf('<body><joint name="cart" type="slide" axis="1 0 0" range="-1 1"/>'
+        + BOX + body(hinge("pole"), "0 0 .6") + "</body>",
+        '<actuator><motor joint="cart" gear="100" ctrlrange="-1 1" ctrllimited="true"/>'
+        "</actuator>",
+        '<option integrator="RK4" timestep="0.01"/>',),
+        left_out=("limits",),),
+    "cart in its gap": File(mjcf(
+        '<body><joint type="slide" axis="1 0 0" range="-1 1"/>' + BOX + "</body>",
+        option='<option><flag constraint="disable"/></option>')),
+    "rotary pendulum": File(mjcf('<body pos="0 0 .5"><body pos="-.2 0 0" euler="0 90 0">'
+        '<joint name="arm" axis="-1 0 0" pos="0 0 .2"/>'
+        '<geom type="cylinder" size=".02 .2" mass=".4"/>'
+        '<body pos="-.15 0 -.2" euler="90 90 0">'
+        '<joint name="pole" axis="0 -1 0" pos="0 0 .15"/>'
+        '<geom type="cylinder" size=".015 .15" mass=".2"/></body></body></body>',
+        '<actuator><motor joint="arm"/></actuator>')),
     "acrobot": File(mjcf(chain(2, axes=("0 1 0",)), '<actuator><motor joint="j1"/></actuator>')),
-    "spherical pendulum": File(
-        mjcf(body('<joint name="b" type="ball" damping=".1"/>', "0 0 -.5"))
-    ),
-    "spinning book": File(
-        mjcf(
-            '<body><freejoint/><geom type="box" size=".1 .08 .02"/></body>',
-            '<keyframe><key qpos="0 0 0 1 0 0 0" qvel="0 0 0 .02 8 .01"/></keyframe>',
-            '<option gravity="0 0 0" integrator="implicitfast"/>',
-        )
-    ),
+    "spherical pendulum": File(mjcf(body('<joint name="b" type="ball" damping=".1"/>', "0 0 -.5"))),
+    "spinning book": File(mjcf('<body><freejoint/><geom type="box" size=".1 .08 .02"/></body>',
+        '<keyframe><key qpos="0 0 0 1 0 0 0" qvel="0 0 0 .02 8 .01"/></keyframe>',
+        '<option gravity="0 0 0" integrator="implicitfast"/>')),
     "mass and spring": File(
-        mjcf('<body><joint type="slide" stiffness="30 4" damping=".5 .1"/>' + BOX + "</body>")
-    ),
+        mjcf('<body><joint type="slide" stiffness="30 4" damping=".5 .1"/>' + BOX + "</body>")),
     "spring that yields": File(
         mjcf(body(hinge("a", more='stiffness="3" springyield=".5"'), "0 0 .5")),
-        left_out=("plasticity",),
-    ),
+        left_out=("plasticity",),),
     "ball with a spring": File(
-        mjcf(body('<joint type="ball" stiffness="3"/>', "0 0 .5")), left_out=("ball_springs",)
-    ),
+        mjcf(body('<joint type="ball" stiffness="3"/>', "0 0 .5")), left_out=("ball_springs",)),
     "stone in water": File(
         mjcf('<body><freejoint/>' + BOX + "</body>", option='<option density="1000" wind="1 0 0"/>')
     ),
-    "fish of ellipsoids": File(
-        mjcf(
-            '<body><freejoint/><geom type="ellipsoid" size=".1 .05 .02" fluidshape="ellipsoid"/>'
-            "</body>",
-            option='<option density="1000"/>',
-        ),
-        left_out=("fluid",),
-    ),
-    "ball that bounces": File(
-        mjcf(
-            '<geom type="plane" size="1 1 1"/>'
-            '<body pos="0 0 1"><freejoint/><geom size=".1"/></body>',
-            default="",
-        ),
-        left_out=("contacts",),
-    ),
-    "pair of contact": File(
-        mjcf(
-            '<geom name="f" type="plane" size="1 1 1"/>'
-            '<body pos="0 0 1"><freejoint/><geom name="g" size=".1"/></body>',
-            '<contact><pair geom1="f" geom2="g"/></contact>',
-        ),
-        left_out=("contacts",),
-    ),
+    "fish of ellipsoids": File(mjcf(
+        '<body><freejoint/><geom type="ellipsoid" size=".1 .05 .02" fluidshape="ellipsoid"/>'
+        "</body>",
+        option='<option density="1000"/>',),
+        left_out=("fluid",),),
+    "ball that bounces": File(mjcf('<geom type="plane" size="1 1 1"/>'
+        '<body pos="0 0 1"><freejoint/><geom size=".1"/></body>',
+        default="",),
+        left_out=("contacts",),),
+    "pair of contact": File(mjcf('<geom name="f" type="plane" size="1 1 1"/>'
+        '<body pos="0 0 1"><freejoint/><geom name="g" size=".1"/></body>',
+        '<contact><pair geom1="f" geom2="g"/></contact>',),
+        left_out=("contacts",),),
     "belt that moves": File(
         mjcf('<geom type="plane" size="1 1 1" surfacevel="1 0 0 0 0 0"/><body pos="0 0 1">'
-             '<freejoint/><geom size=".1"/></body>', default=""),
-        left_out=("contacts",),
-    ),
-    "pendulum on a string": File(
-        mjcf(
-            '<site name="top" pos="0 0 1"/>'
-            + body("<freejoint/>", "0 0 .1", '<site name="end"/>'),
-            '<tendon><spatial stiffness="100"><site site="top"/><site site="end"/></spatial>'
-            "</tendon>",
-        ),
-        left_out=("tendons",),
-    ),
+         '<freejoint/><geom size=".1"/></body>', default=""),
+        left_out=("contacts",),),
+    "pendulum on a string": File(mjcf('<site name="top" pos="0 0 1"/>'
+        + body("<freejoint/>", "0 0 .1", '<site name="end"/>'),
+        '<tendon><spatial stiffness="100"><site site="top"/><site site="end"/></spatial>'
+        "</tendon>",),
+        left_out=("tendons",),),
     "rope of a flex": File(
         mjcf('<body><joint/><geom size=".1"/></body><flexcomp name="rope" type="grid" dim="1"'
-             ' count="4 1 1" spacing=".1 .1 .1"/>'),
-        refusal="flexes",
-    ),
+         ' count="4 1 1" spacing=".1 .1 .1"/>'),
+        refusal="flexes",),
 }  # fmt: skip

@@ -1,7 +1,8 @@
-"""Files as people have them: each is loaded with MuJoCo's accelerations, or refused by name."""
+"""Files as people have them: each is a scene with MuJoCo's accelerations, or refused by name."""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from typing import Any
@@ -12,14 +13,16 @@ import numpy as np
 import pytest
 from helpers import long
 from model_details import FILES, URDF, joint, link, mesh, urdf
-from model_files import LOOPS, four_bar, hinge, mjcf
+from model_files import LOOPS, chain, four_bar, mjcf
 from model_files import body as rod
+from scipy.spatial.transform import Rotation
 
 from bench.check.checker import is_file
-from bench.plugins.registry import Registry
-from integrators import Steps, Tolerances
-from integrators.adapters.ida import IDA
+from bench.plugins.fingerprint import fingerprint
+from bench.plugins.registry import Plugin, Registry
 from problems import from_mjcf
+from problems.models import mjcf_check
+from problems.models.mjcf import REFUSED
 from problems.models.mjcf_parts import lacking
 from problems.models.mjcf_read import read
 from problems.runtime import jax, jnp
@@ -27,20 +30,29 @@ from problems.spec import SpecError, build
 
 #: The flags of MuJoCo that switch off what a scene leaves out.
 RIGID = {"contacts": "CONTACT", "limits": "LIMIT", "friction_loss": "FRICTIONLOSS"}
-VALUED = [name for name, file in FILES.items() if not file.refusal and {*file.left_out} <= {*RIGID}]
+VALUED = [n for n, file in FILES.items() if not file.refusal and {*file.left_out} <= {*RIGID}]
 #: One of each kind.
-FEW = ["goal that a keyframe moves", "arm with a bound of its joints", "four bar on a free base"]
+FEW = ["goal that a keyframe moves", "every joint in a wind", "two motors at a bound joint",
+       "four bar on a free base"]  # fmt: skip
+#: Constraints and freedoms of closed loops, in which equations that follow from others are gone.
+FREEDOMS = {
+    "four bar turned 20 35 50": (2, 1), "four bar on a free base": (2, 7), "parallelogram": (3, 1),
+    "legs with tarsus loops": (4, 10), "gripper that a weld carries": (6, 2),
+    "spatial loop of balls": (3, 2), "hinge of two connects": (5, 4),
+    "three loops on a crank": (6, 1), "weld and gear": (7, 5),
+}  # fmt: skip
+STILL = jnp.zeros(1), jnp.zeros(1), jnp.zeros(())
 
 
-def saved(tmp_path, name: str):
-    path = tmp_path / f"robot{FILES[name].suffix}"
-    path.write_text(FILES[name].text)
+def saved(tmp_path, text: str, suffix: str = ".xml"):
+    path = tmp_path / f"robot{suffix}"
+    path.write_text(FILES[text].text if text in FILES else text)
     return path
 
 
 def test_each_is_loaded_or_refused_by_name(tmp_path):
     for name, file in FILES.items():
-        path = saved(tmp_path, name)
+        path = saved(tmp_path, name, file.suffix)
         if file.refusal:
             with pytest.raises(SpecError, match=file.refusal):
                 lacking(read(path, None)[0])
@@ -51,7 +63,8 @@ def test_each_is_loaded_or_refused_by_name(tmp_path):
 
 
 def accelerations(scene):
-    """The accelerations of a scene at q and v, of constraints that may be redundant."""
+    """Accelerations of a scene at q and v, of constraints that may be redundant, and the rate of
+    its energy, if it has one, beside that of the kinetic energy of the same a."""
 
     def moved(q, w):
         return scene.move(q, w) if scene.has("kinematics") else q + w
@@ -62,14 +75,19 @@ def accelerations(scene):
 
     def solved(q, v):
         mass, force = scene.mass(q), scene.force(q, v, jnp.zeros(()))
-        if not scene.sizes.nl:
-            return jnp.linalg.solve(mass, force)
         rate = scene.kinematics(q, v) if scene.has("kinematics") else v
-        bend = jax.jvp(lambda q: jacobian(q) @ v, (q,), (rate,))[1]
-        by, zero = jacobian(q), jnp.zeros((scene.sizes.nl, scene.sizes.nl))
-        whole = jnp.block([[mass, by.T], [by, zero]])
-        right = jnp.concatenate([force, -bend])
-        return jnp.linalg.lstsq(whole, right, rcond=1e-11)[0][: len(v)]
+        if scene.sizes.nl:
+            bend = jax.jvp(lambda q: jacobian(q) @ v, (q,), (rate,))[1]
+            by, zero = jacobian(q), jnp.zeros((scene.sizes.nl, scene.sizes.nl))
+            whole = jnp.block([[mass, by.T], [by, zero]])
+            right = jnp.concatenate([force, -bend])
+            a = jnp.linalg.lstsq(whole, right, rcond=1e-11)[0][: len(v)]
+        else:
+            a = jnp.linalg.solve(mass, force)
+        power = jnp.zeros(())
+        if scene.has("energy"):
+            power = jax.jvp(scene.energy, (q, v), (rate, a))[1]
+        return a, power, jnp.abs(v) @ jnp.abs(mass @ a)
 
     return jax.jit(solved)
 
@@ -90,19 +108,13 @@ def hard_acceleration(model: Any, data: Any) -> np.ndarray:
 
     It solves M a + J^T f = forces, J a = -J' v. J' v is a central difference of MuJoCo's J along
     the motion, extrapolated to an increment of zero.
-
-    Parameters
-    ----------
-    model, data
-        ``MjModel`` and ``MjData`` with the state.
     """
     mujoco.mj_forward(model, data)
     if not data.nefc:
         return data.qacc.copy()
     jacobian, forces = data.efc_J.reshape(data.nefc, -1).copy(), data.qfrc_smooth.copy()
-    mass = np.zeros((model.nv, model.nv))
+    mass, moved = np.zeros((model.nv, model.nv)), mujoco.MjData(model)
     mujoco.mj_fullM(model, data, mass)
-    moved = mujoco.MjData(model)
 
     def speed(time: float) -> np.ndarray:
         moved.qpos[:] = data.qpos
@@ -117,17 +129,23 @@ def hard_acceleration(model: Any, data: Any) -> np.ndarray:
 
 
 def _slope(function: Callable[[float], np.ndarray], speed: np.ndarray) -> np.ndarray:
-    """Its derivative at 0: central differences, extrapolated to an increment of zero."""
     size = 1e-3 / (np.abs(speed).max() or 1.0)
     coarse, fine = ((function(h) - function(-h)) / (2 * h) for h in (size, size / 2))
     return (4 * fine - coarse) / 3
 
 
 @pytest.mark.parametrize("name", [*FEW, *long(*(n for n in VALUED if n not in FEW))])
-def test_accelerations_are_those_of_mujoco(tmp_path, name):
+def test_accelerations_are_those_of_mujoco_and_keep_the_energy(tmp_path, name):
     file = FILES[name]
-    scene = from_mjcf(saved(tmp_path, name))(**dict.fromkeys(file.left_out, "left_out"))
+    cls = from_mjcf(saved(tmp_path, name, file.suffix))
+    scene = cls(**dict.fromkeys(file.left_out, "left_out"))
     m, ours, rng = of_mujoco(file), accelerations(scene), np.random.default_rng(3)
+    if name in FREEDOMS:
+        assert (scene.sizes.nl, scene.sizes.nv - scene.sizes.nl) == FREEDOMS[name]
+        assert not scene.redundant
+    if name.startswith("four bar"):
+        # Of the three equations of the pin one follows, and a line says so.
+        assert re.search(r"follow from others \(pin [012]\)\.", cls.__doc__)
     data = mujoco.MjData(m)
     if m.nkey:
         mujoco.mj_resetDataKeyframe(m, data, 0)
@@ -135,14 +153,16 @@ def test_accelerations_are_those_of_mujoco(tmp_path, name):
         data.qpos[:], data.qvel[:] = scene.initial_state().q, rng.normal(size=m.nv)
         if scene.sizes.nl:  # velocities that keep loops closed
             mujoco.mj_forward(m, data)
+            assert np.abs(data.efc_pos).max() < 1e-12
             ties = data.efc_J.reshape(-1, m.nv)
             data.qvel[:] -= np.linalg.pinv(ties, rcond=1e-9) @ ties @ data.qvel
         else:
             mujoco.mj_integratePos(m, data.qpos, rng.normal(size=m.nv), 1.0)
         theirs = hard_acceleration(m, data)
         size = np.abs(theirs).max() + np.abs(data.qacc_smooth).max()
-        found = np.asarray(ours(data.qpos.copy(), data.qvel.copy()))
+        found, power, largest = map(np.asarray, ours(data.qpos.copy(), data.qvel.copy()))
         assert np.abs(found - theirs).max() <= 1e-7 * size
+        assert abs(power) <= 1e-10 * (largest + 1.0)
 
 
 def test_every_field_and_flag_of_mujoco_is_known(monkeypatch):
@@ -151,72 +171,66 @@ def test_every_field_and_flag_of_mujoco_is_known(monkeypatch):
     monkeypatch.setattr(model_fields, "READ", model_fields.READ - {"body_mass", "opt.wind"})
     less = model_fields.FLAGS | {"mjtEnableBit": set()}
     monkeypatch.setattr(model_fields, "FLAGS", less)
-    found = model_fields.unknown(m)
-    assert {"body_mass", "opt.wind", "mjENBL_SLEEP"} <= {*found}
+    assert {"body_mass", "opt.wind", "mjENBL_SLEEP"} <= {*model_fields.unknown(m)}
 
 
-# ---- closed loops
-@pytest.mark.parametrize(
-    ("name", "rows", "free"),
-    [
-        ("four bar turned 20 35 50", 2, 1),
-        *long(
-            ("four bar on a free base", 2, 7),
-            ("legs with tarsus loops", 4, 10),
-            ("gripper that a weld carries", 6, 2),
-            ("spatial loop of balls", 3, 2),
-            ("hinge of two connects", 5, 4),
-            ("parallelogram", 3, 1),
-            ("three loops on a crank", 6, 1),
-        ),
-    ],
-)
-def test_equations_that_follow_from_others_are_left_out(tmp_path, name, rows, free):
-    scene = from_mjcf(saved(tmp_path, name))()
-    assert (scene.sizes.nl, scene.sizes.nv - scene.sizes.nl) == (rows, free)
-    assert not scene.redundant
-    if name.startswith("four bar"):
-        # Of the three equations of the pin one follows, and a line says so.
-        assert re.search(r"follow from others \(pin [012]\)\.", type(scene).__doc__)
+# ---- the comparison when a file is loaded
+@pytest.mark.parametrize("wrong", ["mass", *long("gravity", "place", "wind")])
+def test_a_number_that_is_not_read_refuses_the_model(tmp_path, wrong):
+    file = "every joint in a wind" if wrong == "wind" else "four bar turned "
+    model = from_mjcf(saved(tmp_path, file)).model
+    number = model._boxes[-1] if wrong == "wind" else getattr(model.tree, wrong)[-1:]
+    number *= 1 + 1e-6
+    number += 1e-6
+    with pytest.raises(SpecError, match="MuJoCo computes other"):
+        mjcf_check.compare(model, model.m.qpos0, np.zeros(model.m.nu))
 
 
-@pytest.mark.long
-def test_a_turned_loop_moves_as_the_straight_one_under_turned_gravity(tmp_path):
-    angles = np.deg2rad([20.0, 35.0, 50.0])
-    axes = np.eye(3)
-    for k, angle in enumerate(angles):  # about the axes that have turned already
-        c, s = np.cos(angle), np.sin(angle)
-        turn = np.eye(3)
-        i, j = (k + 1) % 3, (k + 2) % 3
-        turn[[i, i, j, j], [i, j, i, j]] = c, -s, s, c
-        axes = axes @ turn
-    weight = " ".join(repr(float(g)) for g in axes.T @ [0.0, 0.0, -9.81])
-    straight = four_bar().replace("<option/>", f'<option gravity="{weight}"/>')
-    runs = []
-    for name, text in (("tilted", four_bar("20 35 50")), ("straight", straight)):
-        (tmp_path / f"{name}.xml").write_text(text)
-        scene = from_mjcf(tmp_path / f"{name}.xml")()
-        runs.append(IDA().prepare(scene, 0.3, Tolerances(1e-8)).measure())
-    assert np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < 1e-6
-    assert np.abs(runs[0].q[-1] - runs[0].q[0]).max() > 0.1
+def test_what_was_compared_is_known_the_next_time(tmp_path, monkeypatch):
+    path = saved(tmp_path, "four bar turned ")
+    first = from_mjcf(path)
+    monkeypatch.setattr(mjcf_check, "compare", None)  # it would fail
+    again = from_mjcf(path)
+    assert again.at_start == first.at_start
+    # The fingerprint follows the numbers of the model.
+    path.write_text(path.read_text() + "<!-- a remark -->")
+    assert fingerprint(from_mjcf(path)) == fingerprint(first)
+    monkeypatch.undo()
+    path.write_text(path.read_text().replace('size=".02"', 'size=".021"', 1))
+    assert fingerprint(from_mjcf(path)) != fingerprint(first)
 
 
-# ---- bounds of joints
-def test_a_bound_of_a_joint_holds_for_the_sum_of_its_actuators(tmp_path):
+# ---- controls, and what is left out
+def test_controls_are_parameters_and_unknown_parts_are_left_out_by_name(tmp_path):
+    arm = chain(1, 'range="-90 90" frictionloss="0.1" damping="1"')
     text = mjcf(
-        rod(hinge("j", more='actuatorfrcrange="-88 88"'), ".4 0 0"),
-        '<actuator><motor name="a" joint="j"/><motor name="b" joint="j" gear="2"/></actuator>',
+        '<geom name="floor" type="plane" size="1 1 1"/>' + arm.replace("<geom ", '<geom name="g" '),
+        '<actuator><motor name="hip motor" joint="j0"/></actuator>', default="",
+    )  # fmt: skip
+    cls = from_mjcf(saved(tmp_path, text))
+    options = Plugin("problems", "robot", "", lambda: cls).options
+    assert {option["name"]: option["default"] for option in options} == {
+        "contacts": REFUSED, "limits": REFUSED, "friction_loss": REFUSED, "control_hip_motor": 0.0,
+    }  # fmt: skip
+    with pytest.raises(SpecError, match=r"geom 'floor' of body 'world' and 'g' of body 'l0'"):
+        cls()
+    with pytest.raises(SpecError, match=r"has limits of joints \('j0'\), and .*,limits=left_out,"):
+        cls(contacts="left_out")
+    out = dict.fromkeys(("contacts", "limits", "friction_loss"), "left_out")
+    pushed, free = (cls(**out, control_hip_motor=u).force(*STILL) for u in (2.0, 0.0))
+    assert float(pushed[0] - free[0]) == pytest.approx(2.0)
+    with pytest.raises(SpecError, match=r"has no parameter 'contact'; did you mean 'contacts'"):
+        from_mjcf(tmp_path / "robot.xml", defaults={"contact": "left_out"})
+
+
+def test_an_actuator_that_is_left_out_takes_no_other_with_it(tmp_path):
+    actuators = '<motor name="own" joint="j0"/><general name="lag" joint="j0" dyntype="filter"/>'
+    cls = from_mjcf(saved(tmp_path, mjcf(chain(1), f"<actuator>{actuators}</actuator>")))
+    own, lag = (
+        float(cls(actuators="left_out", **{f"control_{name}": 2.0}).force(*STILL)[0])
+        for name in ("own", "lag")
     )
-    (tmp_path / "bound.xml").write_text(text)
-    cls, still = from_mjcf(tmp_path / "bound.xml"), (jnp.zeros(1), jnp.zeros(1), jnp.zeros(()))
-
-    def pushed(a: float, b: float) -> float:
-        other = cls(control_a=a, control_b=b).force(*still) - cls().force(*still)
-        return float(other[0])
-
-    assert pushed(30.0, 10.0) == pytest.approx(50.0)
-    assert pushed(60.0, 20.0) == pytest.approx(88.0)
-    assert pushed(-300.0, 20.0) == pytest.approx(-88.0)
+    assert own - lag == pytest.approx(2.0)
 
 
 def test_another_control_is_the_same_compiled_scene(tmp_path):
@@ -225,58 +239,62 @@ def test_another_control_is_the_same_compiled_scene(tmp_path):
     assert other.template() == cls().template()
 
 
-# ---- the engine
-def test_the_engine_steps_as_the_file_says(tmp_path):
-    text = mjcf(
-        rod(hinge("j0"), ".4 0 0"),
-        '<actuator><velocity joint="j0" kv="0.4"/></actuator>',
-        '<option integrator="implicitfast"/>',
+def test_bodies_that_an_exclusion_names_do_not_touch(tmp_path):
+    balls = "".join(
+        f'<body name="{n}" pos="{k} 0 0"><joint/><geom size=".1"/></body>'
+        for k, n in enumerate("abc")
     )
-    (tmp_path / "robot.xml").write_text(text)
-    scene, ends = from_mjcf(tmp_path / "robot.xml")(), []
-    for kind in ("file", "implicitfast", "euler"):
-        method = Registry().integrator(f"mujoco[integrator={kind}]")
-        ends.append(float(method.prepare(scene, 0.1, Steps(0.01)).measure().q[-1, 0]))
-    assert Registry().integrator("mujoco").spec == "mujoco[integrator=file]"
-    assert ends[0] == ends[1] != ends[2]
+    # The numbers of a and c are next to those of a and b.
+    for pairs, parts in ((("ba", "ac", "bc"), []), (("ab", "bc"), ["contacts"])):
+        excluded = "".join(f'<exclude body1="{a}" body2="{b}"/>' for a, b in pairs)
+        text = mjcf(balls, f"<contact>{excluded}</contact>", default="")
+        assert [*lacking(read(saved(tmp_path, text), None)[0])] == parts
 
 
-@pytest.mark.long
-def test_the_engine_takes_ties_of_which_one_is_redundant(tmp_path):
-    text = FILES["parallelogram"].text
-    for other, anchor in (("arm", ".5 0 0"), ("mid", ".25 0 0")):
-        # From the cranks to the bar: which equation follows changes along the motion.
-        text = text.replace(
-            f'body1="bar" body2="{other}" anchor="{anchor}"',
-            f'body1="{other}" body2="bar" anchor="0 0 .3"',
-        )
-    (tmp_path / "cranks.xml").write_text(text)
-    scene = from_mjcf(tmp_path / "cranks.xml")()
-    assert (scene.sizes.nl, scene.redundant) == (4, 1)
-    method = Registry().integrator("mujoco")
-    assert method.why_not(scene) is None
-    run = method.prepare(scene, 0.1, Steps(1e-3)).measure()
-    assert run.status == "ok"
-    # The cranks turn alike, and the bar keeps its direction.
-    assert np.abs(run.q @ [[1, 1], [1, 0], [0, -1], [0, 0]]).max() < 1e-3
-    assert np.abs(run.q[-1, 0]) > 0.01
+def test_a_urdf_has_turned_inertias(tmp_path):
+    text = urdf(link("base", mass=0), link("arm"), joint("a", "continuous", "base", "arm"))
+    scene = from_mjcf(saved(tmp_path, text, ".urdf"))()
+    turn = Rotation.from_euler("x", 0.1).as_matrix()
+    own = turn @ [[0.02, 0.0, 0.001], [0.0, 0.02, 0.0], [0.001, 0.0, 0.01]] @ turn.T
+    # About the hinge along y, which is tilted by 0.1; the centre is at (0, .01, .1).
+    assert float(scene.mass(STILL[0])[0, 0]) == pytest.approx(0.1**2 + own[1, 1], rel=1e-6)
+    moment = float(scene.force(jnp.array([0.5]), *STILL[1:])[0])
+    assert moment == pytest.approx(9.81 * 0.1 * np.sin(0.6), rel=1e-9)
+
+
+def test_a_model_that_is_no_scene_is_one_sentence(tmp_path):
+    far = '<keyframe><key qpos="2 -3 1"/></keyframe>'
+    part = r"has {} \('{}'{}\); a scene cannot".format
+    lag = '<actuator><general name="lag" joint="j0" dyntype="filter" dynprm="0.1"/></actuator>'
+    cable = '<tendon><fixed name="cable"><joint joint="j0" coef="1"/></fixed></tendon>'
+    fish = '<option density="1.2"/><default><geom fluidshape="ellipsoid"/></default>'
+    for text, words in (
+        ("<mujoco>", "MuJoCo cannot read"),
+        (mjcf(rod("", "0 0 .3")), "nothing moves"),
+        (mjcf(chain(1), '<include file="lost.xml"/>'), "lost.xml"),
+        (four_bar(tie='<connect body1="coupler" body2="rocker" body1anchor=""/>'), "cannot read"),
+        (four_bar().replace("</mujoco>", f"{far}</mujoco>"), "The start violates the equalities"),
+        (mjcf(chain(1), lag), part("actuators that .* joint", "lag", ", by its dyntype")),
+        (mjcf(chain(1), cable), part("tendons", "cable", "")),
+        (mjcf(chain(1), fish), part("forces of a fluid on an ellipsoid", "geom 0", "")),
+    ):
+        with pytest.raises(SpecError, match=words):
+            from_mjcf(saved(tmp_path, text))()
 
 
 # ---- meshes, remarks and names
 def test_a_mesh_that_is_there_is_read(tmp_path):
     file = "package://robot/meshes/arm.stl"
-    path = tmp_path / "arm.urdf"
     parts = link("base", mass=0), link("arm", mesh(file)), joint("a", "continuous", "base", "arm")
-    path.write_text(urdf(*parts))
+    path = saved(tmp_path, urdf(*parts), ".urdf")
     lost, notes = read(path, None)
     assert notes == [f"Meshes and textures are left out that are not there ({file})."]
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype="<f4")
     faces = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]].reshape(4, 9)
     (tmp_path / "meshes").mkdir()
-    with (tmp_path / "meshes" / "arm.stl").open("wb") as stl:
-        stl.write(bytes(80) + (4).to_bytes(4, "little"))
-        for face in faces:
-            stl.write(bytes(12) + face.tobytes() + bytes(2))
+    triangles = (bytes(12) + face.tobytes() + bytes(2) for face in faces)
+    content = bytes(80) + (4).to_bytes(4, "little") + b"".join(triangles)
+    (tmp_path / "meshes" / "arm.stl").write_bytes(content)
     found, notes = read(path, tmp_path)
     assert (found.nmesh, lost.nmesh, notes) == (1, 0, [])
     # The file states the mass: a mesh changes nothing of it.
@@ -286,13 +304,14 @@ def test_a_mesh_that_is_there_is_read(tmp_path):
 
 def test_a_remark_of_mujoco_is_one_sentence_said_once(tmp_path, capfd, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("problems.models.mjcf_check.CACHE", tmp_path / "cache")
+    monkeypatch.setattr(mjcf_check, "CACHE", tmp_path / "cache")
     shape = '<geometry><sphere radius=".01"/></geometry>'
-    twice = URDF["urdf that follows"].text.replace(
-        "</link>", f'<collision name="same">{shape}</collision></link>'
-    )
     path = tmp_path / "my robot (2).urdf"
-    path.write_text(twice)
+    path.write_text(
+        URDF["urdf that follows"].text.replace(
+            "</link>", f'<collision name="same">{shape}</collision></link>'
+        )
+    )
     scene = from_mjcf(path)
     assert scene.name == "my_robot_2"
     assert from_mjcf(path).__doc__ == scene.__doc__  # what is known is not said again
@@ -311,24 +330,34 @@ def test_a_file_of_a_model_is_checked_as_one():
     assert not is_file("pendulum[th0=3.0]")
 
 
+# ---- commands
 @pytest.mark.long
 @pytest.mark.usefixtures("without_processes")
-def test_what_is_left_out_can_be_set_once(stepbench, tmp_path):
+def test_commands_take_the_file(stepbench, tmp_path):
+    path = saved(tmp_path, "four bar turned ")
+    solve = "solve", "robot", "generalized_alpha", "--plugins", path, "--t-end", "0.02"
+    found = json.loads(stepbench(*solve, "--step", "0.002", "--json").stdout)
+    assert found["status"] == "ok"
+    assert found["constraint"]["position"] < 1e-12
     floor = saved(tmp_path, "arm above a floor")
     gone = [f"--set={part}=left_out" for part in FILES["arm above a floor"].left_out]
     told = stepbench("list", "robot", "--plugins", floor, *gone, "--set=control_m0=0.5")
     assert told.exit_code == 0, told.output
     values = "contacts=left_out,limits=left_out,friction_loss=left_out,control_m0=0.5"
     assert f"scene robot[{values}]" in " ".join(told.output.split())
-    wrong = stepbench("list", "robot", "--plugins", floor, "--set=contacts=gone")
-    assert wrong.exit_code
-    assert "contacts=gone is not allowed; known: left_out, refused" in wrong.output
-    assert stepbench("list", "--set=contacts=gone").exit_code
     mine = tmp_path / "my own" / "mine.py"
     mine.parent.mkdir()
     done = stepbench("new", "problem", "mine", "--from", floor, *gone, "--out", mine)
     assert done.exit_code == 0, done.output
     assert f"stepbench check '{mine}'" in " ".join(done.output.split())
     assert Registry([mine]).problem("mine").spec == "mine"
-    with pytest.raises(SpecError, match=r"has no parameter 'contact'; did you mean 'contacts'"):
-        from_mjcf(floor, defaults={"contact": "left_out"})
+    for asked, words in (
+        (("list", "robot", "--set=contacts=gone"), "is not allowed; known: left_out, refused"),
+        (("list", "--set=contacts=gone"), "name"),
+        (("solve", "bad", "rattle"), "MuJoCo cannot read"),
+    ):
+        (tmp_path / "bad.xml").write_text("<mujoco>")
+        refused = stepbench(*asked, "--plugins", tmp_path / "bad.xml" if "bad" in asked else floor)
+        assert refused.exit_code
+        assert words in refused.output
+        assert "Traceback" not in refused.output

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers import slope
-from model_files import body, four_bar, hinge, mjcf
+from model_files import LOOPS, body, chain, four_bar, hinge, mjcf
 
 from bench.plugins.registry import Registry
 from integrators import Steps
@@ -14,21 +14,16 @@ from problems.reference import Reference
 from problems.scenes.pendulum import Pendulum
 from problems.spec import SpecError
 
-#: Two rods that swing from rest, one on the other.
-RODS = mjcf(
-    """<body pos="0 0 1"><joint name="a" axis="0 1 0"/>
-    <geom type="capsule" fromto="0 0 0 .5 0 0" size=".02" mass="1" contype="0" conaffinity="0"/>
-    <body pos=".5 0 0"><joint name="b" axis="0 1 0"/>
-    <geom type="capsule" fromto="0 0 0 .4 0 .2" size=".02" mass="1" contype="0" conaffinity="0"/>
-    </body></body>"""
-)
+
+def loaded(folder, text, **options):
+    (file := folder / "robot.xml").write_text(text)
+    return from_mjcf(file, **options)()
 
 
 @pytest.fixture(scope="module")
 def rods(tmp_path_factory):
-    file = tmp_path_factory.mktemp("rods") / "rods.xml"
-    file.write_text(RODS)
-    return from_mjcf(file)()
+    """Two rods that swing from rest, one on the other."""
+    return loaded(tmp_path_factory.mktemp("rods"), mjcf(chain(2, axes=("0 1 0",))), start={"j0": 1})
 
 
 def prepared(label, scene, h, t_end=0.2):
@@ -52,9 +47,7 @@ def test_its_integrators_have_their_orders_on_a_tree(rods, kind, order):
 def test_it_counts_forward_dynamics_and_iterations_of_loops(rods, tmp_path):
     work = prepared("mujoco[integrator=euler]", rods, 4e-3).measure().work
     assert (work.steps, work.residuals, work.newton) == (50, 50, 0)
-    file = tmp_path / "loop.xml"
-    file.write_text(four_bar())
-    loop = from_mjcf(file)()
+    loop = loaded(tmp_path, four_bar())
     work = prepared("mujoco[integrator=euler]", loop, 4e-3).measure().work
     assert (work.steps, work.residuals) == (50, 50)
     assert work.newton >= 50
@@ -71,10 +64,9 @@ def test_a_run_can_be_repeated_and_prints_nothing(rods, capfd):
 
 
 def test_a_blow_up_ends_the_run_and_leaves_no_file(tmp_path_factory, tmp_path, monkeypatch):
-    file = tmp_path_factory.mktemp("stiff") / "stiff.xml"
-    file.write_text(mjcf(body(hinge("a", more='stiffness="1e6"'), "0 0 .5")))
+    text = mjcf(body(hinge("a", more='stiffness="1e6"'), "0 0 .5"))
+    stiff = loaded(tmp_path_factory.mktemp("stiff"), text, start={"a": 0.1})
     monkeypatch.chdir(tmp_path)
-    stiff = from_mjcf(file, start={"a": 0.1})()
     run = prepared("mujoco[integrator=euler]", stiff, 0.1, t_end=20.0)
     found = run.measure()
     run.execute()
@@ -91,3 +83,32 @@ def test_other_scenes_and_patterns_are_refused(rods):
         method.prepare(Pendulum(), 1.35, Steps(0.1))
     with pytest.raises(SpecError, match="no pattern"):
         method.prepare(rods, 0.2, Steps(0.1, (0.3, 0.7)))
+
+
+def test_the_engine_steps_as_the_file_says(tmp_path):
+    damper = '<actuator><velocity joint="j0" kv="0.4"/></actuator>'
+    text = mjcf(chain(1, axes=("0 1 0",)), damper, '<option integrator="implicitfast"/>')
+    scene, ends = loaded(tmp_path, text, start={"j0": 1}), []
+    for kind in ("file", "implicitfast", "euler"):
+        ends.append(prepared(f"mujoco[integrator={kind}]", scene, 0.01).measure().q[-1, 0])
+    assert Registry().integrator("mujoco").spec == "mujoco[integrator=file]"
+    assert ends[0] == ends[1] != ends[2]
+
+
+@pytest.mark.long
+def test_the_engine_takes_ties_of_which_one_is_redundant(tmp_path):
+    text = LOOPS["parallelogram"].text
+    for other, anchor in (("arm", ".5 0 0"), ("mid", ".25 0 0")):
+        # From the cranks to the bar: which equation follows changes along the motion.
+        text = text.replace(
+            f'body1="bar" body2="{other}" anchor="{anchor}"',
+            f'body1="{other}" body2="bar" anchor="0 0 .3"',
+        )
+    scene, method = loaded(tmp_path, text), Registry().integrator("mujoco")
+    assert (scene.sizes.nl, scene.redundant) == (4, 1)
+    assert method.why_not(scene) is None
+    run = method.prepare(scene, 0.1, Steps(1e-3)).measure()
+    assert run.status == "ok"
+    # The cranks turn alike, and the bar keeps its direction.
+    assert np.abs(run.q @ [[1, 1], [1, 0], [0, -1], [0, 0]]).max() < 1e-3
+    assert np.abs(run.q[-1, 0]) > 0.01

@@ -173,7 +173,9 @@ def compare(model: Model, q: Float[np.ndarray, " nq"], control: Float[np.ndarray
         parts = [data.qfrc_passive, data.qfrc_actuator, data.qfrc_bias]
         forces = data.qfrc_passive + data.qfrc_actuator - data.qfrc_bias
         theirs = mass, mass @ data.qvel, forces, data.efc_pos
-        sizes = np.abs(mass).max(), np.abs(mass).max(), max(np.abs(parts).max(), 1e-300), 1.0
+        # Where no force acts, as on a turntable, rounding is measured by that of M a.
+        most = np.abs(mass).max()
+        sizes = most, most, max(np.abs(parts).max(), most), 1.0
         found = map(np.asarray, ours(data.qpos.copy(), data.qvel.copy(), data.ctrl.copy()))
         for name, own, given, size in zip(names, found, theirs, sizes, strict=True):
             if own.shape != given.shape:
