@@ -90,7 +90,7 @@ def test_methods_of_other_libraries_have_no_steps_to_look_into():
 def test_a_lie_in_the_counts_does_not_change_the_bill():
     scene, bills = ForcedOscillator(), []
     for counted in (2, 1):
-        prepared = Heun(counted=counted).prepare(scene, 1.0, Steps(0.1))
+        prepared = Heun(counted=counted).prepare(scene, 3.0, Steps(0.1))
         run = prepared.measure()
         assert run.work.residuals == 10 * counted
         bills.append(prepared.bill(run))
@@ -103,7 +103,7 @@ def test_a_lie_in_the_counts_does_not_change_the_bill():
 
 
 def test_a_loop_of_its_own_has_no_bill_instead_of_a_guess():
-    prepared = Heun(looping=True).prepare(ForcedOscillator(), 1.0, Steps(0.1))
+    prepared = Heun(looping=True).prepare(ForcedOscillator(), 3.0, Steps(0.1))
     run = prepared.measure()
     assert run.status == "ok"
     with pytest.raises(NotCounted, match="turns"):

@@ -32,8 +32,6 @@ class Run(PreparedRun):
         method = Newmark(beta=0.3025, gamma=0.6) if how == "order" else Newmark()
         if how == "unchanging":
             steps = Steps(steps.h)
-        if how == "evenly":
-            steps = Steps(steps.h / len(steps.pattern))
         self.inner = method.prepare(scene, t_end, steps)
 
     def measure(self):
@@ -58,8 +56,6 @@ class Run(PreparedRun):
             run.v[-1] += self.executed
         if how == "from_zero":
             run.q[1:] += 0.01 * self.t0
-        if how == "jittery":
-            run.q[-1] += 1e-6 * RANDOM.uniform()
         if how == "heavy":  # as if gravity were larger
             run.q[:, 0] -= 0.05 * (run.t - self.t0) ** 2
             run.v[:, 0] -= 0.1 * (run.t - self.t0)
@@ -92,8 +88,6 @@ class Wrong(Integrator):
         return "it likes none." if self.how == "picky" else None
 
     def prepare(self, scene, t_end, resolution):
-        if self.how == "divides" and t_end == scene.interval[0]:
-            return 1 / (t_end - scene.interval[0])
         return Run(self.how, scene, t_end, resolution)
 
 
@@ -237,14 +231,6 @@ class OffTheRod(Pendulum):
     def initial_state(self):
         q, v, x = super().initial_state()
         return State(1.25 * q, v, x)
-
-
-@dataclass(frozen=True)
-class Longer(Pendulum):
-    """The closed form belongs to another length of the rod."""
-
-    def constraint(self, q, t):
-        return super().constraint(q, t) + 1e-6 * jnp.atleast_1d(t - self.interval[0]) ** 2
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +112,6 @@ class Checker:
         if plugin.reason:
             yield CheckResult("loads", FAILED, f"It is unavailable: {plugin.reason}")
             return
-        told: dict[str, str] = {}
         for name in CHECKS[kind]:
             if self._process and self._sources != plugin.sources:
                 self._process.end()
@@ -128,10 +126,6 @@ class Checker:
                     advice = "End such a run with the status budget_exceeded, or raise --budget."
                 reason = answer.message.rstrip(".")
                 answer = CheckResult(name, FAILED, f"{reason}. {advice}")
-            if answer.verdict == FAILED:
-                first = next((told[text] for text in told if text in answer.text), "")
-                told.setdefault(answer.text, name)
-                answer = replace(answer, text=f"See {first}: the same fault.") if first else answer
             yield answer
 
     def _plugin(self, kind: str, text: str) -> Plugin:

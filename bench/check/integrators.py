@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -14,13 +13,11 @@ from bench.check.counts import check_counts
 from bench.check.jumps import check_events, check_samples
 from bench.check.orders import check_order, check_tolerance
 from bench.check.trials import (
+    ORDERS_TAG,
     TRAJECTORY_GROUPS,
-    TRIAL_RTOL,
     FiniteTimeBlowUp,
     Trial,
-    moved,
     names_of,
-    order_trials,
     spoilt,
     trials,
 )
@@ -33,14 +30,11 @@ from integrators.contract import STATUSES, Integrator, PreparedRun, Trajectory
 from integrators.resolutions import Steps
 from problems.checks import FalseAnswer
 from problems.initial_values import consistent_start
+from problems.runtime import jax
 from problems.spec import SpecError
 
-#: A power of two: adding it to a time loses as few digits as possible.
-_SHIFT = 64.0
 #: Two steps in turns, by which it is seen whether patterns are followed.
 _PATTERN = (0.3, 0.7)
-#: Depth to which numbers are looked for in nested results of execute().
-_DEEPEST = 4
 
 
 def check_description(registry: Registry, method: Integrator) -> str:
@@ -72,23 +66,26 @@ def check_scenes(registry: Registry, method: Integrator) -> str:
 
 # ---- runs that go well -------------------------------------------------------------------
 def check_runs(registry: Registry, method: Integrator) -> str:
-    """Rows, samples, work and bits of runs are right, whatever is run in between."""
-    tried, audited, compared = trials(registry, method), [], True
+    """Rows, samples, work and bits of runs are right; a step pattern is followed or refused."""
+    tried, audited = trials(registry, method), []
     for trial in tried:
-        one, run, name = trial.measured(), trial.prepared(), trial.scene.spec
+        one, run = trial.measured(), trial.prepared(trial.resolution())
         check_samples(trial, one)
         _check_rows(trial, one)
+        _check_execute(trial, run, one)
         two = trial.trajectory(run)
-        same_run(one, two, f"Two runs on {name}")
-        compared &= _check_execute(name, run, two)
-        three = trial.trajectory(run)
-        same_run(two, three, f"measure() before and after execute() on {name}")
-        checks.checked_bill(run.bill(three), PARTS)
+        for name in ("t", *TRAJECTORY_GROUPS, "work"):
+            if not np.array_equal(getattr(one, name), getattr(two, name)):
+                raise Failed(
+                    f"Two runs on {trial.scene.spec}, the second after execute(), differ in "
+                    f"{name}; seed random numbers and keep no state."
+                )
+        checks.checked_bill(run.bill(two), PARTS)
         _check_work(trial, one)
         audited += [trial] * check_counts(method, trial.scene)
     true = f", true on {names_of(audited)}" if audited else ""
-    numbers = "" if compared else "; execute() returns no numbers to compare"
-    return f"Rows, bits and counts are right{true}, on {names_of(tried)}{numbers}."
+    pattern = _follows(tried[0]) if method.controls == "step" else ""
+    return f"Rows, bits and counts are right{true}, on {names_of(tried)}.{pattern}"
 
 
 def _check_rows(trial: Trial, run: Trajectory) -> None:
@@ -118,49 +115,27 @@ def _check_rows(trial: Trial, run: Trajectory) -> None:
             )
 
 
-def same_run(one: Trajectory, two: Trajectory, what: str) -> None:
-    """Raise ``Failed`` if two runs do not have the same bits and the same work."""
-    for name in ("t", *TRAJECTORY_GROUPS):
-        if not np.array_equal(getattr(one, name), getattr(two, name)):
-            raise Failed(f"{what} differ in {name}; seed random numbers and keep no state.")
-    if one.work != two.work:
-        raise Failed(f"{what} differ in the work counted, {one.work} and {two.work}.")
-
-
-def _check_execute(name: str, run: PreparedRun, measured: Trajectory) -> bool:
-    """A timed run does the same solve as a measured one; whether it returns numbers."""
-    results = [np.concatenate([np.zeros(0), *_numbers(run.execute())]) for _ in range(2)]
-    for numbers in filter(np.size, results):
-        for value in np.concatenate([measured.q[-1], measured.v[-1]]):
-            if np.abs(numbers - value).min() > 1e-6 * max(1.0, abs(value)):
-                raise Failed(
-                    f"measure() on {name} ends with {value:.9g}, but execute() does not return "
-                    f"this value; both have to do the same solve."
-                )
-    return all(map(np.size, results))
-
-
-def _numbers(value: Any, depth: int = 0) -> Iterator[np.ndarray]:
-    """Yield all numbers in a result of execute(), which may be anything."""
-    if hasattr(value, "__array__") or isinstance(value, int | float):
-        array = np.asarray(value)
-        if array.dtype.kind in "fiu":
-            yield array.ravel().astype(float)
-        return
-    if isinstance(value, dict) or hasattr(value, "__dict__"):
-        value = list((value if isinstance(value, dict) else vars(value)).values())
-    if isinstance(value, list | tuple) and depth < _DEEPEST:
-        for part in value:
-            yield from _numbers(part, depth + 1)
+def _check_execute(trial: Trial, run: PreparedRun, measured: Trajectory) -> None:
+    """A timed run does the same solve as a measured one, where it returns numbers."""
+    found: Any = run.execute()
+    if isinstance(found, dict) or (hasattr(found, "__dict__") and not hasattr(found, "__array__")):
+        found = dict(found if isinstance(found, dict) else vars(found))
+    leaves = map(np.asarray, jax.tree.leaves(found))
+    numbers = [leaf.ravel() for leaf in leaves if leaf.dtype.kind in "fiu"]
+    for value in np.concatenate([measured.q[-1], measured.v[-1]]) if numbers else ():
+        if np.abs(np.concatenate(numbers) - value).min() > 1e-6 * max(1.0, abs(value)):
+            raise Failed(
+                f"measure() on {trial.scene.spec} ends with {value:.9g}, but execute() does not "
+                f"return this value; both have to do the same solve."
+            )
 
 
 def _check_work(trial: Trial, run: Trajectory) -> None:
     """Work is counted, and grows with the number of steps."""
     name, step = trial.scene.spec, trial.method.controls == "step"
-    (low, few), (high, many) = (1.0, run.work), (2.0, None)
-    if not step:
-        (low, few), (high, many) = (0.01, None), (1.0, run.work)
-    few, many = few or trial.measured(low).work, many or trial.measured(high).work
+    low, high = (1.0, 2.0) if step else (0.01, 1.0)
+    other = trial.measured(high if step else low).work
+    few, many = (run.work, other) if step else (other, run.work)
     # A library may tell of Newton's iterations alone.
     told = "residuals" if few.residuals is not None or few.newton is None else "newton"
     for count in ("steps", told):
@@ -179,79 +154,46 @@ def _check_work(trial: Trial, run: Trajectory) -> None:
         )
 
 
-def check_steps(registry: Registry, method: Integrator) -> str:
-    """A step pattern is followed or refused, and a scene may start at any time."""
-    tried = trials(registry, method)
-    pattern = _follows(tried[0]) if method.controls == "step" else "It chooses its steps"
-    allowed, later = 1e-8 if method.controls == "step" else 100 * TRIAL_RTOL, []
-    for trial in tried:
-        shifted = moved(trial.scene, _SHIFT)
-        if checks.refusal(method, shifted):
-            continue
-        here, there = trial.measured(), Trial(method, shifted).measured()
-        for group in ("q", "v"):
-            one, two = getattr(here, group)[-1], getattr(there, group)[-1]
-            difference = np.abs(one - two).max() / max(1.0, np.abs(one).max())
-            if not difference <= allowed:
-                raise Failed(
-                    f"On {trial.scene.spec} moved by {_SHIFT:g} s {group} ends {difference:.2g} "
-                    f"away; begin at scene.interval[0] and give the scene its own time."
-                )
-        later.append(trial)
-    return f"{pattern}; the start may lie at any time on {names_of(later) or 'no trial scene'}."
-
-
 def _follows(trial: Trial) -> str:
     """Check that a step pattern is followed, or refused by SpecError."""
-    name, h, t0 = trial.scene.spec, trial.scene.nominal_step, trial.scene.interval[0]
+    pattern = Steps(trial.scene.nominal_step, _PATTERN)
     try:
-        varying = trial.solved(Steps(h, _PATTERN))
+        run = trial.solved(pattern)
     except SpecError as refusal:
-        return f"Step patterns are refused: {str(refusal).rstrip('.')}"
-    if fault := ignored_pattern(varying, Steps(h, _PATTERN), t0, trial.t_end):
-        raise Failed(f"On {name}: {fault}")
-    for parts in (1, len(_PATTERN)):
-        if np.array_equal(varying.q[-1], trial.solved(Steps(h / parts)).q[-1]):
-            raise Failed(
-                f"A step pattern on {name} ends as steps of {h / parts:g} s do, to the last bit; "
-                f"follow resolution.pattern."
-            )
-    return f"A step pattern is followed on {name}"
+        return f" Step patterns are refused: {str(refusal).rstrip('.')}."
+    if fault := ignored_pattern(run, pattern, trial.scene.interval[0], trial.t_end):
+        raise Failed(f"On {trial.scene.spec}: {fault}")
+    return " A step pattern is followed."
 
 
 # ---- runs that cannot go well ------------------------------------------------------------
 def check_endings(registry: Registry, method: Integrator) -> str:
-    """An empty interval, a force that turns NaN and a blow-up end with a status and a time."""
+    """A force that turns NaN and a blow-up end with a status and a time."""
     trial = trials(registry, method)[0]
-    told = [_empty(trial)]
     at = 0.5 * (trial.scene.interval[0] + trial.t_end)
-    for scene, what in (
-        (spoilt(trial.scene, at), f"a force that is NaN after t={at:g} s"),
-        (FiniteTimeBlowUp(), "a solution that is infinite at t=1 s"),
-    ):
-        if checks.refusal(method, scene) is None:
-            told.append(_ends_badly(Trial(method, scene), what))
+    nan = trial.scene.with_parameters({}, spoilt(type(trial.scene), at))
+    told = [
+        _ends_badly(Trial(method, scene), what)
+        for scene, what in (
+            (nan, f"A force that is NaN after t={at:g} s"),
+            (FiniteTimeBlowUp(), "A solution that is infinite at t=1 s"),
+        )
+        if checks.refusal(method, scene) is None
+    ]
     return f"{'; '.join(told)}."
 
 
-def _empty(trial: Trial) -> str:
-    what, t0 = "An interval of length zero", trial.scene.interval[0]
-    try:
-        run = _run(trial, t0, what, "Return the start as the only row, or raise SpecError.")
-    except SpecError as refused:
-        return f"{what} is refused: {str(refused).rstrip('.')}"
-    if run.status != "ok" or len(run.t) != 1 or run.t[0] != t0:
-        raise Failed(
-            f"{what} gives the status {run.status} and {len(run.t)} rows; return the start as the "
-            f"only row."
-        )
-    return f"{what} gives the start alone"
-
-
 def _ends_badly(trial: Trial, what: str) -> str:
-    # Behind the blow-up, however many steps that takes.
-    advice = "Return the rows so far with a status such as diverged, and a message with the time."
-    run = _run(trial, trial.scene.interval[1], f"{what[0].upper()}{what[1:]}", advice)
+    try:
+        # Behind the blow-up, however many steps that takes.
+        run = trial.solved(trial.resolution(), trial.scene.interval[1])
+    except (Failed, SpecError):
+        raise
+    except Exception as error:
+        raise Failed(
+            f"{what} raises {shortly(error)} Return the rows so far with a status such as "
+            f"diverged, and a message with the time."
+        ) from error
     if run.status == "ok":
         raise Failed(
             f"{what} ends with the status {run.status!r}; look at the values of every step and "
@@ -266,23 +208,12 @@ def _ends_badly(trial: Trial, what: str) -> str:
     return f"{what} ends with {run.status} at t={time[1]} s"
 
 
-def _run(trial: Trial, t_end: float, what: str, advice: str) -> Trajectory:
-    """A run that may end badly or be refused, but not raise another exception."""
-    try:
-        return trial.solved(trial.resolution(), t_end)
-    except (Failed, SpecError):
-        raise
-    except Exception as error:
-        raise Failed(f"{what} raises {shortly(error)} {advice}") from error
-
-
 INTEGRATOR_CHECKS = {
     "description": check_description,
     "runs": check_runs,
-    "steps": check_steps,
     "batch": check_batch,
     "events": check_events,
     "endings": check_endings,
-    "order": lambda *of: check_order(order_trials(*of)),
+    "order": lambda *of: check_order(trials(*of, ORDERS_TAG)),
     "tolerance": lambda *of: check_tolerance(trials(*of)),
 }

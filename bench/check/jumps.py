@@ -19,11 +19,10 @@ from problems.phases import Samples, after
 
 #: Speed that an impact of the trial ball leaves, in parts.
 _E = 0.8
-#: Times of impact of a method that is exact on parabolas are off by no more, in s, and heights at
-#: impacts, in m ...
+#: Times of impact of a method that is exact on parabolas are off by no more, in s; those of others
+#: fall by this factor at least where steps are four times as short, or are at most so many times
+#: the tolerance.
 _ROUNDING = 1e-9
-#: ... errors of others fall by this factor at least where steps are four times as short; with a
-#: tolerance they are at most so many times that of the run.
 _FALL, _MOST_RTOL = 2.0, 1e3
 
 
@@ -60,20 +59,14 @@ def check_samples(trial: Trial, run: Trajectory) -> None:
     """A step of a run ends at each sample of a controller, to the last bit."""
     if (samples := Samples.of(trial.scene)) is None:
         return
-    instants, t = [], samples.t0
+    t = samples.t0
     while (t := samples.following(t)) < trial.t_end:
-        instants.append(t)
         if t not in run.t:
             near = run.t[np.abs(run.t - t).argmin()]
             raise Failed(
                 f"No row on {trial.scene.spec} is at the sample t={t!r} s (the nearest: "
                 f"{float(near)!r}); end a run exactly at t_end."
             )
-    if (found := len(np.unique(run.phase))) != len(instants) + 1:
-        raise Failed(
-            f"Rows on {trial.scene.spec} have {found} phases, expected {len(instants) + 1}: "
-            f"values may change at samples alone."
-        )
 
 
 def check_events(registry: Registry, method: Integrator) -> str:
@@ -88,13 +81,6 @@ def check_events(registry: Registry, method: Integrator) -> str:
             raise Failed(
                 f"{len(run.events)} impacts of a ball are found at {trial.words(finer)}, expected "
                 f"{len(ball.impacts)}."
-            )
-        heights = np.abs(run.q[np.searchsorted(run.t, run.events[:, 0]), 0])
-        # Libraries choose other steps up to another end.
-        if not heights.max() <= (_ROUNDING if method.controls == "step" else TRIAL_RTOL):
-            raise Failed(
-                f"At an impact the height of a ball is {heights.max():.2g} m at "
-                f"{trial.words(finer)}, not zero; give the same motion up to another t_end."
             )
         off.append(float(np.abs(run.events[:, 0] - ball.impacts).max()))
     allowed = max(_ROUNDING, off[0] / _FALL)

@@ -12,7 +12,6 @@ import numpy as np
 from bench.check.verdicts import DoesNotApply, Failed
 from bench.plugins.registry import Registry
 from integrators import checks
-from integrators.checks import refusal
 from integrators.contract import Integrator, PreparedRun, Trajectory
 from integrators.resolutions import Steps, Tolerances
 from problems import MechatronicSystem, State, jnp
@@ -30,22 +29,21 @@ TRIAL_RTOL = 1e-6
 TRAJECTORY_GROUPS = ("q", "v", "a", "lam", "x", "xdot", "y")
 
 
-# ---- trial scenes ----------------------------------------------------------------------
 @dataclass(frozen=True)
 class ForcedOscillator(MechatronicSystem):
     """A mass on a hard spring under a harmonic force: smooth, nonlinear, driven by time.
 
-    A method that evaluates forces at the wrong time loses its order here.
+    A method that evaluates forces at the wrong time, or begins at 0 s, loses its order here.
     """
 
-    interval = (0.0, 5.0)
+    interval = (2.0, 7.0)
     nominal_step = 0.1
 
     def mass(self, q: Any) -> Any:
         return jnp.eye(1)
 
     def force(self, q: Any, v: Any, t: Any) -> Any:
-        return jnp.cos(1.5 * t) - q - 0.3 * q**3
+        return jnp.cos(1.5 * (t - 2.0)) - q - 0.3 * q**3
 
     def initial_state(self) -> State:
         return State(q=np.array([1.0]), v=np.array([0.5]))
@@ -72,35 +70,10 @@ class FiniteTimeBlowUp(MechatronicSystem):
         return State(q=np.array([np.log(2.0)]), v=np.array([2.0]))
 
 
-def moved(scene: MechatronicSystem, by: float) -> MechatronicSystem:
-    """Return the scene with the same motion ``by`` seconds later."""
-    return scene.with_parameters({}, _moved_class(type(scene), by))
-
-
-def spoilt(scene: MechatronicSystem, at: float) -> MechatronicSystem:
-    """Return the scene with a force that is NaN after the time ``at``, in s."""
-    return scene.with_parameters({}, _spoilt_class(type(scene), at))
-
-
 @cache
-def _moved_class(cls: type, by: float) -> type:
-    blocks = {
-        "force": lambda self, q, v, t: cls.force(self, q, v, t - by),
-        "constraint": lambda self, q, t: cls.constraint(self, q, t - by),
-        "velocity_constraint": lambda self, q, v, t: cls.velocity_constraint(self, q, v, t - by),
-        "coupled_force": lambda self, z: cls.coupled_force(self, z._replace(t=z.t - by)),
-        "state_rate": lambda self, z: cls.state_rate(self, z._replace(t=z.t - by)),
-        "output": lambda self, z: cls.output(self, z._replace(t=z.t - by)),
-        # It may ask for the interval, which has moved.
-        "initial_state": lambda self: self.with_parameters({}, cls).initial_state(),
-        "exact": lambda self, t: self.with_parameters({}, cls).exact(np.asarray(t) - by),
-    }
-    own = {name: block for name, block in blocks.items() if cls.has(name)}
-    return type(f"Moved{cls.__name__}", (cls,), own | {"interval": np.add(cls.interval, by)})
+def spoilt(cls: type[MechatronicSystem], at: float) -> type[MechatronicSystem]:
+    """Return the class with a force that is NaN after the time ``at``, in s."""
 
-
-@cache
-def _spoilt_class(cls: type, at: float) -> type:
     def force(self: Any, q: Any, v: Any, t: Any) -> Any:
         return cls.force(self, q, v, t) + jnp.where(t > at, jnp.nan, 0.0)
 
@@ -113,13 +86,11 @@ def reference(scene: MechatronicSystem, t_end: float) -> Reference:
     return Reference(scene, t_end)
 
 
-# ---- trial runs -----------------------------------------------------------------------
 @dataclass(frozen=True)
 class Trial:
     """Runs of a method on a scene over `TRIAL_STEPS` nominal steps, or as long as the scene lasts.
 
-    Its step or tolerance is made finer by a factor ``finer``. Runs raise ``Failed`` if they do not
-    give a trajectory, those of `measured` also if it does not reach the end.
+    Its step or tolerance is made finer by a factor ``finer``.
     """
 
     method: Integrator
@@ -142,12 +113,13 @@ class Trial:
         refined = self.resolution(finer)
         return f"h={refined.h:g} s" if isinstance(refined, Steps) else f"rtol={refined.rtol:g}"
 
-    def prepared(self) -> PreparedRun:
-        """Prepare a run."""
-        return checks.checked_run(self.method.prepare(self.scene, self.t_end, self.resolution()))
+    def prepared(self, refined: Steps | Tolerances, t_end: float | None = None) -> PreparedRun:
+        """Prepare a run up to t_end in s."""
+        end = self.t_end if t_end is None else t_end
+        return checks.checked_run(self.method.prepare(self.scene, end, refined))
 
     def trajectory(self, run: PreparedRun, t_end: float | None = None) -> Trajectory:
-        """Measure a run up to t_end in s."""
+        """Measure a run up to t_end in s; raise ``Failed`` if that gives no trajectory."""
         end, t0 = self.t_end if t_end is None else t_end, self.scene.interval[0]
         try:
             return checks.checked_trajectory(run.measure(), self.scene.sizes, t0, end)
@@ -156,13 +128,10 @@ class Trial:
 
     def solved(self, refined: Steps | Tolerances, t_end: float | None = None) -> Trajectory:
         """Prepare and measure a run up to t_end in s."""
-        end = self.t_end if t_end is None else t_end
-        return self.trajectory(
-            checks.checked_run(self.method.prepare(self.scene, end, refined)), end
-        )
+        return self.trajectory(self.prepared(refined, t_end), t_end)
 
     def measured(self, finer: float = 1.0) -> Trajectory:
-        """Measure a run that has to succeed."""
+        """Measure a run; raise ``Failed`` if it does not reach the end."""
         run = self.solved(self.resolution(finer))
         if run.status != "ok":
             raise Failed(
@@ -172,35 +141,24 @@ class Trial:
         return run
 
 
-def trials(registry: Registry, method: Integrator) -> list[Trial]:
+def trials(registry: Registry, method: Integrator, *more: str) -> list[Trial]:
     """Return trials on the trial scenes that a method takes, or on the first other scene.
 
-    Trial scenes are `ForcedOscillator` and all scenes with the tag "conformance". A method that
-    takes no scene at all raises ``DoesNotApply``.
+    Trial scenes are `ForcedOscillator` and all scenes with the tag "conformance", or one of
+    ``more``. A method that takes no scene at all raises ``DoesNotApply``.
     """
-    tried = _taken(method, [ForcedOscillator(), *_tagged(registry, TAG)])
-    tried = tried or _taken(method, map(registry.problem, _classes(registry)))[:1]
+    classes = {name: plugin.cls for name, plugin in registry.problems.items() if plugin.cls}
+    # Tags of the class itself: a scene that is made from a tagged one may be wrong, and is checked.
+    tagged = [registry.problem(n) for n, c in classes.items() if {TAG, *more} & {*_tags(c)}]
+    tried = _taken(method, [ForcedOscillator(), *tagged])
+    tried = tried or _taken(method, map(registry.problem, classes))[:1]
     if not tried:
         raise DoesNotApply("It takes no scene.")
     return tried
 
 
-def order_trials(registry: Registry, method: Integrator) -> list[Trial]:
-    """Return trials on the trial scenes that a method takes, and on those with the tag "orders"."""
-    return trials(registry, method) + _taken(method, _tagged(registry, ORDERS_TAG))
-
-
 def _taken(method: Integrator, scenes: Iterable[MechatronicSystem]) -> list[Trial]:
-    return [Trial(method, scene) for scene in scenes if refusal(method, scene) is None]
-
-
-def _classes(registry: Registry) -> dict[str, type]:
-    return {name: plugin.cls for name, plugin in registry.problems.items() if plugin.cls}
-
-
-def _tagged(registry: Registry, tag: str) -> list[MechatronicSystem]:
-    # Tags of the class itself: a scene that is made from a tagged one may be wrong, and is checked.
-    return [registry.problem(name) for name, cls in _classes(registry).items() if tag in _tags(cls)]
+    return [Trial(method, scene) for scene in scenes if checks.refusal(method, scene) is None]
 
 
 def _tags(cls: type) -> tuple[str, ...]:

@@ -104,7 +104,7 @@ def test_steps_are_those_of_polynomials_through_the_last_values():
         (BDFAdaptive(), (SpringMass(), 1.0)),
         *long(
             (BDFAdaptive(), TWO_RODS),
-            (BDFAdaptive(), (ForcedOscillator(), 5.0)),
+            (BDFAdaptive(), (ForcedOscillator(), 7.0)),
             (BDFAdaptive(formulation="index2"), SWING),
             (BDFAdaptive(formulation="index1"), TWO_RODS),
             (BDFAdaptive(max_order=2), SWING),

@@ -45,7 +45,7 @@ def test_the_tableau_satisfies_the_order_conditions():
 @pytest.mark.long
 def test_without_constraints_a_step_is_that_of_dormand_and_prince():
     scene, h = ForcedOscillator(), 0.1
-    run = CONSTANT.prepare(scene, h, Steps(h)).measure()
+    run = CONSTANT.prepare(scene, 2 + h, Steps(h)).measure()
     start = np.array([1.0, 0.5])
 
     def rate(t, s):
@@ -55,7 +55,7 @@ def test_without_constraints_a_step_is_that_of_dormand_and_prince():
     for c, row in zip(RK45.C, RK45.A, strict=True):
         rates.append(rate(c * h, start + h * sum(w * r for w, r in zip(row, rates, strict=False))))
     end = start + h * RK45.B @ rates
-    assert [run.q[-1, 0], run.v[-1, 0]] == pytest.approx(end, abs=1e-15)
+    assert [run.q[-1, 0], run.v[-1, 0]] == pytest.approx(end, abs=1e-14)
     assert run.a[-1, 0] == pytest.approx(rate(h, end)[1], abs=1e-14)
 
 
@@ -98,7 +98,7 @@ class HeldByAcceleration(Held):
 @pytest.mark.long
 def test_outputs_are_iterated_only_where_they_depend_on_what_a_stage_solves_for():
     plain, sensed = (
-        HalfExplicitEuler().prepare(scene, 1.0, Steps(0.1)).measure().work
+        HalfExplicitEuler().prepare(scene, 3.0, Steps(0.1)).measure().work
         for scene in (Held(), HeldByAcceleration())
     )
     assert (plain.newton, plain.residuals, plain.solves) == (0, 10, 10)

@@ -110,6 +110,8 @@ def test_oscillations_are_damped_as_the_coefficients_say():
 class PushedOscillator(ForcedOscillator):
     """Its force changes at the start, too."""
 
+    interval = (0.0, 5.0)
+
     def force(self, q, v, t):
         return jnp.sin(1.5 * t) - q - 0.3 * q**3
 

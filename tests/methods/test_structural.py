@@ -62,7 +62,7 @@ def test_an_output_that_sees_the_multiplier_of_index_3_is_first_order(method):
 )
 def test_free_systems_are_second_order_from_the_first_step_on(method):
     scene, steps = ForcedOscillator(), [5 / n for n in (200, 400)]
-    runs = [errors_at(method, scene, 5.0, h) for h in steps]
+    runs = [errors_at(method, scene, 7.0, h) for h in steps]
     for group in ("q", "v", "a"):
         assert local_slopes(steps, [run[group].max() for run in runs])[0] > 1.9, group
 
@@ -72,7 +72,7 @@ def test_free_systems_are_second_order_from_the_first_step_on(method):
 def test_varying_steps_keep_the_order(pattern):
     scene = ForcedOscillator()
     for method in (Houbolt(), Park()):
-        runs = [errors_at(method, scene, 5.0, 5 / n, pattern)["q"].max() for n in (100, 200)]
+        runs = [errors_at(method, scene, 7.0, 5 / n, pattern)["q"].max() for n in (100, 200)]
         assert local_slopes([2.0, 1.0], runs)[0] > 1.8
 
 
@@ -132,7 +132,7 @@ def test_noh_bathe_is_stable_up_to_the_published_limits():
 @pytest.mark.long
 @pytest.mark.parametrize("method", [ExplicitGeneralizedAlpha(), NohBathe()])
 def test_free_and_controlled_systems_are_second_order(method):
-    for scene, t_end in ((ForcedOscillator(), 5.0), (SpringMass(), 1.0)):
+    for scene, t_end in ((ForcedOscillator(), 7.0), (SpringMass(), 1.0)):
         runs = [errors_at(method, scene, t_end, t_end / n) for n in (400, 800)]
         for group in runs[0]:
             falls = local_slopes([2.0, 1.0], [run[group].max() for run in runs])
@@ -141,7 +141,7 @@ def test_free_and_controlled_systems_are_second_order(method):
 
 def test_the_work_is_that_of_one_and_of_two_evaluations_in_a_step():
     for method, each in ((ExplicitGeneralizedAlpha(), 1), (NohBathe(), 2)):
-        run = method.prepare(ForcedOscillator(), 5.0, Steps(0.1)).measure()
+        run = method.prepare(ForcedOscillator(), 7.0, Steps(0.1)).measure()
         assert (run.work.residuals, run.work.newton) == (50 * each, 0)
         # The equations of motion are solved for a within an evaluation, as in any ODE.
         assert run.work.factorisations == run.work.solves == 0
@@ -184,7 +184,7 @@ def test_a_corrected_start_makes_kr_alpha_generalized_alpha():
 )
 def test_orders_are_those_claimed(method):
     scene = ForcedOscillator()
-    runs = [errors_at(method, scene, 5.0, 5 / n) for n in (800, 1600)]
+    runs = [errors_at(method, scene, 7.0, 5 / n) for n in (800, 1600)]
     for group, claimed in method.claims(scene).items():
         order = local_slopes([2.0, 1.0], [run[group].max() for run in runs])[0]
         assert order == pytest.approx(claimed, abs=0.15), group
