@@ -8,8 +8,7 @@ import time
 
 import numpy as np
 
-from bench.guard.limits import REFERENCE
-from bench.guard.serve import Notify
+from bench.guard.serve import REFERENCE, Notify
 from problems.spec import SpecError
 
 

@@ -12,7 +12,7 @@ from helpers import long
 from bench.check.blocks import alike
 from bench.check.checker import CHECKS, Checker, examine
 from bench.check.verdicts import FAILED, NOT_APPLICABLE, PASSED
-from bench.guard import limits
+from bench.guard import process as limits
 from bench.plugins.registry import Registry
 from bench.running.inventory import Inventory
 from integrators.native.kernel import Kernel

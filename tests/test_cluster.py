@@ -13,8 +13,7 @@ import time
 
 import pytest
 
-from bench.guard.limits import Limits
-from bench.guard.process import NoAnswer
+from bench.guard.process import Limits, NoAnswer
 from bench.plugins.registry import Sources
 from bench.results.store import Store
 from bench.running.cluster import ClusterRunner

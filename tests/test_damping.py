@@ -10,7 +10,7 @@ import pytest
 from planted import Document, everything, plant, whole_markdown, whole_report
 
 from bench.commands.suite import run_suite
-from bench.guard.limits import Limits
+from bench.guard.process import Limits
 from bench.results.records import Damping, SceneRecord
 from bench.results.store import Store
 from bench.running.inventory import Inventory
@@ -154,7 +154,7 @@ def test_damping_is_forgotten_when_the_code_of_the_analysis_changes(folder, tmp_
     with Store(tmp_path / "out", create=True) as store:
         analysis.complete_damping(suite, store, registry, runner)
         assert len(store.damping()) == 2
-        monkeypatch.setattr("bench.plugins.facts.fingerprint", lambda made: "other")
+        monkeypatch.setattr("bench.running.inventory.fingerprint", lambda made: "other")
         monkeypatch.setattr(registry, "_known", {})
         analysis.complete_damping(suite, store, registry, runner)
         assert store.damping() == {}

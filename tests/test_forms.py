@@ -8,9 +8,9 @@ import pytest
 from helpers import reference
 from planted import planted
 
-from bench.plugins.facts import SceneFacts, method_facts
 from bench.plugins.registry import Registry
 from bench.running.errors import constraint_errors
+from bench.running.inventory import Inventory, SceneFacts
 from bench.running.plan import Cell
 from integrators import Steps, Tolerances
 from problems.scenes.pendulum import Pendulum
@@ -39,8 +39,8 @@ FORMS = {
 
 
 @cache
-def registry() -> Registry:
-    return Registry()
+def inventory() -> Inventory:
+    return Inventory()
 
 
 def formulation(text: str, constrained: bool = True) -> str:
@@ -51,7 +51,7 @@ def formulation(text: str, constrained: bool = True) -> str:
     )  # fmt: skip
     return (
         Cell("s", text, 1.0, Steps(0.1))
-        .record(scene, method_facts(registry(), text), "ok")
+        .record(scene, inventory().integrator(text), "ok")
         .formulation
     )
 
@@ -67,7 +67,7 @@ def test_the_form_of_a_method_follows_from_its_options():
 
 
 def test_every_method_of_the_project_has_a_form():
-    unnamed = {name for name in registry().integrators if not form(formulation(name))}
+    unnamed = {name for name in inventory().integrators if not form(formulation(name))}
     assert not unnamed
 
 
@@ -96,7 +96,7 @@ def test_a_form_is_told_of_constrained_scenes_and_stated_forms_alone():
 def test_runs_hold_the_constraints_that_their_form_says(text, resolution):
     """Positions are held by index 3, GGL and projections, and drift with all others."""
     known = reference(Pendulum(), 1.35)
-    run = registry().integrator(text).prepare(Pendulum(), 1.35, resolution).measure()
+    run = Registry().integrator(text).prepare(Pendulum(), 1.35, resolution).measure()
     violation = constraint_errors(run, known).errors["constraint"]["max"]
     name = form(formulation(text))
     holds = name in ("index 3", "GGL") or name.endswith(" projected")

@@ -14,10 +14,18 @@ import numpy as np
 import psutil
 import pytest
 
-from bench.guard import limits
+from bench.guard import process as limits
 from bench.guard import process as process_module
-from bench.guard.limits import LOADING, PREPARING, RUNNING, WAITING, Limits, Meter, usage
-from bench.guard.process import GuardedProcess, NoAnswer, Refused, wait_for_any
+from bench.guard.process import (
+    GuardedProcess,
+    Limits,
+    Meter,
+    NoAnswer,
+    Refused,
+    usage,
+    wait_for_any,
+)
+from bench.guard.serve import LOADING, PREPARING, RUNNING, WAITING
 
 #: Job, arguments, status and words of what it costs.
 FATES = [

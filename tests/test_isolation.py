@@ -11,7 +11,7 @@ import jax
 import pytest
 from helpers import long
 
-from bench.guard import limits
+from bench.guard import process as limits
 from bench.plugins.registry import Registry
 from bench.results.store import Store
 from bench.running import worker

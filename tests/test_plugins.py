@@ -8,7 +8,8 @@ import sys
 import pytest
 from helpers import long
 
-from bench.running.inventory import Inventory, PluginFailed
+from bench.plugins.reasons import Unavailable
+from bench.running.inventory import Inventory
 
 HEAD = """
 from dataclasses import dataclass
@@ -127,7 +128,7 @@ def test_a_scene_that_cannot_be_planned_costs_its_own_cells(tmp_path):
         (tmp_path / "odd.py").write_text(f"{HEAD}{SCENE}    @property\n    def interval(self):\n"
                                          f"        {interval}\n")  # fmt: skip
         inventory = Inventory([tmp_path / "odd.py"])
-        with pytest.raises(PluginFailed, match="heavy_bob gives no facts about itself"):
+        with pytest.raises(Unavailable, match="heavy_bob gives no facts about itself"):
             inventory.problem("heavy_bob")
         assert inventory.problem("pendulum").name == "pendulum"
         for module in [name for name in sys.modules if name.startswith("stepbench_plugin_odd")]:

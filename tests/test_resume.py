@@ -178,6 +178,6 @@ def test_a_memory_that_an_earlier_version_did_not_keep_is_not_raised(store):
 
 def test_a_scene_is_described_again_when_the_code_of_its_record_changes(store, monkeypatch):
     keep(store)
-    monkeypatch.setattr("bench.plugins.facts.fingerprint", lambda made: "other")
+    monkeypatch.setattr("bench.running.inventory.fingerprint", lambda made: "other")
     monkeypatch.setattr(REGISTRY, "_known", {})
     assert missing(store) == (1, 1)

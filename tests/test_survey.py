@@ -7,7 +7,7 @@ from importlib.metadata import entry_points
 import pytest
 from helpers import scene_or_skip
 
-from bench.guard.limits import Limits
+from bench.guard.process import Limits
 from bench.plugins.registry import Registry
 from bench.results.quantities import WRONG
 from bench.running.inventory import Inventory

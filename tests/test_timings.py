@@ -16,7 +16,7 @@ import pytest
 from planted import plant, planted
 from small_stores import NO_ROWS, a_record
 
-from bench.guard.limits import Limits
+from bench.guard.process import Limits
 from bench.plugins.registry import Registry, Sources
 from bench.results.compare import compare_folders, regressions
 from bench.results.environment import environment

@@ -16,10 +16,9 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from bench.plugins.facts import MethodFacts
 from bench.results.experiments import BASES, Expected
 from bench.results.quantities import GROUPS, LEVELS, NORMS
-from bench.running.inventory import Inventory
+from bench.running.inventory import Inventory, MethodFacts
 from bench.running.plan import Cell
 from integrators.resolutions import Steps, Tolerances, check_end
 from problems import spec

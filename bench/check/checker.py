@@ -22,8 +22,7 @@ from bench.check.verdicts import (
     Failed,
     shortly,
 )
-from bench.guard.limits import Limits
-from bench.guard.process import GuardedProcess, NoAnswer
+from bench.guard.process import GuardedProcess, Limits, NoAnswer
 from bench.plugins.registry import SUFFIXES, Plugin, Registry, Sources
 from bench.running.inventory import Inventory, load_registry
 from problems import spec

@@ -12,10 +12,9 @@ import msgspec
 
 from bench.commands import completion, options
 from bench.commands.options import BUDGET_S, Given
-from bench.plugins.facts import SceneFacts
 from bench.plugins.registry import Plugin
 from bench.results.table import Table
-from bench.running.inventory import Inventory
+from bench.running.inventory import Inventory, SceneFacts
 from bench.running.profiles import built_in_profiles, read_profile, suite_titles
 from problems.spec import SpecError, split_spec, suggest
 

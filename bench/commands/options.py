@@ -20,9 +20,8 @@ import msgspec
 from click.core import ParameterSource
 
 from bench.commands import completion
-from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.plugins.registry import Sources
-from bench.running.inventory import Inventory
+from bench.running.inventory import Inventory, MethodFacts, SceneFacts
 from bench.running.plan import LARGEST_BUDGET
 from integrators.resolutions import Tolerances
 from problems.spec import SpecError
@@ -293,8 +292,7 @@ def guarded(
     A message on its failure begins with the words ``about`` it. A job that watches the budget
     itself, as sweeps do, is given half as much again to end by it.
     """
-    from bench.guard.limits import Limits
-    from bench.guard.process import ask_once
+    from bench.guard.process import Limits, ask_once
     from bench.running.worker import start_worker
 
     processors = (os.cpu_count() or 1) if threads else 1

@@ -13,12 +13,11 @@ from bench.commands import completion, options
 from bench.commands.options import BUDGET_S, Given
 from bench.commands.pages import write_reports
 from bench.commands.suite import in_common, run_suite
-from bench.plugins.facts import SceneFacts
 from bench.plugins.reasons import Unavailable
 from bench.results.orders import EXACT, EXACT_NOTE, order_summary
 from bench.results.records import UNSUPPORTED, Record
 from bench.results.table import NO_VALUE, Table, formatted
-from bench.running.inventory import Inventory, PluginFailed
+from bench.running.inventory import Inventory, SceneFacts
 from bench.running.plan import Suite, make_suite
 from bench.running.profiles import ProfileFile, StudyFile, is_suite, read_profile
 from bench.running.progress import Progress
@@ -241,7 +240,7 @@ def _of_constant_steps(registry: Inventory, integrators: Sequence[str]) -> dict[
     """The printed names of methods by the names that were given; none chooses its steps."""
     named = {}
     for text in integrators:
-        with suppress(PluginFailed):  # the suite says why
+        with suppress(Unavailable):  # the suite says why
             method = registry.integrator(text)
             if method.controls != "step":
                 raise SpecError(
@@ -257,6 +256,6 @@ def _at_constant_steps(registry: Inventory, text: str) -> str:
     it is of one that is of no use, as the suite then says."""
     try:
         method = registry.integrator(text)
-    except (PluginFailed, Unavailable):
+    except Unavailable:
         return text
     return method.spec if method.controls == "step" else ""

@@ -16,7 +16,7 @@ import click
 from bench.commands import completion, options
 from bench.commands.options import Given
 from bench.guard.interrupts import remark
-from bench.plugins.facts import MethodFacts, SceneFacts
+from bench.running.inventory import MethodFacts, SceneFacts
 from integrators.resolutions import Steps, check_end
 from problems.spec import SpecError
 

@@ -146,7 +146,7 @@ ENSEMBLE = (
 def solve_ensemble(o: Given) -> None:
     """Draw and run the members, and show or write the results."""
     from bench.commands.terminal import RunProgress, show
-    from bench.guard.limits import Limits
+    from bench.guard.process import Limits
     from bench.running.cluster import ClusterRunner
     from bench.running.runner import Runner
     from bench.sweeps.ensemble import OUT_OF_TIME

@@ -8,20 +8,22 @@ which kills itself when this program is gone.
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import subprocess
 import sys
 import tempfile
+import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, Pipe, wait
 from typing import Any
 
-from bench.guard.limits import LOADING, Limits, Meter
-
 # The libraries of this program are imported late: a process may be started before that.
+from bench.guard.serve import LOADING, RUNNING, WAITING, load_libraries
 
 #: Time in s between two looks for answers, and until a process that has closed its pipe has ended.
 _BETWEEN, _ENDING = 0.1, 1.0
@@ -33,8 +35,114 @@ _SERVE = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
     "from bench.guard.serve import serve; serve(int(sys.argv[2]))"
 )
+#: Processor time in s for loading plugins, and at least for each phase but that and a run; these
+#: may take so many budgets of a run.
+LOADING_SECONDS, LEAST_SECONDS, _MORE = 60.0, 120.0, 5
+#: However large its budget is, a job may do nothing for so long, in s, as threads do that wait for
+#: each other; a s of computing makes up for `_REST` s.
+STILL_SECONDS, _REST = 60.0, 100.0
+#: Time in s between two looks at a process, and the most of it that counts: more passes if this
+#: process itself is halted.
+_LOOKS, _LONGEST = 0.2, 1.0
+#: Neither steps nor tolerances change the memory of a run, nor how long a plugin loads.
+_LESS_MEMORY = (
+    "take a smaller scene or ensemble, a method with sparse tangents, or a suite with a larger "
+    "memory_gib"
+)
+_LOADS_AT_ONCE = "take what waits or computes out of its top level, or bodies out of its model"
 
 
+# ---- budgets -----------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Limits:
+    """The most that one job may take.
+
+    Parameters
+    ----------
+    budget_s
+        Processor time of a run in s. Tracing and compiling, the reference of a scene, and the
+        measurement of errors may each take five times as long, but at least `LEAST_SECONDS`.
+    memory_gib
+        Resident memory.
+    processors
+        Processors that a run keeps busy: so many times the budget is allowed.
+    advice
+        A clause that tells the user how to stay within the budget.
+    """
+
+    budget_s: float = math.inf
+    memory_gib: float = math.inf
+    processors: int = 1
+    advice: str = ""
+
+    def seconds(self, phase: str) -> float:
+        """Return the processor time in s of a phase."""
+        if phase == LOADING:
+            return LOADING_SECONDS
+        if phase == RUNNING:
+            return self.budget_s * self.processors
+        return max(LEAST_SECONDS, _MORE * self.budget_s)
+
+
+def usage(process: int) -> tuple[float, int] | None:
+    """Measure the processor time in s and the resident memory in bytes of a process and all that
+    it started, by its number; None if it is gone."""
+    import psutil
+
+    try:
+        first = psutil.Process(process)
+        tree = [first, *first.children(recursive=True)]
+    except psutil.Error:
+        return None
+    seconds, memory = 0.0, 0
+    for each in tree:
+        with suppress(psutil.Error):
+            memory += each.memory_info().rss
+            seconds += sum(each.cpu_times()[:4])  # its own, and of children that were waited for
+    return seconds, memory
+
+
+class Meter:
+    """Measures one job of a process against its limits, phase by phase.
+
+    A phase that begins again goes on counting.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits, self.phase = limits, LOADING
+        self.start()
+
+    def start(self) -> None:
+        """Begin a job, which has used nothing yet."""
+        self._used: defaultdict[str, float] = defaultdict(float)
+        self._still, self._before = 0.0, math.inf
+        self._looked = time.monotonic()
+
+    def excess(self, process: int) -> str:
+        """Return the limit that a process has passed, as a clause with advice, if any."""
+        now = time.monotonic()
+        if now - self._looked < _LOOKS or (use := usage(process)) is None:
+            return ""
+        seconds, memory = use
+        computed = max(0.0, seconds - self._before)  # jobs before are not charged to this one
+        passed = 0.0 if self.phase == WAITING else min(now - self._looked, _LONGEST)
+        self._looked, self._before = now, seconds
+        self._used[self.phase] += computed
+        self._still = max(0.0, self._still + passed - _REST * computed)
+        if memory > self._limits.memory_gib * 2**30:
+            reason = f"it used more memory than the budget of {self._limits.memory_gib:g} GiB"
+            return f"{reason}; {_LESS_MEMORY}"
+        if self._used[self.phase] > (allowed := self._limits.seconds(self.phase)):
+            reason = f"it took more than {allowed:g} s of processor time, its budget"
+        elif self._still > STILL_SECONDS:
+            reason = f"it did nothing for {STILL_SECONDS:g} s: it sleeps or waits"
+        else:
+            return ""
+        advice = _LOADS_AT_ONCE if self.phase == LOADING else self._limits.advice
+        return f"{reason}; {advice}" if advice else reason
+
+
+# ---- jobs --------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class NoAnswer:
     """The fate of a job that failed.
@@ -113,13 +221,11 @@ class GuardedProcess:
         except (OSError, EOFError):  # the end of what it said
             ended = True
         except Exception as error:  # of a class that only the process knows, say
-            self.end()
-            return self._failed("crashed", f"Its answer cannot be read: {error}.")
+            return self._ended("crashed", f"Its answer cannot be read: {error}.")
         if ended:
             return self._died()
         if excess := self._meter.excess(self.pid):
-            self.end()
-            return self._failed("budget_exceeded", f"Stopped while {self._doing} because {excess}.")
+            return self._ended("budget_exceeded", f"Stopped while {self._doing} because {excess}.")
         return None
 
     def ask(self, job: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
@@ -137,12 +243,10 @@ class GuardedProcess:
         """Return the beginning and the end of what the job in work, or the last one, printed."""
         from problems.plain_text import shortened
 
-        number = self._output.fileno()
+        number, some = self._output.fileno(), _SHOWN_BYTES
         size = os.fstat(number).st_size
-        text = os.pread(number, 2 * _SHOWN_BYTES, 0)
-        if size > len(text):
-            last = os.pread(number, _SHOWN_BYTES, size - _SHOWN_BYTES)
-            text = text[:_SHOWN_BYTES] + b" ... " + last
+        text = os.pread(number, some, 0) + b" ... " * (size > 2 * some)
+        text += os.pread(number, some, max(some, size - some))
         return shortened(text.decode(errors="replace").strip())
 
     def end(self) -> None:
@@ -160,9 +264,8 @@ class GuardedProcess:
             self._pipe.send(task)
 
     def _answer(self, kind: str, content: Any) -> Any:
-        if kind == "refused":
-            return Refused("crashed", content, self._meter.phase)
-        return self._failed("crashed", content) if kind == "failed" else content
+        made = {"refused": Refused, "failed": NoAnswer}.get(kind)
+        return made("crashed", content, self._meter.phase) if made else content
 
     def _died(self) -> NoAnswer:
         with suppress(subprocess.TimeoutExpired):  # it has closed its pipe, but not ended
@@ -174,19 +277,18 @@ class GuardedProcess:
             with suppress(ValueError):
                 how = signal.Signals(-code).name
             if how not in _OWN_FAULTS:
-                return self._failed(
-                    "interrupted",
-                    f"The process was killed from outside while {self._doing} ({how}).",
-                )
+                words = f"The process was killed from outside while {self._doing} ({how})."
+                return self._ended("interrupted", words)
         last = self.printed().splitlines()[-1:]
         said = f" Its last words: {last[0][-300:]}" if last else ""
-        return self._failed("crashed", f"The process died while {self._doing} ({how}).{said}")
+        return self._ended("crashed", f"The process died while {self._doing} ({how}).{said}")
 
     @property
     def _doing(self) -> str:
         return f"loading {self._words}" if self._meter.phase == LOADING else self._words
 
-    def _failed(self, status: str, text: str) -> NoAnswer:
+    def _ended(self, status: str, text: str) -> NoAnswer:
+        self.end()
         return NoAnswer(status, text, self._meter.phase)
 
 
@@ -196,12 +298,7 @@ def wait_for_any(processes: Iterable[GuardedProcess]) -> None:
 
 
 def ask_once(
-    about: str,
-    prepare: Callable[..., Any],
-    arguments: tuple,
-    limits: Limits,
-    job: Callable[..., Any],
-    *given: Any,
+    about: str, prepare: Callable, arguments: tuple, limits: Limits, job: Callable, *given: Any
 ) -> Any:
     """Do one job in a process of its own and return its answer.
 
@@ -220,9 +317,8 @@ def ask_once(
     finally:
         process.end()
     if isinstance(answer, NoAnswer):
-        raise SpecError(
-            answer.message if isinstance(answer, Refused) else f"{about}: {answer.message}"
-        )
+        about = "" if isinstance(answer, Refused) else f"{about}: "
+        raise SpecError(f"{about}{answer.message}")
     return answer
 
 
@@ -236,8 +332,6 @@ _ahead: list[_Started] = []
 def start_ahead(module: str) -> None:
     """Start the process of the next `GuardedProcess`, and have it load a module and JAX."""
     with suppress(OSError):  # no process may be started; who needs one will say it
-        from bench.guard.serve import load_libraries
-
         _ahead.append(_started())
         _ahead[0][1].send((load_libraries, (module,)))
 

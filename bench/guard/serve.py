@@ -16,9 +16,13 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
-from bench.guard.limits import LOADING, RUNNING
+#: Phases of a job; each has a budget of its own.
+LOADING, PREPARING, REFERENCE = "loading", "preparing", "reference"
+RUNNING, MEASURING = "running", "measuring"
+#: The phase in which another process makes what is needed: it may do nothing.
+WAITING = "waiting"
 
-#: Tells the parent that a job goes on to another phase (bench.guard.limits), with words on it.
+#: Tells the parent that a job goes on to another phase, with words on it.
 Notify = Callable[[str, str], None]
 
 

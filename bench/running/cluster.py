@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from typing import Any
 
-from bench.guard.limits import Limits
-from bench.guard.process import NoAnswer
+from bench.guard.process import Limits, NoAnswer
 from bench.plugins.registry import plugin_files
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task

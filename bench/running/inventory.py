@@ -1,34 +1,74 @@
-"""The inventory: all plugins by name, with facts about scenes and integrators."""
+"""The inventory: all plugins by name, with facts about scenes and integrators as plain data."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from bench.guard.limits import LOADING, REFERENCE, WAITING
-from bench.guard.serve import Notify
-from bench.plugins import facts
-from bench.plugins.facts import MethodFacts, SceneFacts
-from bench.plugins.fingerprint import reference_file
-from bench.plugins.reasons import PluginError, why
+import msgspec
+import numpy as np
+
+from bench.guard.serve import LOADING, REFERENCE, WAITING, Notify
+from bench.plugins.fingerprint import fingerprint, reference_file
+from bench.plugins.reasons import PluginError, Unavailable, why
 from bench.plugins.registry import Plugin, Registry, Sources
+from integrators import checks
 from problems import spec
-from problems.checks import FalseAnswer
+from problems.checks import FalseAnswer, number, refused, tidy
+from problems.checks import text as text_of
 from problems.reference import keep_references
 from problems.spec import SpecError
+from problems.variables import GROUPS
 
 T = TypeVar("T")
 
 
-class PluginFailed(PluginError):
-    """A plugin from outside cannot be used, or gave no facts."""
+class SceneFacts(msgspec.Struct, frozen=True, kw_only=True):
+    """A scene: printed name, interval and nominal step in s, fingerprint; whether it is
+    constrained, names points, states an energy, and has dear tangents."""
+
+    spec: str
+    name: str
+    interval: tuple[float, float]
+    nominal_step: float
+    constrained: bool
+    fingerprint: str
+    points: bool = False
+    energy: bool = False
+    dear_tangents: bool = False
+    sources: Sources = Sources()
+
+
+class MethodFacts(msgspec.Struct, frozen=True, kw_only=True):
+    """An integrator's own statements (see `integrators.contract.Integrator`), and fingerprint;
+    ``fault`` is the sentence on a false one, ``keeping_tangents`` the printed name where tangents
+    are dear."""
+
+    spec: str
+    name: str
+    title: str
+    family: str
+    formulation: str
+    drift: str
+    controls: str
+    affinity: str
+    orders: dict[str, int]
+    source: str
+    fingerprint: str
+    sources: Sources = Sources()
+    fault: str = ""
+    keeping_tangents: str = ""
 
 
 class Inventory:
     """All scenes and integrators by name, as facts.
+
+    A method raises SpecError if a name, a parameter or a value is not known or not allowed, and
+    Unavailable if a plugin from outside gives no facts.
 
     Parameters
     ----------
@@ -50,28 +90,48 @@ class Inventory:
         self._known: dict[Any, Any] = {}
 
     def problem(self, text: str, **parameters: Any) -> SceneFacts:
-        """Return the facts of the scene ``name[parameter=value,...]``.
+        """Return the facts of the scene ``name[parameter=value,...]``."""
 
-        Raises
-        ------
-        SpecError
-            If the name, a parameter or a value is not known or not allowed.
-        PluginFailed
-            If it is from outside and gives no facts.
-        """
-        return self._once(self.problems, text, facts.scene_facts, parameters)
+        def ask() -> SceneFacts:
+            scene = self._registry.problem(text, **parameters)
+            return SceneFacts(
+                spec=_own_spec(scene),
+                name=scene.name,
+                interval=scene.interval,
+                nominal_step=number(scene.nominal_step, "nominal_step", positive=True),
+                constrained=scene.has("constraint") or scene.has("velocity_constraint"),
+                points=scene.has("points"),
+                energy=scene.has("energy"),
+                dear_tangents=bool(scene.dear_tangents),
+                fingerprint=fingerprint(type(scene)),
+                sources=self.problems[scene.name].sources,
+            )
+
+        return self._once(self.problems, text, ask, repr(parameters))
 
     def integrator(self, text: str) -> MethodFacts:
-        """Return the facts of the integrator ``name[option=value,...]``.
+        """Return the facts of the integrator ``name[option=value,...]``."""
 
-        Raises
-        ------
-        SpecError
-            If the name, an option or a value is not known or not allowed.
-        PluginFailed
-            If it is from outside and gives no facts.
-        """
-        return self._once(self.integrators, text, facts.method_facts)
+        def ask() -> MethodFacts:
+            method, fault = self._registry.integrator(text), ""
+            plugin = self.integrators[method.name]
+            stated: Any = dict.fromkeys(checks.WORDS, "") | {"orders": {}, "controls": "step"}
+            try:
+                stated = checks.facts(method)
+            except Exception as error:
+                fault = why(error)
+            return MethodFacts(
+                spec=_own_spec(method),
+                name=method.name,
+                keeping_tangents=_own_spec(method.keeping_tangents()),
+                title=tidy(plugin.summary),
+                fingerprint=fingerprint(type(method)),
+                sources=plugin.sources,
+                fault=fault,
+                **stated | {"family": stated["family"] or method.name},
+            )
+
+        return self._once(self.integrators, text, ask)
 
     def integrator_on(self, method: MethodFacts, scene: SceneFacts) -> MethodFacts:
         """Return the facts of an integrator with what its defaults choose on a scene."""
@@ -79,19 +139,35 @@ class Inventory:
         return self.integrator(kept) if kept else method
 
     def weight(self, text: str) -> float:
-        """Estimate how long runs of a scene take relative to those of others; those of a scene from
-        outside, of which nothing is run here, come first."""
-        if self.problem(text).sources:
+        """Estimate how long runs of a scene take: steps times the square of its states. Those of a
+        scene from outside, of which nothing is run here, come first."""
+        facts = self.problem(text)
+        if facts.sources:
             return math.inf
-        return self._once(self.problems, text, facts.scene_weight)
+        states = sum(np.size(part) for part in self._registry.problem(text).start())
+        return float(np.ptp(facts.interval) / facts.nominal_step * states**2)
 
     def refusals(self, text: str, methods: Sequence[str]) -> dict[str, str]:
-        """Return why integrators do not take a scene, of those that say so without a run."""
-        return self._once(self.problems, text, facts.refusals, methods)
+        """Return why integrators do not take a scene, by their names.
+
+        Those whose answer is false, or is not known here, are left out: their runs tell it.
+        """
+        scene, found = self._registry.problem(text), {}
+        for method in methods:
+            with suppress(Exception):
+                if reason := checks.refusal(self._registry.integrator(method), scene):
+                    found[method] = reason
+        return found
 
     def components(self, text: str) -> dict[str, list[str]]:
         """Return the names of the components of each group of a scene, "xdot" included."""
-        return self._once(self.problems, text, facts.component_texts)
+
+        def ask() -> dict[str, list[str]]:
+            scene = self._registry.problem(text)
+            names = {group: [c.text for c in scene.components(group)] for group in GROUPS}
+            return names | {"xdot": [c.rate().text for c in scene.components("x")]}
+
+        return self._once(self.problems, text, ask, "components")
 
     def broken_files(self) -> list[str]:
         """Return a sentence for each file that was named and cannot be used."""
@@ -99,40 +175,40 @@ class Inventory:
         return list(dict.fromkeys(_unusable(p) for p in plugins if p.sources and p.reason))
 
     def require_files(self) -> None:
-        """Check that all files that were named can be used.
-
-        Raises
-        ------
-        PluginError
-            If one cannot be used.
-        """
+        """Raise PluginError if a file that was named cannot be used."""
         for sentence in self.broken_files():
             raise PluginError(sentence)
 
-    def _once(
-        self, plugins: dict[str, Plugin], text: str, question: Callable[..., T], *more: Any
-    ) -> T:
-        """Ask about a plugin, unless the answer is known."""
-        key = question, text, repr(more)
+    def _once(self, plugins: dict[str, Plugin], text: str, ask: Callable[[], T], *about: str) -> T:
+        """Ask a plugin, unless the answer is known."""
+        key = id(plugins), text, *about
         if key in self._known:
             return self._known[key]
         plugin = plugins.get(spec.split_spec(text)[0])
         if plugin is None and (broken := self.broken_files()):  # one of them may have defined it
-            raise PluginFailed(f"There is no {text}. {broken[0]}")
+            raise Unavailable(f"There is no {text}. {broken[0]}")
         if plugin and plugin.sources and plugin.reason:
-            raise PluginFailed(_unusable(plugin))
+            raise Unavailable(_unusable(plugin))
         try:
-            self._known[key] = question(self._registry, text, *more)
+            self._known[key] = ask()
         except BaseException as error:  # a plugin may raise anything
             false = isinstance(error, FalseAnswer) or not isinstance(error, SpecError)
             if not (false and plugin and plugin.sources):
                 raise
-            raise PluginFailed(f"{text} gives no facts about itself: {why(error)}") from error
+            raise Unavailable(f"{text} gives no facts about itself: {why(error)}") from error
         return self._known[key]
 
 
 def _unusable(plugin: Plugin) -> str:
     return f"Plugin {plugin.origin} cannot be used: {plugin.reason}"
+
+
+def _own_spec(made: Any) -> str:
+    """Return the printed name of a scene or an integrator, which has to be its own."""
+    stated = text_of(made.spec, "spec")
+    if stated.partition("[")[0] != made.name:
+        raise refused("spec", stated, f"{made.name!r}, or {made.name!r} with options")
+    return stated
 
 
 def load_registry(notify: Notify, sources: Sources) -> Registry:

@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.plugins.reasons import Unavailable
 from bench.plugins.registry import Sources
 from bench.results.records import IntegratorFacts, Plan, Record, Study
-from bench.running.inventory import Inventory, PluginFailed
+from bench.running.inventory import Inventory, MethodFacts, SceneFacts
 from bench.running.profiles import FIGURES, TABLES, ProfileFile, StudyFile
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances, check_end
@@ -220,7 +219,7 @@ def _usable(names: Sequence[str], facts_of: Callable[[str], object], lost: list[
         try:
             facts_of(text)
             usable.append(text)
-        except (PluginFailed, Unavailable) as error:
+        except Unavailable as error:
             lost.append(str(error))
     return usable
 

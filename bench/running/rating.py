@@ -7,11 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import msgspec
 
-from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.results.demands import Demand, bracket
 from bench.results.records import UNSUPPORTED, Record, Study
 from bench.results.store import Store
-from bench.running.inventory import Inventory
+from bench.running.inventory import Inventory, MethodFacts, SceneFacts
 from bench.running.plan import Cell, Suite, planned
 from bench.running.profiles import FIGURES
 from bench.running.runner import Runner, Task

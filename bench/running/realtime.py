@@ -14,11 +14,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from bench.plugins.facts import SceneFacts
 from bench.results.records import Count, Name, NotNegative, Positive
 from bench.results.table import NO_VALUE, Table, number
 from bench.running import measure
 from bench.running.errors import finite, relative_errors
+from bench.running.inventory import SceneFacts
 from bench.running.worker import Worker
 from integrators import checks
 from integrators.advice import advice

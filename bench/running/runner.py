@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Self
 
-from bench.guard.limits import REFERENCE, WAITING, Limits
-from bench.guard.process import GuardedProcess, NoAnswer, wait_for_any
+from bench.guard.process import GuardedProcess, Limits, NoAnswer, wait_for_any
+from bench.guard.serve import REFERENCE, WAITING
 from bench.plugins.registry import Sources
 from bench.results.records import TIMING_SECONDS
 from bench.running.plan import Cell

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from bench.plugins.facts import MethodFacts, SceneFacts
 from bench.results.demands import bracket
+from bench.running.inventory import MethodFacts, SceneFacts
 from integrators.resolutions import Steps, Tolerances
 
 #: Quotient of the finest size that fails and the coarsest that is good, at which a search ends.

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from bench.guard.limits import Limits
-from bench.guard.process import NoAnswer, ask_once
-from bench.plugins.facts import MethodFacts, SceneFacts
+from bench.guard.process import Limits, NoAnswer, ask_once
 from bench.plugins.registry import Registry
 from bench.results.environment import environment
 from bench.results.quantities import NORM, NORMS
@@ -15,7 +13,7 @@ from bench.results.records import INTERRUPTED, TIMING_SECONDS, Record, Rows, Sce
 from bench.results.store import Store
 from bench.results.timings import FEWEST, contenders
 from bench.running.cluster import ClusterRunner
-from bench.running.inventory import Inventory, load_registry
+from bench.running.inventory import Inventory, MethodFacts, SceneFacts, load_registry
 from bench.running.plan import Cell, Suite
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task, measure_task, scene_task, time_task

@@ -10,11 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.guard.limits import Limits
-from bench.guard.process import NoAnswer
-from bench.plugins.facts import MethodFacts, SceneFacts
+from bench.guard.process import Limits, NoAnswer
 from bench.plugins.registry import Sources, plugin_files
-from bench.running.inventory import Inventory
+from bench.running.inventory import MethodFacts, SceneFacts
 from bench.running.plan import Cell, resolution_of
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task, measure_task, time_task
@@ -110,7 +108,7 @@ def solve(
 # ---- in the process of the run -----------------------------------------------------------
 def plan_run(worker: Worker, request: Request) -> PlannedRun:
     """Plan a run with the plugins that this process has loaded."""
-    registry = Inventory(registry=worker.registry)
+    registry = worker.inventory
     registry.require_files()
     scene = registry.problem(request.problem, **request.parameters)
     method = registry.integrator_on(registry.integrator(request.integrator), scene)

@@ -14,9 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.guard.limits import MEASURING, PREPARING, REFERENCE, RUNNING
-from bench.guard.serve import Notify
-from bench.plugins.facts import component_texts, method_facts, scene_facts
+from bench.guard.serve import MEASURING, PREPARING, REFERENCE, RUNNING, Notify
 from bench.plugins.reasons import why
 from bench.plugins.registry import Registry, Sources
 from bench.results.quantities import PARTS, point_notes
@@ -29,7 +27,7 @@ from bench.running.errors import (
     history_error,
     relative_errors,
 )
-from bench.running.inventory import load_registry
+from bench.running.inventory import Inventory, load_registry
 from bench.running.linearisation import uncontrolled
 from bench.running.plan import Cell
 from bench.running.scene_records import drawings, scene_record
@@ -75,6 +73,7 @@ class Worker:
 
     def __init__(self, registry: Registry, notify: Notify = lambda phase, words: None) -> None:
         self.registry, self.notify = registry, notify
+        self.inventory = Inventory(registry=registry)
         self.prepared: dict[str, PreparedRun] = {}
         self._seconds: dict[str, float] = {}
         self._references: dict[tuple[str, float], Reference] = {}
@@ -106,10 +105,7 @@ class Worker:
         self.notify(PREPARING, "tracing and compiling")
         trajectory, compile_s = self.run(cell)
         self.notify(MEASURING, "measuring")
-        facts = (
-            scene_facts(self.registry, cell.problem, {}),
-            method_facts(self.registry, cell.integrator),
-        )
+        facts = cell.facts(self.inventory)
         record = cell.record(*facts, trajectory.status, trajectory.message)
         record.work, record.rows = asdict(trajectory.work), max(0, len(trajectory.t) - 1)
         record.compile_s = compile_s
@@ -281,7 +277,7 @@ class Worker:
 
     def components(self, problem: str) -> dict[str, list[str]]:
         """Return the names of the components of each group of a scene."""
-        return component_texts(self.registry, problem)
+        return self.inventory.components(problem)
 
 
 def _add(record: Record, sentence: str) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from bench.guard.limits import PREPARING, RUNNING
+from bench.guard.serve import PREPARING, RUNNING
 from bench.running.worker import Worker
 from bench.sweeps.batch import refuse
 from bench.sweeps.ensemble import Ensemble, ensemble
