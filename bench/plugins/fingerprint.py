@@ -31,8 +31,7 @@ _ELSEWHERE = {"problems", "integrators", "bench", *sys.stdlib_module_names}
 
 @cache
 def fingerprint(made: type = object, folders: tuple[str, ...] = _ALL) -> str:
-    """Return the digest of a class of scenes or integrators, or of this project alone: 12
-    hexadecimal digits."""
+    """Return 12 hexadecimal digits of a class of scenes or integrators, or of this project."""
     digest = hashlib.sha256("".join(_source(_PROJECT / f, "**/*.py") for f in folders).encode())
     for base in made.__mro__:
         file = Path(getattr(sys.modules.get(base.__module__), "__file__", None) or "")

@@ -131,9 +131,11 @@ class Registry:
         self.integrators: dict[str, Plugin] = {}
         self.files = plugin_files(paths)
         for kind in KINDS:
-            entries = [(_package_of(e), e.name, e) for e in entry_points(group=f"stepbench.{kind}")]
-            for package, name, entry in sorted(entries, key=lambda e: (e[0] != PROJECT, *e[:2])):
-                origin = " ".join(_name_and_version(entry.dist)) if entry.dist else package
+            entries = [
+                (_origin(e.dist), e.name, e) for e in entry_points(group=f"stepbench.{kind}")
+            ]
+            entries.sort(key=lambda e: (e[0].split()[0] != PROJECT, *e[:2]))
+            for origin, name, entry in entries:
                 self._add(Plugin(kind, name, origin, entry.load))
         for file in self.files:
             loading(file)
@@ -206,32 +208,28 @@ def plugin_files(paths: Sequence[str | Path]) -> list[str]:
     PluginError
         If a path is empty or not there.
     """
-    # An empty path, as from an unset shell variable, would mean the current folder.
-    if any(not str(path).strip() for path in paths):
-        raise PluginError("The path of a plugin is empty; name a Python file or a folder.")
-    files = [str(file) for path in paths for file in _files(_resolved(path))]
-    return list(dict.fromkeys(files))
-
-
-def _resolved(path: str | Path) -> Path:
-    try:
-        return Path(path).resolve()
-    except (OSError, RuntimeError, ValueError) as error:  # a circle of links, a null byte
-        raise PluginError(f"{str(path)!r} is not the path of a plugin: {said(error)}.") from None
-
-
-def _files(path: Path) -> list[Path]:
-    files = [path]
-    if path.is_dir():
-        files = sorted(f for f in path.glob("*.py") if not f.name.startswith("_"))
-        if not files:
+    files: list[str] = []
+    for name in paths:
+        # An empty path, as from an unset shell variable, would mean the current folder.
+        if not str(name).strip():
+            raise PluginError("The path of a plugin is empty; name a Python file or a folder.")
+        try:
+            path = Path(name).resolve()
+        except (OSError, RuntimeError, ValueError) as error:  # a circle of links, a null byte
+            raise PluginError(
+                f"{str(name)!r} is not the path of a plugin: {said(error)}."
+            ) from None
+        inside = sorted(f for f in path.glob("*.py") if not f.name.startswith("_"))
+        if path.is_dir() and not inside:
             raise PluginError(f"The folder {path} has no Python file with a plugin.")
-    for file in files:
-        if not file.is_file():  # a pipe would be waited for
-            raise PluginError(f"There is no plugin file or folder {file}.")
-        if file.suffix not in (".py", *SUFFIXES):
-            raise PluginError(f"{file} is not a Python file, nor a model ({', '.join(SUFFIXES)}).")
-    return files
+        for file in inside or [path]:
+            if not file.is_file():  # a pipe would be waited for
+                raise PluginError(f"There is no plugin file or folder {file}.")
+            if file.suffix not in (".py", *SUFFIXES):
+                known = ", ".join(SUFFIXES)
+                raise PluginError(f"{file} is not a Python file, nor a model ({known}).")
+            files.append(str(file))
+    return list(dict.fromkeys(files))
 
 
 def _import_file(file: Path) -> Any:
@@ -240,10 +238,15 @@ def _import_file(file: Path) -> Any:
     if name in sys.modules:
         return sys.modules[name]
     if file.suffix in SUFFIXES:
-        return _scene_of(file, name)
+        from problems.models.mjcf import from_mjcf
+
+        cls = from_mjcf(file)
+        module, cls.__module__ = types.ModuleType(name), name
+        setattr(module, cls.__name__, cls)
+        sys.modules[name] = module
+        return module
     loader = importlib.util.spec_from_file_location(name, file)
-    if loader is None or loader.loader is None:
-        raise PluginError(f"{file} is not a Python file.")
+    assert loader is not None and loader.loader is not None  # noqa: PT018 - it ends with .py
     module = importlib.util.module_from_spec(loader)
     sys.modules[name] = module  # dataclasses look their module up
     try:
@@ -256,39 +259,20 @@ def _import_file(file: Path) -> Any:
     return module
 
 
-def _scene_of(file: Path, name: str) -> Any:
-    """A module with the scene of a model that is not written in Python."""
-    from problems.models.mjcf import from_mjcf
-
-    cls = from_mjcf(file)
-    module = sys.modules[name] = types.ModuleType(name)
-    cls.__module__ = name
-    setattr(module, cls.__name__, cls)
-    return module
-
-
 def _kind_of(cls: Any, module: Any) -> str | None:
     if not inspect.isclass(cls) or cls.__module__ != module.__name__ or inspect.isabstract(cls):
         return None
     return next((kind for kind, base in KINDS.items() if issubclass(cls, base)), None)
 
 
-def _package_of(entry: Any) -> str:
-    return _name_and_version(entry.dist)[0] if entry.dist else entry.value
-
-
 @cache  # a package reads its metadata anew each time, and has many entry points
-def _name_and_version(dist: Any) -> tuple[str, str]:
-    return dist.name, dist.version
-
-
-def _is_subclass(cls: Any, base: type) -> bool:
-    return inspect.isclass(cls) and issubclass(cls, base)
+def _origin(package: Any) -> str:
+    return f"{package.name} {package.version}"
 
 
 def _fault(kind: str, name: str, cls: Any) -> str:
     """The sentence on a class that cannot be used, or nothing."""
-    if not _is_subclass(cls, KINDS[kind]):
+    if not (isinstance(cls, type) and KINDS[kind] in cls.__mro__):
         return f"{cls!r} is not a subclass of {KINDS[kind].__name__}."
     if inspect.isabstract(cls):
         return f"it lacks {', '.join(sorted(cls.__abstractmethods__))}."
