@@ -66,44 +66,22 @@ def test_merged_results_keep_their_machine_samples_rows_and_scenes(tmp_path, ste
     assert [e.cpu for e in environments.values()] == ["Model 1", "A", "B"]
 
 
-def test_of_a_run_in_two_folders_the_one_measured_last_is_kept(tmp_path):
-    def run(steps):
-        return [planted("pendulum", "m", FREE, h=0.1, work={"residuals": steps})]
-
-    # Later in the day, though the clock of its zone shows less.
-    later = machine(tmp_path / "later", run(7), "L", "2025-03-02T06:00:00-05:00")
-    sooner = machine(tmp_path / "sooner", run(8), "S", "2025-03-02T09:00:00+00:00", samples=5)
-    for folders in ((later, sooner), (sooner, later)):
-        out = tmp_path / folders[0].name / "out"
-        merge(folders, out)
-        (record,) = records(out).values()
-        assert record.work == {"residuals": 7}
-        assert len(record.run_s) == 3
-
-
-def test_a_scene_in_two_folders_is_taken_from_the_one_measured_last(tmp_path):
-    runs = {"late": "2025-03-05T00:00:00+00:00", "soon": "2025-03-02T00:00:00+00:00"}
+def test_of_a_run_or_a_scene_in_two_folders_that_of_the_last_one_is_kept(tmp_path):
     folders = []
-    for name, date in runs.items():
-        folder = machine(tmp_path / name, [planted("pendulum", name, FREE, h=0.1)], name, date)
-        with Store(folder, create=True) as store:
+    for n in range(3):
+        run = planted("pendulum", "m", FREE, h=0.1, work={"steps": n})
+        run.status = "interrupted" if n == 2 else "ok"
+        folders.append(plant(tmp_path / str(n), [run], samples=n))
+        with Store(folders[-1], create=True) as store:
             (scene,) = store.scenes().values()
-            store.keep(msgspec.structs.replace(scene, title=name))
-        folders.append(folder)
-    merge(folders, tmp_path / "out")
-    with Store(tmp_path / "out") as store:
-        (scene,) = store.scenes().values()
-    assert scene.title == "late"
-
-
-def test_of_runs_measured_at_one_time_the_last_named_is_kept(tmp_path):
-    folders = [
-        plant(tmp_path / str(n), [planted("pendulum", "m", FREE, h=0.1, work={"steps": n})])
-        for n in range(3)
-    ]
+            store.keep(msgspec.structs.replace(scene, title=str(n)))
     assert merge(folders, tmp_path / "out") == (1, 1)
-    (record,) = records(tmp_path / "out").values()
-    assert record.work == {"steps": 2}
+    with Store(tmp_path / "out") as store:
+        (record,), (scene,) = store.records().values(), store.scenes().values()
+    assert (record.work, len(record.run_s), scene.title) == ({"steps": 1}, 1, "2")
+    merge(folders[::-1], tmp_path / "back")  # what was interrupted gives way
+    (record,) = records(tmp_path / "back").values()
+    assert (record.work, record.status) == ({"steps": 0}, "ok")
 
 
 def test_a_study_that_was_shared_out_is_one_again(tmp_path):
@@ -120,13 +98,10 @@ def test_the_most_samples_and_the_largest_budget_are_the_plan_of_both(tmp_path):
     folders = [tmp_path / "few", tmp_path / "many"]
     for folder, most in zip(folders, (3, 9), strict=True):
         with Store(plant(folder, [planted("pendulum", "m", FREE, h=0.1)]), create=True) as store:
-            plan = msgspec.structs.replace(store.plan(), samples=most, budget_s=10.0 * most)
-            store.keep(plan)
-    for k, order in enumerate((folders, folders[::-1])):
-        merge(order, tmp_path / str(k))
-        with Store(tmp_path / str(k)) as store:
-            plan = store.plan()
-        assert (plan.samples, plan.budget_s) == (9, 90.0)
+            store.keep(msgspec.structs.replace(store.plan(), samples=most, budget_s=10.0 * most))
+    merge(folders, tmp_path / "out")
+    with Store(tmp_path / "out") as store:
+        assert (store.plan().samples, store.plan().budget_s) == (9, 90.0)
 
 
 def test_merged_samples_keep_their_rounds_and_invocations(tmp_path):
@@ -148,7 +123,7 @@ def test_merged_results_have_a_report(old, tmp_path, stepbench):
 
 def test_merging_with_oneself_changes_nothing(old, tmp_path):
     merge([old, old], tmp_path / "out")
-    assert compare_folders(old, tmp_path / "out").same
+    assert not compare_folders(old, tmp_path / "out").changes
     with Store(old) as one, Store(tmp_path / "out") as two:
         assert (one.plan(), one.scenes()) == (two.plan(), two.scenes())
         assert one.records() == two.records()

@@ -354,7 +354,7 @@ def test_runs_that_are_noisy_beside_a_run_say_what_its_time_is_worth(tmp_path):
             tmp_path / f"{loud}", [seven(2.0, 2.01, 2.02)] + [quiet] * (7 - loud) + [noisy] * loud
         )
         found = compare_folders(old, new)
-        assert [c.run.resolution for c in found.changes] == ["h=0.1"] * told
+        assert [c.resolution for c in found.changes] == ["h=0.1"] * told
         words = f"noisy: times that differ by less than x{3 * 1.02:.4g} are"
         assert (words in " ".join(found.state())) is not told
 
@@ -385,7 +385,7 @@ def test_a_change_that_halves_the_work_is_no_regression_of_times(tmp_path):
     # All runs of the second folder are slowed by 1.8: the edited ones are faster none the less.
     new = folder("new", halved=True, busier=lambda run, k: 1.8)
     found = compare_folders(old, new)
-    assert {c.run.integrator for c in found.changes if c.kind == "time"} == set()
+    assert {c.integrator for c in found.changes if c.kind == "time"} == set()
     assert regressions(found, limits) == []
     # The edited ones are hit harder than the others, but not beyond what these show.
     new = folder("hit", halved=True, busier=lambda run, k: 3.0 if run.h < 0.05 else 1.0)
@@ -398,7 +398,7 @@ def test_a_change_that_halves_the_work_is_no_regression_of_times(tmp_path):
         busier=lambda run, k: 9.0 if run.key.startswith("pendulum | kept | h=0.1") else 1.0,
     )
     found = compare_folders(old, new)
-    times = {(c.run.integrator, c.comparable) for c in found.changes if c.kind == "time"}
+    times = {(c.integrator, c.comparable) for c in found.changes if c.kind == "time"}
     assert times == {("edited", True), ("kept", False)}
     assert regressions(found, limits) == []
     # An edited run that is slower, beside others that are not, is one.

@@ -62,7 +62,7 @@ def test_the_tutorial_leaves_what_it_promises(folder):
 @pytest.mark.long
 def test_fewer_corrections_change_the_work_and_the_errors_of_one_method(folder):
     found = compare_folders(folder / "first", folder / "second")
-    assert {change.run.integrator for change in found.changes} == {"my_method"}
+    assert {change.integrator for change in found.changes} == {"my_method"}
     kinds = {change.kind for change in found.changes}
     assert {"error", "work"} <= kinds
     for change in found.changes:

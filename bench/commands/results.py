@@ -184,8 +184,8 @@ def compare(o: Given) -> None:
 def merge_(o: Given) -> None:
     """Put results of several folders into one.
 
-    Each record keeps the machine that measured it. Of a run that several folders have, the one
-    that was measured last is kept; of those measured at one time, that of the folder named last.
+    Each record keeps the machine that measured it. Of a run that several folders have, that of
+    the folder named last is kept.
 
     \b
     Examples:
