@@ -291,5 +291,5 @@ def test_the_command_of_a_scene_follows_the_question(browser, folder):
         "stepbench solve won two --step 0.001 --t-end 1",
     ]
     assert "verdict" in found[0][1]
-    assert "No integrator reaches 1e-9" in found[2][1]
+    assert "No method reaches 1e-9" in found[2][1]
     assert "1.0e-8" in found[2][1] or "1e-8" in found[2][1]

@@ -255,7 +255,7 @@ def test_the_command_keeps_what_has_not_changed(stepbench, tmp_path):
     first = stepbench("atlas", "condition", "--out", tmp_path)
     assert first.exit_code == 0, first.output
     page = (tmp_path / "atlas.html").read_text(encoding="utf-8")
-    assert "As predicted: 5 of 5 numbers predicted." in page
+    assert "As predicted: 5 of 5 as expected." in page
     assert page.count("<svg") >= 2
     assert "http" not in re.sub(r'xmlns(:xlink)?="[^"]*"|http-equiv|<a href="[^"]*"', "", page)
     second = stepbench("atlas", "condition", "--out", tmp_path, "--json")
@@ -275,7 +275,7 @@ def test_a_difference_is_told_and_ends_with_an_error(stepbench, tmp_path, monkey
     assert result.exit_code == 1
     assert "Not all is as predicted: wrong (not as predicted)." in result.output
     page = (tmp_path / "atlas.html").read_text(encoding="utf-8")
-    assert "Not as predicted: 4 of 5 numbers predicted." in page
+    assert "Not as predicted: 4 of 5 as expected." in page
     assert "DIFFERS" in page
 
 

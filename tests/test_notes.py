@@ -49,8 +49,8 @@ def test_a_vibration_that_v_hides_is_told_until_the_tolerance_sees_its_phase():
     for rtol, speaks in [(1e-3, True), (1e-6, True), (1e-8, True), (1e-11, False)]:
         note = uncontrolled(StiffBar(), exact_run(StiffBar(), 1000), rtol)
         assert bool(note) == speaks
-        assert not speaks or ("1.81e+04 rad/s" in note and "7.1e+03 times" in note)
-        assert not speaks or ("takes 29 of its periods" in note and "smaller rtol" in note)
+        assert not speaks or ("1.81e+04 rad/s" in note and "smaller rtol" in note)
+        assert not speaks or "a step spans 29 periods of the fastest vibration" in note
 
 
 def test_constant_steps_of_more_than_half_a_period_leave_it_out():
@@ -73,7 +73,7 @@ def test_a_vibration_that_dies_out_adds_up_no_longer():
     for rtol, speaks in [(1e-5, True), (1e-7, False)]:
         note = uncontrolled(DrivenSprings(), exact_run(DrivenSprings(), 1000), rtol)
         assert bool(note) == speaks
-        assert not speaks or "3.16e+03 rad/s, weighs 1e+04 times" in note
+        assert not speaks or "3.16e+03 rad/s" in note
 
 
 @pytest.fixture(scope="module")

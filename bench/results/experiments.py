@@ -120,10 +120,11 @@ def experiments_table(found: Sequence[ExperimentResult]) -> Table:
     )
     rows = []
     for f in found:
-        verdict = "DIFFERS" if f.verdict == "not as predicted" else f.verdict
+        differs = {"not as predicted": "DIFFERS: ", "not measured": "not measured: "}
         cases = [case for part in f.parts for case in part.cases]
         cells = [spared(c for c in cases if c.label == label) for label in added]
-        rows.append([f"{f.number}. {f.title}", f"{verdict}, {expected_counts(f)}", *cells])
+        said = differs.get(f.verdict, "") + expected_counts(f)
+        rows.append([f"{f.number}. {f.title}", said, *cells])
     note = "Numbers found where theory, a publication or an earlier measurement says, of all."
     if added:
         note += " For a method that was added: the parts that spare it, of all that apply to it."
@@ -132,13 +133,9 @@ def experiments_table(found: Sequence[ExperimentResult]) -> Table:
 
 
 def expected_counts(f: ExperimentResult) -> str:
-    """The counts of numbers found as expected: "3 of 4 numbers predicted, 2 of 2 ..."."""
-    held: dict[str, list[bool]] = {verdict: [] for verdict in BASES.values()}
-    for case in (case for part in f.parts for case in part.cases):
-        if case.expected:
-            held[BASES[case.expected.basis]].append(bool(case.as_expected))
-    counts = {verdict.replace("as ", "numbers "): found for verdict, found in held.items() if found}
-    return ", ".join(f"{sum(found)} of {len(found)} {kind}" for kind, found in counts.items())
+    """The count of numbers found as expected: "5 of 6 as expected"."""
+    held = [bool(c.as_expected) for part in f.parts for c in part.cases if c.expected]
+    return f"{sum(held)} of {len(held)} as expected"
 
 
 def spared(cases: Iterable[CaseResult]) -> str:

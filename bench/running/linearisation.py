@@ -97,9 +97,9 @@ def uncontrolled(scene: MechatronicSystem, run: Trajectory, rtol: float | None) 
     if weight < _WEIGHT or weight * left < _LEFT:
         return ""
     return (
-        f"Accelerations are not controlled: the fastest vibration, {omega:.3g} rad/s, weighs "
-        f"{weight:.2g} times as much in a as in v, and a step takes {periods[1]:.2g} of its "
-        f"periods; take {'a smaller rtol' if rtol else 'smaller steps'}, or trust q and v alone."
+        f"Accelerations are not controlled: a step spans {periods[1]:.2g} periods of the fastest "
+        f"vibration, {omega:.3g} rad/s. a is unreliable, q and v are usable; take "
+        f"{'a smaller rtol' if rtol else 'smaller steps'} for a."
     )
 
 

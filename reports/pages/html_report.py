@@ -15,7 +15,7 @@ from problems.whole_files import cached, put
 from reports.charts.vega_lite import chart_json
 from reports.pages.page import FOLDER, FRONT, Page
 from reports.pages.report import read_report
-from reports.pages.site import Site
+from reports.pages.site import SEARCHED, Site
 from reports.pages.site_data import site_data
 from reports.pages.templating import html
 
@@ -90,6 +90,7 @@ def _written(site: Site, pages: Sequence[Page], made: Mapping[str, str]) -> str:
         about=f"{site.report.title} · {site.runs_text}",
         home="../" * here.count("/") + site.link(site.pages[0]),
         contents=site.contents(here),
+        searched=SEARCHED,
         single=site.single,
         data=DATA in made,
         programs=(

@@ -14,7 +14,7 @@ from reports.pages.captioned_charts import CaptionedCharts
 from reports.pages.page import FOLDER
 from reports.pages.report import Report, read_report
 from reports.pages.templating import escape_markdown, markdown
-from reports.questions.verdict import headlines
+from reports.questions.verdict import DIFFER, headlines
 from reports.questions.words import Ref, rendered
 from reports.text.ranking_tables import standings_table
 
@@ -68,7 +68,7 @@ def write_markdown_report(folder: Path) -> Path:
         report=report,
         answer=[
             rendered(s, _escaped, links)
-            for s in (*headlines(report.answered, report.names), *report.wrong)
+            for s in (*headlines(report.answered, report.names), [DIFFER], *report.wrong)
         ],
         standings=standings_table(report.answer),
         scenes=[(scene_name(s.name), files[s.name]) for s in report.scenes],

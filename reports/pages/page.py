@@ -66,6 +66,7 @@ def write_page(
         title=page.title,
         about=page.title,
         home=home,
+        searched=(),
         contents=[*report, *([("On this page", links)] if links else [])],
         pages=[page],
         single=True,

@@ -22,6 +22,7 @@ from reports.pages.jumps import jumps_chapter
 from reports.pages.method_chapter import MethodChapter
 from reports.pages.scene_chapter import SceneChapter
 from reports.pages.study_section import StudySections
+from reports.questions.verdict import DIFFER
 from reports.questions.wrong import silent_tables, wrong_sentences
 from reports.ranking import Answer, answers
 from reports.scenes import StoredRuns
@@ -35,6 +36,7 @@ from reports.text.measurement import (
 from reports.text.order_table import lost_orders_table, order_tables
 from reports.text.ranking_tables import integrators_table, winners_table
 from reports.text.run_tables import failures_table, notes_table, timing_table, unsupported_table
+from reports.text.scene_tables import references_table
 
 
 class Report:
@@ -84,7 +86,9 @@ class Report:
         found = jumps_chapter(stored), drifts, atlas_chapter(experiments)
         self.chapters = [chapter for chapter in found if chapter.sections]
         self.timing, self.times = timing_table(series_of(runs)), times_sentence(stored.times)
+        self.differ = DIFFER
         self.method = method_of_measurement(plan)
+        self.references = references_table(stored.scenes)
         self.methods = [
             MethodChapter(label, stored, damping, self.answer, experiments, over)
             for label in self.names

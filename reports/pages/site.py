@@ -27,6 +27,8 @@ _BESIDE = {
     "map.html": "Map of outcomes",
     "stability.html": "Stability",
 }
+#: Parts of the contents that show what is searched for, and nothing before.
+SEARCHED = ("Methods by name", "Words")
 #: Tabs of a scene's page: anchor and title.
 TABS = {
     "cost": "Orders and cost",
@@ -77,6 +79,13 @@ class Site:
             Link(root + file, title)
             for file, title in _BESIDE.items()
             if not self.single and (self.folder / file).is_file()
+        ]
+        below[SEARCHED[0]] = [
+            Link(root + self.link(p), p.title) for p in self.pages if p.kind == "method"
+        ]
+        words = next(root + self.link(p) for p in self.pages if p.kind == "glossary")
+        below[SEARCHED[1]] = [
+            Link(f"{words.partition('#')[0]}#{term.anchor}", term.name) for term in TERMS
         ]
         return [(heading, links) for heading, links in below.items() if links]
 

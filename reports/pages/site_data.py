@@ -17,7 +17,7 @@ from reports.names import family_name, form_name, scene_name
 from reports.pages.report import Report
 from reports.pages.site import method_page, scene_page
 from reports.questions.question import BOTH, GRID, Question, filters, tag_name
-from reports.questions.verdict import HEADLINES
+from reports.questions.verdict import HEADLINES, LATER, WRONG_A
 from reports.questions.words import Piece
 from reports.questions.wrong import wrong_sentences
 from reports.ranking import Answer, SceneAnswer, answers
@@ -54,6 +54,8 @@ def site_data(report: Report) -> dict[str, Any] | None:
         "least": {c: COSTS[c].least.capitalize() for c in RANKED_COSTS},
         "both": BOTH,
         "headlines": HEADLINES,
+        "later": LATER,
+        "wrong_a": WRONG_A,
         "units": {c: COSTS[c].unit for c in RANKED_COSTS},
         "ties": {cost: tie_text(cost) for cost in RANKED_COSTS},
         "targets": [replace(first, target=t).accuracy for t in GRID],
@@ -69,7 +71,9 @@ def site_data(report: Report) -> dict[str, Any] | None:
             for f in chosen
         ],
         "methods": [_method(report, series, *pair) for pair in families.items()],
-        "scenes": [_scene(k, own, report.stored.scenes.get(k)) for k, own in measured.items()],
+        "scenes": [
+            _scene(k, own, report.stored.scenes.get(k), places) for k, own in measured.items()
+        ],
         "columns": columns,
         "runs_of": [[_runs(s, places, columns) for s in own] for own in measured.values()],
         **_answers(answers(measured, groups, GRID, tuple(NORMS)), groups, measured, places),
@@ -92,7 +96,9 @@ def _method(report: Report, series: Sequence[Series], label: str, family: str) -
     }
 
 
-def _scene(name: str, series: Sequence[Series], scene: SceneRecord | None) -> dict[str, Any]:
+def _scene(
+    name: str, series: Sequence[Series], scene: SceneRecord | None, places: Mapping[str, int]
+) -> dict[str, Any]:
     ok = [r for s in series for r in s.ok]
     groups = groups_of(ok, ASKED)
     norms = [(g if norm == NORM else f"{g}|{norm}", g, norm) for g in groups for norm in NORMS]
@@ -105,6 +111,7 @@ def _scene(name: str, series: Sequence[Series], scene: SceneRecord | None) -> di
         "about": " · ".join([*filter(None, [options]), *tags]),
         "page": scene_page(name),
         "groups": groups,
+        "wrong_a": [places[s.label] for s in series if s.never_right("a")],
         "picture": little_picture(scene.drawings) if scene else [],
         "floor": {g: float(f"{floor:.3g}") for g, floor in floors.items() if floor > 0},
     }

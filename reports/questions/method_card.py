@@ -95,7 +95,7 @@ def method_card(folder: Path, integrator: str) -> list[str]:
     if not integrator:
         aim = f"{first.accuracy} in {first.quantity}, "
         said = [
-            [f"{aim}{COSTS[q.cost].least}: ", *headline(answer(stored.series, q), names)]
+            [f"{aim}{COSTS[q.cost].least}: ", *headline(answer(stored.series, q), names, found)]
             for q in first.by_both
         ]
         said += wrong_sentences(first.group, stored.wrong(first.group), names)

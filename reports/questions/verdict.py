@@ -22,12 +22,17 @@ HEADLINES = {
     "two": "{who} are each cheapest on {on}{but}.",
     "many": "{count} methods tie: each is cheapest on {on}{but}.",
 }
+#: Stands beside answers by both costs.
+DIFFER = "Operations of libraries are estimates."
 #: A winner that other starts of the motion make one, and one with wrong accelerations.
 LATER, WRONG_A = "ties from a later start", "a wrong in every run"
 
 
-def headline(found: Answer, names: Names) -> Sentence:
-    """'A is cheapest on 6 of 9 scenes; nobody reaches 2.': twelve words, a name counted as one."""
+def headline(found: Answer, names: Names, of: Answer | None = None) -> Sentence:
+    """'A is cheapest on 6 of 9 scenes; nobody reaches 2.': twelve words, a name counted as one.
+
+    Where the leader of ``of``, by another cost, does not lead, its count is told: ' (B: 1)'.
+    """
     judged, rows = len(found.scenes), found.standings
     every = {1: "the scene", 2: "both scenes"}.get(judged, f"all {judged} scenes")
     missed = sum(not s.reached for s in found.scenes.values())
@@ -44,15 +49,19 @@ def headline(found: Answer, names: Names) -> Sentence:
     kind = {1: "one", 2: "two"}.get(len(lead), "many")
     said = HEADLINES[kind].rpartition("{who}")[2].format(count=len(lead), on=on, but=but)
     who = listed([method_ref(label, names)] for label in lead) if kind != "many" else []
-    return [*who, said]
+    other = of.standings[0].label if of and of.standings else ""
+    own = next((s.alone + s.tied for s in rows if s.label == other), count)
+    beside = f" ({names.get(other, other)}: {own})." if own < count else "."
+    return [*who, said.removesuffix(".") + beside]
 
 
 def headlines(found: Mapping[Question, Answer], names: Names) -> list[Sentence]:
     """The headline by operations and by time, of answers that ask one accuracy."""
+    both = {q: own for q, own in found.items() if q.cost in BOTH}
+    first = next(iter(both.values()), None)
     return [
-        [f"{COSTS[question.cost].least.capitalize()}: ", *headline(own, names)]
-        for question, own in found.items()
-        if question.cost in BOTH
+        [f"{COSTS[question.cost].least.capitalize()}: ", *headline(own, names, first)]
+        for question, own in both.items()
     ]
 
 

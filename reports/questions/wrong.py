@@ -105,5 +105,7 @@ def silent_tables(
         if rows:
             head = ["integrator", "scene", "runs", "smallest error", "cause"]
             about = f"{caption}, in {quantity(group)}: {counted(silent, 'run')}"
-            tables.append(Table(about, head, rows, code=(0, 1), links=links))
+            count = 5 if kind == "every" else 4  # only what is never right has a cause
+            rows = [row[:count] for row in rows]
+            tables.append(Table(about, head[:count], rows, code=(0, 1), links=links))
     return tables

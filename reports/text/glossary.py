@@ -20,6 +20,10 @@ class Term(NamedTuple):
 
 
 _DEFINITIONS = {
+    "Baumgarte": "Constraints that are not solved but pulled back: their violation decays like a "
+    "damped oscillation.",
+    "Consistent start": "Values that satisfy all equations at t0; start=corrected shifts the "
+    "acceleration of a generalized-α method so that its first steps have full order.",
     "Constraint": "An equation Φ(q, t) = 0 that the coordinates must satisfy at all times, such as "
     "a joint.",
     "Controller state": "An unknown x with a differential equation of first order, such as the "
@@ -31,6 +35,8 @@ _DEFINITIONS = {
     "Floor": "A hundred times the reference's own error: below it an error says nothing.",
     "GGL": "The formulation of Gear, Gupta and Leimkuhler, which holds the constraints at the "
     "level of positions and of velocities at once and has index 2.",
+    "Hit": "The verdict of an experiment of the failure atlas: a number of the method lies outside "
+    "of the interval in which a method passes; spared: within.",
     "Index": "The number of differentiations that turn equations with constraints into "
     "differential equations: 3 with constraints on positions, and the higher the harder.",
     "Multiplier": "An unknown λ, the force that holds a constraint.",
@@ -38,12 +44,17 @@ _DEFINITIONS = {
     "takes a new tangent each time, modified Newton keeps an old one.",
     "Norm": "The rule that makes one number of an error over time: its largest value over all "
     "steps unless another is named.",
+    "ODE form": "The equations solved for the accelerations, constraints differentiated twice "
+    "(index 1).",
     "Operations": "Floating-point operations of a run, counted from the program of its steps, the "
-    "same on every machine; the arithmetic of library codes is an estimate.",
+    "same on every machine; those of library codes are an estimate: their own arithmetic is taken "
+    "from published formulas.",
     "Order": "The power p with which an error falls: with half the step it is 2^p times smaller.",
     "Performance profile": "The part of all tasks that a method solves at no more than so many "
     "times the cost of the best one.",
     "Period error": "The relative change of the period of an oscillation that a method computes.",
+    "Projected": "After each step the values are moved back onto the constraints; unprojected: "
+    "they drift off.",
     "Reference": "The solution with which runs are compared: a closed form, or a computation that "
     "is far more accurate than the runs and knows its own error.",
     "Relative error": "The distance from the reference, divided by the component's natural size, "
@@ -52,6 +63,8 @@ _DEFINITIONS = {
     "make if each changes by its size, an angle by at most 1 rad.",
     "Residual evaluation": "One evaluation of the equations of motion, the work that every "
     "implicit method does.",
+    "rho_inf": "The spectral radius ρ∞ of a method at steps of infinite length: 1 damps nothing, "
+    "0 all that steps cannot resolve.",
     "Settled": "The norm that takes the largest error in the last quarter of the time, when the "
     "transient of the start is over.",
     "Spectral radius": "The factor by which a step multiplies the slowest decaying part of an "
@@ -63,15 +76,19 @@ _DEFINITIONS = {
     "Tie": "Two methods tie if their costs cannot be told apart: times by the quotients within "
     "rounds of samples, operations within 10 %.",
     "Tolerance": "The local error that a method with steps of its own choice allows itself in a "
-    "step.",
+    "step: rtol, relative to the value, and atol, which is rtol/100 unless another is named.",
 }
 TERMS = tuple(Term(name, text) for name, text in _DEFINITIONS.items())
 #: Other words for the terms, beside their names and plurals.
 _SYNONYMS = {
     "Damping ratio": ("numerical damping",),
+    "Consistent start": ("start=corrected", "corrected start"),
+    "Hit": ("spared",),
     "Index": ("index 1", "index 2", "index 3", "index1", "index2", "index3"),
     "Newton iteration": ("modified Newton", "full Newton"),
     "Operations": ("floating-point operations",),
+    "Projected": ("unprojected",),
+    "rho_inf": ("ρ∞",),
     "Settled": ("last quarter",),
     "Start transient": ("transient",),
     "Stiff": ("stiffness",),

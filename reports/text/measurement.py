@@ -72,7 +72,7 @@ def times_sentence(times: Repeatability) -> str:
     if times.machines > 1:
         of = f"{times.machines} different machines, clocks or versions"
         return f"Times were taken on {of} and cannot be compared, {first}."
-    of = f"median width of the intervals of {counted(times.runs, 'run')}"
+    of = f"median of {counted(times.runs, 'run')}"
     limit = "" if times.cost == "seconds" else f"; at most {100 * REPEATABLE:g} % is asked for"
     return f"Repeated times scatter by {100 * times.width:.2g} % ({of}{limit}), {first}."
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+from bench.results.quantities import TRUST
 from bench.results.records import SceneRecord
 from bench.results.table import Table
 from reports.formatting import number
+from reports.questions.question import TABLE_GROUPS
 
 
 def scene_facts(scene: SceneRecord) -> list[tuple[str, str]]:
@@ -28,6 +32,18 @@ def scene_facts(scene: SceneRecord) -> list[tuple[str, str]]:
         ("Faults", " ".join(scene.faults)),
     ]
     return [(name, text) for name, text in found if text]
+
+
+def references_table(scenes: Mapping[str, SceneRecord]) -> Table | None:
+    """How the reference of each scene is made, and its own errors; None without scenes."""
+    rows = [
+        [name, s.reference_method, *(number(s.reference_error.get(g)) for g in TABLE_GROUPS)]
+        for name, s in scenes.items()
+        if s.reference_method
+    ]
+    note = f"Own errors are relative; an accuracy within {TRUST:g} times them is not judged."
+    head = ["scene", "reference", *(f"own error in {g}" for g in TABLE_GROUPS)]
+    return Table("References", head, rows, note=note) if rows else None
 
 
 def parameters_table(scene: SceneRecord) -> Table | None:

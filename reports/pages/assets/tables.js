@@ -107,12 +107,15 @@
     side.classList.add("folds");
     const links = [...side.querySelectorAll("li")];
     if (links.length > FEW) {
-      const input = make("input", { type: "search", class: "filter", placeholder: "find a page", "aria-label": "filter the contents" });
+      const input = make("input", { type: "search", class: "filter", placeholder: "find …", title: "a scene, a method or a word", "aria-label": "filter the contents" });
+      const none = make("p", { class: "about", role: "status" });
       input.addEventListener("input", () => {
         const asked = input.value.trim().toLowerCase();
         for (const link of links) link.hidden = !link.textContent.toLowerCase().includes(asked);
+        for (const part of side.querySelectorAll("div")) part.hidden = part.dataset.searched !== undefined && !asked || !part.querySelector("li:not([hidden])");
+        none.textContent = links.every((link) => link.hidden) ? `Nothing is called “${input.value.trim()}”.` : "";
       });
-      side.querySelector(".about").after(input);
+      side.querySelector(".about").after(input, none);
     }
   }
 })();

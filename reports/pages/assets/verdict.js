@@ -16,7 +16,7 @@
   stepbench.part = part;
 
   const STATES = {
-    far: "not reached", failed: "no run reached the end", unknown: "reached, cost not measured",
+    far: "not reached", failed: "no run reached the end", unknown: "reached, cost not measured", refused: "the method does not take the scene",
   };
   // So many winners are named.
   const MOST = 3;
@@ -35,24 +35,26 @@
     const index = own?.first[0], state = own?.states[index];
     return Array.isArray(state) ? { index, k: state[1] } : null;
   };
-  const joined = (items, by = " and ") => items.flatMap((item, k) => [...(k ? [k < items.length - 1 ? ", " : by] : []), ...item]);
+  const joined = (items) => items.flatMap((item, k) => [...(k ? [k < items.length - 1 ? ", " : " and "] : []), ...item]);
+  // What speaks against a winner: it ties from a later start alone, or its accelerations are wrong.
+  const marks = (scene, own, m, { group }) => [[own.later.includes(m), data.later], [group !== "a" && data.scenes[scene].wrong_a.includes(m), data.wrong_a]].flatMap(([is, text]) => is ? `; ${text}` : []).join("");
   // 'A (100 at h=0.1) and B (105 at h=0.2) tie; next: C, 2 times', as reports/questions/verdict.py says it.
   stepbench.verdict = (scene, question = stepbench.question) => {
     const own = stepbench.answer(question)[scene];
     if (!own) return [stepbench.unjudged(scene, question)];
     if (!own.first.length) {
       const near = nearest(scene, question), at = near && ` (${stepbench.number(near.error)} at ${stepbench.resolutionOf(runsOf(scene, near.index), near.k)}).`;
-      return own.reached ? ["It is reached, at costs that are not measured."] : [`No integrator reaches ${question.target}`, ...(near ? ["; nearest: ", stepbench.methodRef(near.index), at] : ["."])];
+      return own.reached ? ["It is reached, at costs that are not measured."] : [`No method reaches ${question.target}`, ...(near ? ["; nearest: ", stepbench.methodRef(near.index), at] : ["."])];
     }
     const run = (m) => {
       const [, k, cost] = own.states[m], runs = runsOf(scene, m), off = stepbench.columnOf(runs, "constraint")?.[k], { form, short } = data.methods[m];
       const held = off > 0 ? `; ${form && !short.endsWith(form) ? `${form}; ` : ""}relative violation of Φ ${stepbench.number(off)}${off > Number(question.target) ? ` > ${question.target}` : ""}` : "";
-      return [stepbench.methodRef(m), ` (${stepbench.costWithUnit(cost, question.cost)} at ${stepbench.resolutionOf(runs, k)}${held})`];
+      return [stepbench.methodRef(m), ` (${stepbench.costWithUnit(cost, question.cost)} at ${stepbench.resolutionOf(runs, k)}${held}${marks(scene, own, m, question)})`];
     };
     const shown = own.first.slice(0, MOST).map(run), more = own.first.length - shown.length;
-    const who = joined([...shown, ...(more ? [[`${more} more`]] : [])], own.alone ? " = " : " and ");
+    const who = joined([...shown, ...(more ? [[`${more} more`]] : [])]);
     const next = own.second === null ? own.votes ? "" : "; none to compare" : "; next: ";
-    return [...who, own.first.length === 1 ? own.votes && own.second === null ? " alone reaches it" : " is cheapest" : own.alone ? " do the same and are cheapest" : " tie", next,
+    return [...who, own.first.length === 1 ? own.votes && own.second === null ? " alone reaches it" : " is cheapest" : " tie", next,
       ...(own.second === null ? [] : [stepbench.methodRef(own.second), `, ${stepbench.multiple(own.states[own.second][0])} times`]), "."];
   };
 
@@ -70,7 +72,7 @@
     const even_step = end / Math.round(end / value), size = Math.abs(even_step / value - 1) < 2e-5 ? Number(even_step.toPrecision(6)) : value;
     place.textContent = `stepbench solve ${quoted(data.scenes[scene].id)} ${quoted(label)} ${control === "h" ? `--step ${size}` : `--rtol ${Number(Number(value).toPrecision(4))}`} --t-end ${place.dataset.end}${JSON.parse(place.dataset.plugins)[label] || ""}`;
     note.textContent = best ? `It repeats the run of ${data.methods[best.index].short} in the verdict.`
-      : `${own ? own.reached === false || !own.states.some((state) => state === "unknown") ? "No integrator reaches" : "No cost is known at" : "The reference cannot judge"} ${question.target} in ${data.group_names[question.group]}; this run came nearest, with ${stepbench.number(chosen.error)}.`;
+      : `${own ? own.reached === false || !own.states.some((state) => state === "unknown") ? "No method reaches" : "No cost is known at" : "The reference cannot judge"} ${question.target} in ${data.group_names[question.group]}; this run came nearest, with ${stepbench.number(chosen.error)}.`;
   });
 
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
@@ -88,7 +90,8 @@
     if (!Array.isArray(state)) {
       const runs = runsOf(scene, index), near = state === "far" && nearest(scene, question, index);
       const tried = near ? ` down to ${stepbench.resolutionOf(runs, runs.resolutions.length - 1)}; least error: ${stepbench.number(near.error)}` : "";
-      return html("tr", { class: "out" }, head, ...form, html("td", { colspan: 3 + held }, STATES[state] + tried));
+      const ends = state === "failed" ? `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}` : "";
+      return html("tr", { class: "out" }, head, ...form, html("td", { colspan: 3 + held }, STATES[state] + tried + ends));
     }
     const [multiple, k, cost] = state, runs = runsOf(scene, index), error = stepbench.columnOf(runs, question.group)[k];
     // A violation that is larger than the accuracy is told to be.
@@ -101,7 +104,8 @@
   for (const table of document.querySelectorAll("[data-methods]")) stepbench.onChange((question) => {
     const scene = Number(table.dataset.methods), states = stepbench.answer()[scene]?.states || [];
     const multiple = ([, state]) => Array.isArray(state) ? state[0] : Infinity;
-    const found = Object.entries(states).filter(([, state]) => state !== null).sort((one, two) => multiple(one) - multiple(two) || 0);
+    const refused = states.length ? data.runs_of[scene].filter((runs) => runs.endings?.every((end) => end === "unsupported")).map((runs) => [runs.method, "refused"]) : [];
+    const found = [...Object.entries(states).filter(([, state]) => state !== null), ...refused].sort((one, two) => multiple(one) - multiple(two) || 0);
     table.closest("section").hidden = !found.length;
     const held = data.scenes[scene].groups.includes("constraint");
     const head = ["method", ...(held ? ["form"] : []), stepbench.costName(question), "multiple of the best", `error in ${data.group_names[question.group].split(" ").at(-1)}`, ...(held ? ["violation of Φ, relative"] : [])];

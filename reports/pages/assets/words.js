@@ -51,13 +51,13 @@
     const here = stepbench.answer(), line = (name, ...parts) => html("p", name ? { class: name } : {}, ...parts.map(part));
     const beside = data.both.filter((cost) => data.both.includes(question.cost) && cost !== question.cost);
     card.replaceChildren(line("headline", ...stepbench.headline(question)),
-      ...beside.map((cost) => line("also", `${data.least[cost]}: `, ...stepbench.headline({ ...question, cost }))));
+      ...beside.map((cost) => line("also", `${data.least[cost]}: `, ...stepbench.headline({ ...question, cost }, question))));
     const [wrong, ...which] = stepbench.wrong("filters", question.scenes);
     if (wrong) card.append(wrong);
     const more = html("details", unfolded ? { open: "" } : {}, html("summary", {}, "costs, rivals, constraints, and where it fails"));
     card.append(more);
     more.append(...which, line("", `To ${question.target} in ${data.group_names[question.group]} (${stepbench.norm()}), scene by scene:`), ...stepbench.chosen().map((k) => line("", { kind: "scene", key: data.scenes[k].id, text: data.scenes[k].name, page: data.scenes[k].page }, ": ", ...stepbench.verdict(k, question))));
-    more.append(html("p", { class: "note" }, `Error: ${stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make" : "of the worst component, relative to its largest value in the reference"}, ${stepbench.norm()}. Tied: ${data.ties[question.cost]}, or the cheapest from a later start of the motion. Time is of this machine and of a method's language; operations are a model, of library codes an estimate.`));
+    more.append(html("p", { class: "note" }, `Error: ${stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make" : "of the worst component, relative to its largest value in the reference"}, ${stepbench.norm()}. Tied: ${data.ties[question.cost]}, or the cheapest from a later start of the motion. Time is of this machine and of a method's language; operations are the same everywhere.`));
     standings(stepbench.standings(question), stepbench.chosen().filter((k) => here[k]).length);
   });
 })();
