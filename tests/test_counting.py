@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from concurrent.futures import ThreadPoolExecutor
-
-import pytest
 
 from integrators.adapters.counting import Counts, run_counted, watch
 from problems import jax, jnp
@@ -56,14 +52,3 @@ def test_runs_in_several_threads_keep_their_counts_apart():
     with ThreadPoolExecutor(4) as threads:
         counts = [c.evaluations for _, c in threads.map(run_counted, programs)]
     assert counts == [100, 200, 300, 400]
-
-
-def test_ctrl_c_ends_the_wait_and_leaves_no_count_behind():
-    def interrupt():
-        os.kill(os.getpid(), signal.SIGINT)
-        return program()
-
-    program = evaluations(1000)
-    with pytest.raises(KeyboardInterrupt):
-        run_counted(interrupt)
-    assert run_counted(program)[1] == Counts(1000, 0)

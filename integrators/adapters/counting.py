@@ -6,8 +6,7 @@ A callback takes some ten microseconds, so that a program that counts is not one
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from threading import Lock
 from typing import Any, NamedTuple
 
 from problems.runtime import jax
@@ -20,8 +19,9 @@ class Counts(NamedTuple):
     linearisations: int
 
 
-#: Of the run at hand; one thread takes one run after the other.
+#: Of the run at hand.
 _tally = [0, 0]
+_one_at_a_time = Lock()
 
 
 def watch(function: Callable) -> Callable:
@@ -55,19 +55,8 @@ def _linearised() -> None:
 
 def run_counted(program: Callable, *arguments: Any) -> tuple[Any, Counts]:
     """Call a program of watched functions; return its finished result and the counts."""
-
-    def run() -> tuple[Any, Counts]:
+    with _one_at_a_time:
         _tally[:] = 0, 0
         result = jax.block_until_ready(program(*arguments))
         jax.effects_barrier()
         return result, Counts(*_tally)
-
-    # Not in the main thread, where Ctrl-C would be raised in the midst of a callback.
-    return _counting_thread().submit(run).result()
-
-
-@cache
-def _counting_thread() -> ThreadPoolExecutor:
-    """The one thread of all counted runs: a run begins when the one before has ended, even if
-    Ctrl-C ended the wait for that one."""
-    return ThreadPoolExecutor(1)

@@ -9,7 +9,6 @@ import platform
 import shutil
 import subprocess
 import tempfile
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
@@ -25,12 +24,8 @@ _COMPILER = "cc"
 #: alone, as a folder of the user may be shared by several machines.
 _FLAGS = ("-O1", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared")
 _CACHE = Path(platformdirs.user_cache_dir("stepbench")) / "native"
-#: Whatever a compilation has left that was killed is removed after so many s.
-_OLD = 86_400
 #: Time in s for which a compiler is waited for.
 _PATIENCE = 90.0
-#: The compiler hung in this process, which asks it no more.
-_hung: list[str] = []
 
 
 @cache
@@ -46,8 +41,6 @@ def load_c(source: str) -> ctypes.CDLL:
     compiler = shutil.which(_COMPILER)
     if compiler is None:
         raise NotLowered(f"there is no C compiler named {_COMPILER}")
-    if _hung:
-        raise NotLowered(_hung[0])
     try:
         about = "\0".join((source, platform.machine(), compiler_version(compiler), *_FLAGS))
         file = _CACHE / f"{hashlib.sha256(about.encode()).hexdigest()[:32]}.so"
@@ -56,24 +49,18 @@ def load_c(source: str) -> ctypes.CDLL:
                 return ctypes.CDLL(str(file))
         keep(file, _compile(compiler, source))
         return ctypes.CDLL(str(file))
-    except TimeoutError as error:
-        _hung.append(f"{error}")
-        raise NotLowered(_hung[0]) from error
+    except subprocess.TimeoutExpired as error:
+        raise NotLowered(f"{_COMPILER} took more than {_PATIENCE:g} s") from error
     except OSError as error:
         raise NotLowered(f"{_COMPILER} or the folder {_CACHE} fails ({error})") from error
 
 
 def _compile(compiler: str, source: str) -> bytes:
-    _CACHE.mkdir(parents=True, exist_ok=True)
-    for left in _CACHE.iterdir():
-        with suppress(OSError):  # another process may remove it, too
-            if left.is_dir() and time.time() - left.stat().st_mtime > _OLD:
-                shutil.rmtree(left)
-    with tempfile.TemporaryDirectory(dir=_CACHE) as folder:
+    with tempfile.TemporaryDirectory() as folder:
         text, new = Path(folder, "functions.c"), Path(folder, "functions.so")
         text.write_text(source, encoding="utf-8")
         command = [compiler, *_FLAGS, "-o", str(new), str(text), "-lm"]
-        done = _run(command, LC_ALL="C", TMPDIR=folder)
+        done = _run(command)
         if done.returncode:
             words = done.stderr.decode(errors="replace").strip().splitlines()
             raise NotLowered(f"{_COMPILER} failed: {words[0] if words else done.returncode}")
@@ -86,15 +73,12 @@ def compiler_version(compiler: str = _COMPILER) -> str:
 
     Raises
     ------
-    OSError
+    OSError, subprocess.TimeoutExpired
         If there is none, or it hangs.
     """
     return _run([compiler, "--version"]).stdout.decode(errors="replace").partition("\n")[0]
 
 
-def _run(command: Sequence[str], **variables: str) -> subprocess.CompletedProcess[bytes]:
-    try:
-        environment = os.environ | variables
-        return subprocess.run(command, capture_output=True, env=environment, timeout=_PATIENCE)
-    except subprocess.TimeoutExpired:
-        raise TimeoutError(f"{command[0]} took more than {_PATIENCE:g} s") from None
+def _run(command: Sequence[str]) -> subprocess.CompletedProcess[bytes]:
+    environment = os.environ | {"LC_ALL": "C"}
+    return subprocess.run(command, capture_output=True, env=environment, timeout=_PATIENCE)
