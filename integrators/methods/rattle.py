@@ -15,7 +15,7 @@ part of the next step's work, which uses it if h has not changed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 from integrators.advice import advice
 from integrators.contract import option
@@ -63,25 +63,23 @@ def momentum_rate(scene: MechatronicSystem, q: Array, v: Array, t: Time) -> Arra
     return force
 
 
-class Kick(NamedTuple):
-    """Half a step of the momentum, from (q, v) on; constraint forces act at ``constrained``."""
-
-    before: tuple[Array, Array]
-    constrained: tuple[Array, Time]
-    h: Time
-
-    def residual(
-        self, scene: MechatronicSystem, q: Array, a: Array, lam: Array, rate: Array
-    ) -> Array:
-        """Residual per unit of time if the momentum is M(q) (v + h/2 a) afterwards."""
-        r = formulations.inertia(scene, q, a) - rate
-        if scene.has("constraint"):
-            r = r + constraint_force(scene, *self.constrained, lam)
-        if mass_varies(scene):
-            q0, v0 = self.before
-            turned = formulations.inertia(scene, q, v0) - formulations.inertia(scene, q0, v0)
-            r = r + 2 / self.h * turned
-        return r
+def kick_residual(
+    scene: MechatronicSystem,
+    before: tuple[Array, Array],
+    constrained: tuple[Array, Time],
+    h: Time,
+    z: Variables,
+    rate: Array,
+) -> Array:
+    """Residual per unit of time if half a step from q and v leads to M(q) (v + h/2 a) at z.q;
+    constraint forces act at the q and t of ``constrained``."""
+    r = formulations.inertia(scene, z.q, z.a) - rate
+    if scene.has("constraint"):
+        r = r + constraint_force(scene, *constrained, z.lam)
+    if mass_varies(scene):
+        q, v = before
+        r = r + 2 / h * (formulations.inertia(scene, z.q, v) - formulations.inertia(scene, q, v))
+    return r
 
 
 @dataclass(frozen=True)
@@ -126,7 +124,7 @@ class KickMethod(OwnValues, ImplicitStepMethod):
         def motion(z: Variables) -> Array:
             place, time = self.place((q, t), (z.q, z.t))
             rate = momentum_rate(scene, place, z.v, time)
-            return Kick((q, v), (q, t), h).residual(scene, place, z.a, z.lam, rate)
+            return kick_residual(scene, (q, v), (q, t), h, z._replace(q=place), rate)
 
         slopes, base = Slopes(h**2 / 2, h / 2, h), Base(advance(scene, q, h * v), v, jnp.zeros(0))
         e = stage_equations(scene, "index3", base, slopes, t + h, (q, t), dynamics=motion)
@@ -162,10 +160,11 @@ class BothSides(Conditional, KickMethod):
         first = self.first_half(scene, work, (now.q, now.v, t - h), h, guess, known)
         place, time = self.place((first.q, t), (now.q, t - h))
         rate = momentum_rate(scene, place, first.v, time)
-        kick = Kick((place, first.v), (first.q, t), h)
 
         def motion(z: Variables) -> Array:
-            return kick.residual(scene, first.q, z.a, z.lam, rate)
+            return kick_residual(
+                scene, (place, first.v), (first.q, t), h, z._replace(q=first.q), rate
+            )
 
         slopes, base = Slopes(0.0 * h, h / 2, h), Base(first.q, first.v, now.x)
         e = stage_equations(scene, "index2", base, slopes, t, (first.q, t), dynamics=motion)

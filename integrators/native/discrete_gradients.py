@@ -103,28 +103,36 @@ def _result(equation: Any, given: list) -> list:
     """The results of an equation, with pairs in the place of values that depend on the point."""
     if not any(isinstance(g, _Pair) for g in given):
         return bound(equation, given)
-    start = bound(equation, [g.start if isinstance(g, _Pair) else g for g in given])
-    end = bound(equation, [g.end if isinstance(g, _Pair) else g for g in given])
+    start, end = (
+        bound(equation, [g[k] if isinstance(g, _Pair) else g for g in given]) for k in (0, 1)
+    )
     changes = _changes(equation, given, start, end)
     return [_Pair(*values) for values in zip(start, end, changes, strict=True)]
 
 
 def _changes(equation: Any, given: list, start: list, end: list) -> list:
     """Changes of the results of an operation by those of its operands."""
-    name, x, others = equation.primitive.name, given[0], given[1:]
+    name, (x, *others) = equation.primitive.name, given
     pairs = [isinstance(g, _Pair) for g in given]
-    if name in _LINEAR and all(_is_real(g) for g in given if isinstance(g, _Pair)):
-        return bound(equation, [*map(_change_of, given)])
+    # Whole numbers among the operands are places.
+    reals = [jnp.issubdtype(jnp.result_type(g[0] if p else g), jnp.floating) for g, p in
+             zip(given, pairs, strict=True)]  # fmt: skip
+    means = [g.mean if p else g for g, p in zip(given, pairs, strict=True)]
+    changes = [
+        g.change if p else jnp.zeros_like(g) if real else g
+        for g, p, real in zip(given, pairs, reals, strict=True)
+    ]
+    if name in _LINEAR and all(real for real, p in zip(reals, pairs, strict=True) if p):
+        return bound(equation, changes)
     if name in _BILINEAR:
-        both = [(_change_of(x), _mean_of(others[0])), (_mean_of(x), _change_of(others[0]))]
+        both = [(changes[0], means[1]), (means[0], changes[1])]
         return [sum(bound(equation, both[k])[0] for k in (0, 1) if pairs[k])]
     if name == "div" and not pairs[1]:
         return [x.change / others[0]]
     if name == "div":
-        by = others[0]
-        inverse = 1 / by.start, 1 / by.end
-        of_inverse = -by.change * inverse[0] * inverse[1]
-        return [_mean_of(x) * of_inverse + _change_of(x) * (inverse[0] + inverse[1]) / 2]
+        inverse = 1 / others[0].start, 1 / others[0].end
+        of_inverse = -changes[1] * inverse[0] * inverse[1]
+        return [means[0] * of_inverse + changes[0] * (inverse[0] + inverse[1]) / 2]
     if name == "square" or (name == "integer_pow" and equation.params["y"] == 2):
         return [2 * x.mean * x.change]
     if name == "sqrt":
@@ -132,39 +140,17 @@ def _changes(equation: Any, given: list, start: list, end: list) -> list:
     if name in ("sin", "cos"):
         slope = jnp.cos(x.mean) if name == "sin" else -jnp.sin(x.mean)
         return [x.change * slope * jnp.sinc((x.end - x.start) / (2 * jnp.pi))]
-    if name in _SMOOTH and pairs[0] and sum(pairs) == 1:
-
-        def function(at: Any) -> Any:
-            return bound(equation, [at, *others])[0]
-
-        slope = (end[0] - start[0], x.end - x.start)
-        return [x.change * _secant(function, x, slope, _SMOOTH[name](x.mean))]
-    raise NoDiscreteGradient(f"the operation {name!r}")
-
-
-def _secant(function: Callable[[Any], Any], x: _Pair, over: tuple, distance: Any) -> Any:
-    """Slope between both points: of small changes the mean of the derivative, by Gauss's rule."""
-    rise, change = over
-    close = jnp.abs(change) <= _CLOSE * distance
+    if name not in _SMOOTH or not pairs[0] or sum(pairs) > 1:
+        raise NoDiscreteGradient(f"the operation {name!r}")
+    change = x.end - x.start
+    close = jnp.abs(change) <= _CLOSE * _SMOOTH[name](x.mean)
 
     def derivative(place: float) -> Any:
         at = x.mean + place * change
-        return jax.jvp(function, (at,), (jnp.ones_like(at),))[1]
+        return jax.jvp(lambda at: bound(equation, [at, *others])[0], (at,), (jnp.ones_like(at),))[1]
 
+    # The slope between both points: of small changes the mean of the derivative, by Gauss's rule.
     node = 0.5 * np.sqrt(0.6)
     mean = (5 * derivative(-node) + 8 * derivative(0.0) + 5 * derivative(node)) / 18
-    return jnp.where(close, mean, rise / jnp.where(close, 1.0, change))
-
-
-def _is_real(g: _Pair) -> bool:
-    return jnp.issubdtype(jnp.result_type(g.start), jnp.floating)
-
-
-def _change_of(g: Any) -> Any:
-    if isinstance(g, _Pair):
-        return g.change
-    return jnp.zeros_like(g) if jnp.issubdtype(jnp.result_type(g), jnp.floating) else g
-
-
-def _mean_of(g: Any) -> Any:
-    return g.mean if isinstance(g, _Pair) else g
+    secant = (end[0] - start[0]) / jnp.where(close, 1.0, change)
+    return [x.change * jnp.where(close, mean, secant)]

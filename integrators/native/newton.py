@@ -109,67 +109,6 @@ class Iteration(NamedTuple):
     repeated: Int[Array, ""] | int = 0
 
 
-class Revision(NamedTuple):
-    """Changes before an update of modified Newton."""
-
-    #: Full Newton begins, at the start of the step.
-    restart: Bool[Array, ""] | bool
-    #: The updates by an old tangent are taken back.
-    back: Bool[Array, ""] | bool
-    #: The tangent is computed anew.
-    renew: Bool[Array, ""] | bool
-
-
-def is_solved(
-    now: Iteration, tol: Scalar, solved_after: Scalar = math.inf, to_rounding: bool = False
-) -> Bool[Array, ""]:
-    """Return whether the unknowns are a solution.
-
-    Parameters
-    ----------
-    solved_after
-        Number of exact updates after which they are one, whatever the sizes.
-    to_rounding
-        Whether updates by old tangents go on to round-off.
-    """
-    size, before = now.size, now.before
-    left = jnp.where(jnp.isfinite(before), size * size / (before - size), size)
-    small = (size <= 1.0) | ((size < before) & (left <= 1.0))
-    if to_rounding:
-        met = (size < before) & (left <= _REST) | (size <= 1.0) & (size > 0.5 * before)
-        small = jnp.where(now.exact, small, met)
-    stagnant = now.exact & (size > 0.5 * before) & (size * tol < _STAGNANT)
-    done = (now.k >= solved_after) & (now.exact | (now.k == 0)) & ~jnp.isnan(size)
-    return small | stagnant | done
-
-
-def revision(
-    now: Iteration, tol: Scalar, most: Scalar, known: Bool[Array, ""], to_rounding: bool = False
-) -> Revision:
-    """Return what modified Newton changes before its next update.
-
-    Parameters
-    ----------
-    most
-        Updates of the tries before full Newton, and of full Newton.
-    known
-        True if a tangent is kept.
-    to_rounding
-        Whether updates by old tangents go on to round-off, and need not shrink there.
-    """
-    restart = (now.remaining == most) | (now.exact & jnp.isnan(now.size))
-    # The first update removes the error of the guess. Its distribution over the unknowns is not
-    # that of an old tangent's error, so the second update may be larger. A NaN never contracts.
-    limit = jnp.where(now.k == 2, 1 / _CONTRACTION, _CONTRACTION)
-    stale = jnp.where(now.k == 0, ~known, ~(now.size <= limit * now.before))
-    if to_rounding:
-        stale = stale & ~(now.size <= 1.0)
-    too_large = ~now.exact & (now.k > 0) & (now.size * tol > _LARGEST_UPDATE)
-    back = ~now.exact & ((stale & ~(now.size <= now.before)) | too_large)
-    remaining = jnp.where(restart, most, now.remaining)
-    return Revision(restart, back, stale | too_large | (remaining <= most))
-
-
 def newton(
     residual: Callable[[Float[Array, " n"]], Float[Array, " n"]],
     guess: Float[Array, " n"],
@@ -211,28 +150,44 @@ def newton(
     """
     modified, tol = kept is not None, bounds.tol
 
+    def is_solved(now: Iteration) -> Bool[Array, ""]:
+        size, before = now.size, now.before
+        left = jnp.where(jnp.isfinite(before), size * size / (before - size), size)
+        small = (size <= 1.0) | ((size < before) & (left <= 1.0))
+        if to_rounding:
+            met = (size < before) & (left <= _REST) | (size <= 1.0) & (size > 0.5 * before)
+            small = jnp.where(now.exact, small, met)
+        stagnant = now.exact & (size > 0.5 * before) & (size * tol < _STAGNANT)
+        done = (now.k >= solved_after) & (now.exact | (now.k == 0)) & ~jnp.isnan(size)
+        return small | stagnant | done
+
     def go_on(now: Iteration) -> Bool[Array, ""]:
         # A NaN from an old tangent is no failure yet: full Newton still gets its try.
         failed = now.exact & jnp.isnan(now.size)
         if modified:
             failed = failed & (now.remaining < most)
-        return (now.remaining > 0) & ~is_solved(now, tol, solved_after, to_rounding) & ~failed
+        return (now.remaining > 0) & ~is_solved(now) & ~failed
 
     def prepared(now: Iteration) -> Iteration:
         """Modified Newton before an update: its place, and the tangent."""
-        change = revision(now, tol, most, linear.known(now.kept), to_rounding)
-        u = jnp.where(change.restart, old, jnp.where(change.back, guess, now.u))
-        renew = partial(linear.renewed, residual)
+        restart = (now.remaining == most) | (now.exact & jnp.isnan(now.size))  # by full Newton
+        # The first update removes the error of the guess. Its distribution over the unknowns is not
+        # that of an old tangent's error, so the second update may be larger. A NaN never contracts.
+        limit = jnp.where(now.k == 2, 1 / _CONTRACTION, _CONTRACTION)
+        stale = jnp.where(now.k == 0, ~linear.known(now.kept), ~(now.size <= limit * now.before))
+        if to_rounding:
+            stale = stale & ~(now.size <= 1.0)
+        too_large = ~now.exact & (now.k > 0) & (now.size * tol > _LARGEST_UPDATE)
+        # Updates by an old tangent are taken back.
+        back = ~now.exact & ((stale & ~(now.size <= now.before)) | too_large)
+        remaining = jnp.where(restart, most, now.remaining)
+        u = jnp.where(restart, old, jnp.where(back, guess, now.u))
+        exact, renew = stale | too_large | (remaining <= most), partial(linear.renewed, residual)
         with turns(f"tangent{call}"):
-            kept = jax.lax.cond(change.renew, renew, lambda _, kept: kept, u, now.kept)
-        return now._replace(
-            u=u,
-            remaining=jnp.where(change.restart, most, now.remaining),
-            # The size of an update that was taken back is no measure for the next one.
-            size=jnp.where(change.restart | change.back, jnp.inf, now.size),
-            exact=change.renew,
-            kept=kept,
-        )
+            kept = jax.lax.cond(exact, renew, lambda _, kept: kept, u, now.kept)
+        # The size of an update that was taken back is no measure for the next one.
+        size = jnp.where(restart | back, jnp.inf, now.size)
+        return now._replace(u=u, remaining=remaining, size=size, exact=exact, kept=kept)
 
     def iterate(now: Iteration) -> Iteration:
         if modified:
@@ -257,10 +212,7 @@ def newton(
     start = Iteration(guess, 0, allowed, jnp.inf, jnp.inf, not modified, kept, 0)
     with turns(f"newton{call}"):
         end = jax.lax.while_loop(go_on, iterate, start)
-    solved, counts = (
-        is_solved(end, tol, solved_after, to_rounding),
-        (end.k, end.k, end.tangents, end.tangents, end.k),
-    )
+    solved, counts = is_solved(end), (end.k, end.k, end.tangents, end.tangents, end.k)
     taken = {f"newton{call}": end.k, PIVOTS: end.repeated}
     if modified:
         taken[f"tangent{call}"] = end.tangents
