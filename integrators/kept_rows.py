@@ -10,7 +10,7 @@ import numpy as np
 from problems.layouts import row_layout
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Int
 
     from problems.variables import Sizes
 
@@ -78,22 +78,6 @@ def is_row(step: Any, before: Any, part: Any, times: Any) -> Any:
 
 def _reached(part: Any, times: Any) -> Any:
     return (part * times + _ROUNDING) // 1
-
-
-def kept_rows(parts: Float[np.ndarray, " n"], width: int = 1) -> Int[np.ndarray, " k"]:
-    """Choose the rows of a run that is over, in ascending order.
-
-    Parameters
-    ----------
-    parts
-        Parts of the interval, from 0 to 1, at the start and at the ends of all steps.
-    width
-        Numbers in a row.
-    """
-    steps = len(parts) - 1
-    numbers = np.arange(1, steps + 1)
-    rows = numbers[is_row(numbers, parts[:-1], parts[1:], row_times(steps, width))]
-    return np.union1d(rows, [0, steps])
 
 
 def spread_rows(

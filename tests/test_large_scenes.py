@@ -20,7 +20,7 @@ from integrators.kept_rows import (
     MOST_NUMBERS,
     MOST_ROWS,
     RowKeeper,
-    kept_rows,
+    is_row,
     most_rows,
     row_times,
     width_of,
@@ -39,6 +39,13 @@ MOST_MEMORY = 3e9
 
 
 # ---- rows ------------------------------------------------------------------------------
+def kept_rows(parts, width):
+    """The rows of a run that is over, from the parts of the interval at all ends of steps."""
+    numbers = np.arange(1, len(parts))
+    rows = numbers[is_row(numbers, parts[:-1], parts[1:], row_times(len(parts) - 1, width))]
+    return np.union1d(rows, [0, len(parts) - 1])
+
+
 def of_equal_steps(count, width=1):
     return kept_rows(np.linspace(0.0, 1.0, count + 1), width)
 

@@ -20,7 +20,7 @@ from integrators.adapters.ode import (
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
 from integrators.adapters.vector_work import EXPLICIT, IMPLICIT
 from integrators.contract import WIDER, PreparedRun, Trajectory, Work
-from integrators.kept_rows import kept_rows
+from integrators.kept_rows import RowKeeper
 from integrators.native.step_method import NativeMethod
 from integrators.native.step_program import StepFunctions
 from integrators.native.step_records import Reading
@@ -225,12 +225,12 @@ class DiffraxAdaptiveRun(DiffraxRun):
         solution, counts = run_counted(self._counted, *self._arguments)
         t, s, steps, (good, number) = solution
         accepted, rejected = map(int, steps)
-        t = np.concatenate([[self._t0], np.asarray(t)[:accepted]])
-        s = np.concatenate([self._s0[None], np.asarray(s)[:accepted]])
-        status, message = self._outcome(good, number, t[-1], s[-1])
-        keep = kept_rows((t - self._t0) / (self._t_end - self._t0))
-        q, v, x = state_layout(self._scene.sizes).split(s[keep])
-        run = trajectory_from_states(self._scene, t[keep], q, v, x)
+        kept = RowKeeper(1, (self._t0, self._s0), self._t_end)
+        for row in zip(np.asarray(t)[:accepted], np.asarray(s)[:accepted], strict=True):
+            kept.add(row)
+        status, message = self._outcome(good, number, *kept.last)
+        t, s = map(np.array, zip(*kept.rows(), strict=True))
+        run = trajectory_from_states(self._scene, t, *state_layout(self._scene.sizes).split(s))
         return replace(run, status=status, message=message, work=Work(accepted, rejected)), counts
 
     def _outcome(self, good: Any, number: Any, t: float, s: np.ndarray) -> tuple[str, str]:

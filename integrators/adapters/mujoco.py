@@ -11,7 +11,7 @@ import numpy as np
 
 from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import Integrator, PreparedRun, Trajectory, Work, option
-from integrators.kept_rows import kept_rows, width_of
+from integrators.kept_rows import RowKeeper, width_of
 from integrators.native.endings import Ending
 from integrators.resolutions import Steps
 from problems.initial_values import consistent_start
@@ -121,27 +121,24 @@ class _MujocoRun(PreparedRun):
 
     def measure(self) -> Trajectory:
         model, data, mujoco = self._model, self._data, self._mujoco
-        parts = np.linspace(0.0, 1.0, self._steps + 1)
-        wanted = set(kept_rows(parts, width_of(self._scene.sizes)).tolist())
-        rows, iterations, failed = [], 0, 0
+        start = self._t[0], np.array(self._start.q), np.array(self._start.v)
+        kept, iterations, failed = RowKeeper(width_of(self._scene.sizes), start, self._t[-1]), 0, 0
         with self._reset():
-            for step in range(self._steps + 1):
-                if step:
-                    mujoco.mj_step(model, data)
-                    iterations += int(data.solver_niter.sum())
+            for step in range(1, self._steps + 1):
+                mujoco.mj_step(model, data)
+                iterations += int(data.solver_niter.sum())
                 if not (np.abs([*data.qpos, *data.qvel]) < _BEYOND).all():
                     failed = step
                     break
-                if step in wanted:
-                    rows.append((step, data.qpos.copy(), data.qvel.copy()))
-        at, q, v = (np.array(column) for column in zip(*rows, strict=True))
+                kept.add((self._t[step], data.qpos.copy(), data.qvel.copy()))
+        t, q, v = map(np.array, zip(*kept.rows(), strict=True))
         inner = self._kind == "rk4" and data.nefc > 0
         work = Work(
             steps=failed - 1 if failed else self._steps,
             residuals=(failed or self._steps) * (4 if self._kind == "rk4" else 1),
             newton=None if inner else iterations,
         )
-        run = trajectory_from_states(self._scene, self._t[at], q, v, np.zeros((len(at), 0)))
+        run = trajectory_from_states(self._scene, t, q, v, np.zeros((len(t), 0)))
         run = replace(run, work=work)
         if not failed:
             return run
