@@ -114,25 +114,17 @@ def _changes(equation: Any, given: list, start: list, end: list) -> list:
     """Changes of the results of an operation by those of its operands."""
     name, (x, *others) = equation.primitive.name, given
     pairs = [isinstance(g, _Pair) for g in given]
-    # Whole numbers among the operands are places.
-    reals = [jnp.issubdtype(jnp.result_type(g[0] if p else g), jnp.floating) for g, p in
-             zip(given, pairs, strict=True)]  # fmt: skip
-    means = [g.mean if p else g for g, p in zip(given, pairs, strict=True)]
-    changes = [
-        g.change if p else jnp.zeros_like(g) if real else g
-        for g, p, real in zip(given, pairs, reals, strict=True)
-    ]
-    if name in _LINEAR and all(real for real, p in zip(reals, pairs, strict=True) if p):
-        return bound(equation, changes)
+    if name in _LINEAR and all(_is_real(g.start) for g in given if isinstance(g, _Pair)):
+        return bound(equation, [*map(_change_of, given)])
     if name in _BILINEAR:
-        both = [(changes[0], means[1]), (means[0], changes[1])]
+        both = [(_change_of(x), _mean_of(others[0])), (_mean_of(x), _change_of(others[0]))]
         return [sum(bound(equation, both[k])[0] for k in (0, 1) if pairs[k])]
     if name == "div" and not pairs[1]:
         return [x.change / others[0]]
     if name == "div":
         inverse = 1 / others[0].start, 1 / others[0].end
-        of_inverse = -changes[1] * inverse[0] * inverse[1]
-        return [means[0] * of_inverse + changes[0] * (inverse[0] + inverse[1]) / 2]
+        of_inverse = -others[0].change * inverse[0] * inverse[1]
+        return [_mean_of(x) * of_inverse + _change_of(x) * (inverse[0] + inverse[1]) / 2]
     if name == "square" or (name == "integer_pow" and equation.params["y"] == 2):
         return [2 * x.mean * x.change]
     if name == "sqrt":
@@ -154,3 +146,17 @@ def _changes(equation: Any, given: list, start: list, end: list) -> list:
     mean = (5 * derivative(-node) + 8 * derivative(0.0) + 5 * derivative(node)) / 18
     secant = (end[0] - start[0]) / jnp.where(close, 1.0, change)
     return [x.change * jnp.where(close, mean, secant)]
+
+
+def _is_real(value: Any) -> bool:
+    return jnp.issubdtype(jnp.result_type(value), jnp.floating)
+
+
+def _change_of(g: Any) -> Any:
+    if isinstance(g, _Pair):
+        return g.change
+    return jnp.zeros_like(g) if _is_real(g) else g
+
+
+def _mean_of(g: Any) -> Any:
+    return g.mean if isinstance(g, _Pair) else g
