@@ -11,7 +11,8 @@ from bench.results.store import Store
 from reports.charts.mechanism import mechanism, motion
 from reports.pages.html_report import write_html_report
 from reports.text.glossary import TERMS, terms_in
-from reports.text.mathml import mathml, unknowns
+from reports.text.mathml import mathml
+from reports.text.scene_tables import unknowns
 
 
 def test_an_equation_in_plain_text_is_typeset():
@@ -34,7 +35,7 @@ def test_an_equation_in_plain_text_is_typeset():
 def test_unknowns_are_counted_and_none_is_named_that_is_not_there(tmp_path):
     with Store(plant(tmp_path, everything())) as store:
         by_name = {scene.problem: scene for scene in store.scenes().values()}
-    assert unknowns(by_name["pendulum"]) == "2 coordinates <i>q</i>, 1 multiplier <i>λ</i>"
+    assert unknowns(by_name["pendulum"]) == "2 coordinates q, 1 multiplier λ"
     assert "multiplier" not in unknowns(by_name["spring_mass"])
 
 

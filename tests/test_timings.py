@@ -290,7 +290,7 @@ def cheapest(folder: Path) -> dict[tuple, set[str]]:
         (question.group, question.target, scene, question.cost): {s.label for s in own.first}
         for question, found in answers(series, TABLE_GROUPS, TABLE_TARGETS).items()
         for scene, own in found.scenes.items()
-        if own.several
+        if len(own.series) > 1
     }
 
 

@@ -26,7 +26,7 @@ from reports.questions.verdict import DIFFER
 from reports.questions.wrong import silent_tables, wrong_sentences
 from reports.ranking import Answer, answers
 from reports.scenes import StoredRuns
-from reports.series import label_of, series_of
+from reports.series import label_of
 from reports.text.damping_table import damping_table
 from reports.text.measurement import (
     method_of_measurement,
@@ -35,7 +35,7 @@ from reports.text.measurement import (
 )
 from reports.text.order_table import lost_orders_table, order_tables
 from reports.text.ranking_tables import integrators_table, winners_table
-from reports.text.run_tables import failures_table, notes_table, timing_table, unsupported_table
+from reports.text.run_tables import failures_table, notes_table, unsupported_table
 from reports.text.scene_tables import references_table
 
 
@@ -85,7 +85,7 @@ class Report:
         drifts = drift_chapter(store.long_runs())
         found = jumps_chapter(stored), drifts, atlas_chapter(experiments)
         self.chapters = [chapter for chapter in found if chapter.sections]
-        self.timing, self.times = timing_table(series_of(runs)), times_sentence(stored.times)
+        self.times = times_sentence(stored.times)
         self.differ = DIFFER
         self.method = method_of_measurement(plan)
         self.references = references_table(stored.scenes)

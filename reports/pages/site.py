@@ -19,7 +19,8 @@ from reports.pages.scene_chapter import SceneChapter
 from reports.questions.question import FIRST, Question
 from reports.ranking import reaches
 from reports.text.glossary import TERMS
-from reports.text.mathml import equations, unknowns
+from reports.text.mathml import equations
+from reports.text.scene_tables import unknowns
 
 #: Pages beside a report that commands write into its folder, with their titles in the contents.
 _BESIDE = {

@@ -10,11 +10,14 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
-from bench.results.quantities import COSTS, NORMS
+from bench.results.quantities import COSTS, NORM, NORMS, checked_group
 from bench.results.records import NOT_TRIED, Record, counted
+from bench.results.table import Table
 from bench.results.timings import (
     LEVEL,
     Quotient,
@@ -23,11 +26,20 @@ from bench.results.timings import (
     median_interval,
     quotient_by_round,
 )
+from problems.spec import SpecError, one_of
 from reports.formatting import named, number
-from reports.names import scene_name
-from reports.questions.question import Question
+from reports.names import named_labels, scene_name
+from reports.questions.question import FIRST, TABLE_TARGETS, Question
+from reports.scenes import stored_runs
 from reports.series import Series, ok_runs, trusted_error
 
+_MEANING = (
+    "Costs at equal error are interpolated between runs. In brackets: the ends over the run and "
+    "its later starts, of times with the interval of their samples; of a median over scenes the 95 "
+    "% interval of the sign test, of fewer than six scenes the ends. 'At least' and 'at most': the "
+    "coarsest run of one is better than asked, or only one gets there from some starts; 'coarsest "
+    "runs': those of both are better. Not judged: below a hundred times the reference's own error."
+)
 #: An error of zero has no logarithm; smaller ones are rounding.
 _LEAST_ERROR = 1e-16
 #: The errors of a line's runs and samples of their costs, from coarse to fine.
@@ -106,37 +118,26 @@ class Versus:
 
     @property
     def sentence(self) -> str:
-        """Who is how much cheaper, on how many scenes, and whether this is significant."""
+        """How much the second one costs, on how many scenes, and whether this is significant."""
         question, found = self.question, self.median
         goal = f"at {question.accuracy} in {question.quantity} ({NORMS[self.norm]})"
         judged = [k for k, d in self.duels.items() if d.ratio is not None]
         if not judged:
             why = named(f"{scene_name(k)} ({d.why})" for k, d in self.duels.items())
             return f"Nothing can be compared {goal}: {why}."
-        parts = []
+        (one, two), said = self.names, f"By {COSTS[question.cost].words} {goal}: "
         if found and found.ratio:
-            back = found.ratio < 1
-            one, two = self.names[::-1] if back else self.names
-            if back:
-                high = 1 / found.low if found.low else math.inf
-                found = Duel(1 / found.ratio, 1 / found.high, high)
             both = [k for k in judged if self.duels[k].known is not None]
             where = f"the median of {len(both)} scenes" if len(both) > 1 else scene_name(both[0])
-            by = COSTS[question.cost].words
-            if found.low <= 1 <= found.high:
-                said = f"{one} and {two} cannot be told apart by {by} {goal}: {two} takes "
-                parts.append(f"{said}{found.text(' times')} the cost, {where}")
-            else:
-                said = f"{one} is {found.text(' times')} cheaper than {two} by {by} {goal}"
-                parts.append(f"{said}, {where}")
+            apart = ", not told apart" if found.low <= 1 <= found.high else ""
+            said += f"{two} costs {found.text(' times')} as much as {one}, {where}{apart}; "
         wins, losses = self.cheaper
-        first, second = self.names
-        apart = f"{first} wins beyond doubt on {len(wins)} and {second} on {len(losses)} of "
-        parts.append(f"{apart}{counted(len(judged), 'scene')}" + ("" if parts else f" {goal}"))
+        said += f"{one} wins beyond doubt on {len(wins)} and {two} on {len(losses)} of "
+        said += counted(len(judged), "scene")
         if len(judged) > 1:
             no = "" if self.p_value <= 1 - LEVEL else "not "
-            parts.append(f"{no}significant over the scenes (sign test: p = {self.p_value:.2g})")
-        return f"{'; '.join(parts)}."
+            said += f"; {no}significant over the scenes (sign test: p = {self.p_value:.2g})"
+        return f"{said}."
 
 
 def versus(
@@ -232,3 +233,91 @@ def _between(one: Samples, two: Samples, part: float) -> Samples:
         return {k: one[k] ** (1 - part) * two[k] ** part for k in common}
     pairs = zip(sorted(one.values()), sorted(two.values()), strict=False)
     return {(id(one), k): a ** (1 - part) * b**part for k, (a, b) in enumerate(pairs)}
+
+
+# ---- the table ---------------------------------------------------------------------------
+@dataclass(frozen=True)
+class SideBySide:
+    """Sentences and plain data of two integrators, one per accuracy, and their table.
+
+    The table has a row per scene and a column per accuracy; bold is a ratio beyond doubt.
+    """
+
+    sentences: list[str]
+    table: Table
+    plain: list[dict[str, Any]]
+
+
+def side_by_side(
+    one: str,
+    two: str,
+    folder: Path,
+    *,
+    group: str = FIRST.group,
+    targets: Sequence[float] = (),
+    cost: str | None = None,
+    norm: str = NORM,
+) -> SideBySide:
+    """Compare two integrators of a run folder at several accuracies.
+
+    Parameters
+    ----------
+    one, two
+        Their names: short, as printed, or without options where that is unique.
+    folder
+        The run folder.
+    group, targets, cost, norm
+        The question: a group, or several as "a,lam" for both at once; errors between 0 and 1; the
+        cost is that by which the results are ranked first if not given.
+
+    Raises
+    ------
+    SpecError
+        If a part of the question is another, or no scene has runs of both.
+    bench.results.store.StoreError
+        If the folder holds no readable store.
+    """
+    stored = stored_runs(folder)
+    names = stored.names
+    first, second = labels = _one_label(one, names), _one_label(two, names)
+    group, norm = checked_group(group), one_of(norm, NORMS, "norm")
+    cost = one_of(stored.first.cost if cost is None else cost, COSTS, "cost")
+    if wrong := [t for t in targets if not 0 < t < 1]:
+        raise SpecError(f"{wrong[0]:g} is no accuracy; give one between 0 and 1.")
+    asked = [Question(group, target, cost) for target in targets or TABLE_TARGETS]
+    columns = [versus(stored.series, labels, names, question, norm) for question in asked]
+    scenes = list(columns[0].duels)
+    if not scenes:
+        raise SpecError(
+            f"{names[first]} and {names[second]} have no scene in common with an error in "
+            f"{asked[0].quantity}."
+        )
+    rows = [[scene, *(c.shown(scene) for c in columns)] for scene in scenes]
+    if len(scenes) > 1:
+        rows.append(["median", *(c.median.text() if c.median else "" for c in columns)])
+    table = Table(
+        f"Cost of {names[second]} as a multiple of that of {names[first]} "
+        f"({asked[0].quantity}, {NORMS[norm]}; {COSTS[cost].words})",
+        ["scene", *(question.accuracy for question in asked)],
+        rows,
+        best={
+            (i, j)
+            for i, scene in enumerate(scenes)
+            for j, c in enumerate(columns, 1)
+            if c.duels[scene].told_apart
+        },
+        note=f"Above 1 {names[first]} is cheaper; bold: beyond doubt. {_MEANING}",
+    )
+    plain = [
+        {"first": first, "second": second, **asdict(c.question), "norm": norm}
+        | {"sentence": c.sentence, "median": c.median, "p_value": c.p_value, "scenes": c.duels}
+        for c in columns
+    ]
+    return SideBySide([c.sentence for c in columns], table, plain)
+
+
+def _one_label(text: str, names: Mapping[str, str]) -> str:
+    found = [text] if text in names else named_labels(text, names)
+    if len(found) > 1:
+        raise SpecError(f"{text!r} are several; name one of {', '.join(found)}.")
+    return found[0]

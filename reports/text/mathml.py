@@ -4,21 +4,13 @@ from __future__ import annotations
 
 import re
 
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 from bench.results.records import SceneRecord
 
 #: Words of the contract that have a symbol; a dot or an arrow above is an accent.
 _SYMBOLS = {"Phi": "Φ", "lam": "λ", "gamma": "γ", "omega": "ω"}
 _TOKEN = re.compile(r"[A-Za-z]+|\d+(?:\.\d+)?|\S")
-_NAMES = {
-    "nq": ("coordinates", "q"),
-    "nv": ("velocities", "v"),
-    "nl": ("multipliers", "lam"),
-    "nx": ("controller states", "x"),
-    "ny": ("outputs", "y"),
-    "nd": ("held values", "xd"),
-}
 
 
 def mathml(text: str) -> Markup:
@@ -62,17 +54,3 @@ def _token(word: str) -> Markup:
 def equations(scene: SceneRecord) -> list[Markup]:
     """The equations that a scene states, one below the other."""
     return [mathml(text) for text in scene.equations]
-
-
-def unknowns(scene: SceneRecord) -> Markup:
-    """The numbers of unknowns: 7 coordinates q, 6 multipliers λ."""
-    parts = [
-        Markup("{} {} <i>{}</i>").format(
-            n,
-            name if n != 1 else name[:-1].replace("tie", "ty"),
-            escape(_SYMBOLS.get(symbol, symbol)),
-        )
-        for size, (name, symbol) in _NAMES.items()
-        if (n := scene.sizes.get(size))
-    ]
-    return Markup(", ").join(parts)

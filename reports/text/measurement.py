@@ -81,25 +81,18 @@ def method_of_measurement(plan: Plan | None) -> list[str]:
     """Sentences about times, costs, errors and orders."""
     samples = f"{plan.samples} samples were asked for per run" if plan else "Samples per run vary"
     return [
-        "Timed is the bare solve from start to end, in processor seconds: a wait for a "
-        "processor that is busy with others does not count, the work of further threads does. "
-        "Tracing, compiling and consistent initial values are done before and listed apart.",
-        "A sample is the least of the runs that fit in some hundredths of a second: another "
-        "process makes a run longer, never shorter. "
-        f"{samples}, fewer of runs that last long; they are taken in rounds over all runs, those "
-        "of a scene one after the other: a slow minute of the machine hits all alike. "
-        "Shown is the median, as bars the fastest and the slowest sample.",
+        "Timed is the bare solve from start to end, in processor seconds of all threads; tracing, "
+        "compiling and consistent initial values are done before. A sample is the least of the "
+        "runs that fit in some hundredths of a second: another process makes a run longer, never "
+        f"shorter. {samples}, fewer of runs that last long, in rounds over all runs; shown is the "
+        "median.",
         "Two runs differ in time if the 95 % interval of the median of their quotients within "
-        f"rounds (order statistics) lies on one side of 1 and the median is beyond "
-        f"{LEAST_QUOTIENT:g}. With fewer than {FEWEST} common rounds there is no such interval, "
-        f"and the quotients must be beyond {LEAST_OF_FEW:g}. Runs that were not measured together "
-        "are compared by the intervals of their own medians.",
+        f"rounds lies on one side of 1 and the median is beyond {LEAST_QUOTIENT:g}; with fewer "
+        f"than {FEWEST} common rounds the quotients must be beyond {LEAST_OF_FEW:g}.",
         f"Operations count as different beyond a factor of {COSTS[COST].tie:g}: the cost model is "
-        "no more exact. Work is counted where it happens; any difference of counts counts. A "
-        "count that a library does not give is 'not counted'.",
+        "no more exact. Any difference of other counts counts.",
         "Errors are relative, per group of variables and per norm. Orders are fitted to the "
-        f"finest steps, as many as have slopes within {SPREAD:g} of each other; fewer than three "
-        "points give 'not determined'.",
+        f"finest steps, as many as have slopes within {SPREAD:g} of each other, three at least.",
     ]
 
 

@@ -8,14 +8,12 @@ from types import MappingProxyType
 from bench.results.quantities import ERROR_MEANING, LEVELS, NORM, TRUST, VIOLATIONS
 from bench.results.records import UNSUPPORTED, Record
 from bench.results.table import Table
-from bench.results.timings import FEWEST, LEVEL, interval_width
 from reports.formatting import (
     NO_VALUE,
     component_text,
     cost_text,
     milliseconds,
     number,
-    text_range,
 )
 from reports.names import form_name
 from reports.series import (
@@ -169,25 +167,6 @@ def _by_reason(title: str, column: str, records: Sequence[Record]) -> Table | No
     rows = [[*names, str(len(own)), own[0].message or "no message"] for names, own in runs.items()]
     head = ["integrator", "scene", "runs", column]
     return Table(title, head, rows, code=(0, 1)) if rows else None
-
-
-def timing_table(series: Sequence[Series]) -> Table | None:
-    """Number and spread of the timing samples, and the untimed seconds of preparation."""
-    rows = []
-    for s in series:
-        timed = [r for r in s.ok if r.run_s]
-        widths = [x for r in timed if (x := interval_width(r)) is not None]
-        compiled = max((r.compile_s for r in s.ok if r.compile_s is not None), default=None)
-        samples = text_range(map(str, sorted(len(r.run_s) for r in timed)))
-        spread = text_range(number(100 * x) for x in sorted(widths)) or NO_VALUE
-        rows += [[s.label, samples, spread, number(compiled)]] if timed else []
-    note = (
-        f"Interval: width of the {100 * LEVEL:g} % interval of a run's median, relative to it; of "
-        f"fewer than {FEWEST} samples from the fastest to the slowest. Preparation is not timed as "
-        "a part of the run; the longest one compiles."
-    )
-    head = ["integrator", "samples per run", "interval in %", "preparation in s, longest"]
-    return Table("Timing", head, rows, note=note) if rows else None
 
 
 def _count(value: int | None) -> str:

@@ -10,21 +10,32 @@ from bench.results.table import Table
 from reports.formatting import number
 from reports.questions.question import TABLE_GROUPS
 
+#: Sizes of a scene: what there is one of, and of several.
+_SIZES = {
+    "nq": ("coordinate q", "coordinates q"),
+    "nv": ("velocity v", "velocities v"),
+    "nl": ("multiplier λ", "multipliers λ"),
+    "nx": ("controller state x", "controller states x"),
+    "ny": ("output y", "outputs y"),
+    "nd": ("held value xd", "held values xd"),
+}
+
+
+def unknowns(scene: SceneRecord) -> str:
+    """The numbers of unknowns: 7 coordinates q, 6 multipliers λ."""
+    sizes = ((scene.sizes.get(k), names) for k, names in _SIZES.items())
+    return ", ".join(f"{n} {names[n > 1]}" for n, names in sizes if n)
+
 
 def scene_facts(scene: SceneRecord) -> list[tuple[str, str]]:
     """Pairs (name, text): interval, size, reference, sensitivity, source, faults."""
-    names = {
-        "nq": "coordinates", "nv": "velocities", "nl": "constraints", "nx": "controller states",
-        "ny": "outputs",
-    }  # fmt: skip
-    sizes = [f"{names.get(k, k)}: {n}" for k, n in scene.sizes.items() if n]
     errors = [f"{g} {number(e)}" for g, e in scene.reference_error.items()]
     growth = (
         scene.growth and f"a small change of the start grows up to {number(scene.growth)} times"
     )
     found = [
         ("Interval", f"{number(scene.t0)} s to {number(scene.t_end)} s"),
-        ("Size", ", ".join(sizes)),
+        ("Size", unknowns(scene)),
         ("Reference", scene.reference_method),
         ("Its own relative error", ", ".join(errors)),
         ("Sensitivity", f"{growth} (2-norm, relative to sizes)" if growth else ""),
