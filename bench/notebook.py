@@ -253,26 +253,10 @@ def run(
 ) -> Results:
     """Run a suite, write its report, and load the results, as ``stepbench run`` does.
 
-    What the folder holds already is not measured again.
-
-    Parameters
-    ----------
-    suite
-        The name of a built-in suite, or a TOML file.
-    out
-        Folder of the results and of the report.
-    problems, integrators
-        Only these scenes and integrators; all of the suite if empty.
-    mine
-        An integrator that is run beside the others, and highlighted in the report.
-    plugins
-        Python files, or folders of them, with more scenes or integrators.
-    fresh
-        Whether earlier results in the folder are forgotten.
-    jobs
-        Number of worker processes.
-    budget
-        Processor time of a run in s, after which it is stopped; the suite's if None.
+    What the folder ``out`` holds already is not measured again, unless ``fresh``. Lists restrict
+    the suite (a built-in one, or a TOML file) to scenes and integrators, or add some; ``mine`` is
+    run beside the others, and highlighted. ``jobs`` is the number of worker processes; after
+    ``budget`` seconds of processor time (the suite's if None) a run is stopped.
 
     Raises
     ------
@@ -317,16 +301,16 @@ def load(folder: str | Path = RESULTS) -> Results:
         for r in records
         for (_, k), s in zip(r.rounds, r.run_s, strict=True)
     ]
+    names = "problem", "title", "t0", "t_end", "tags", "components"
+    names += "reference_method", "reference_error"
     own = [
-        {"problem": s.problem, "title": s.title, "t0": s.t0, "t_end": s.t_end, **s.sizes}
-        | {"tags": s.tags, "components": s.components}
-        | {"parameters": {p["name"]: p["value"] for p in s.parameters}}
-        | {"reference_method": s.reference_method, "reference_error": s.reference_error}
+        {name: getattr(s, name) for name in names}
+        | {**s.sizes, "parameters": {p["name"]: p["value"] for p in s.parameters}}
         for s in scenes.values()
     ]
+    facts = "name", "date", "command", "cpu", "cores", "memory_gib", "platform"
     environments = [
-        {"name": e.name, "date": e.date, "command": e.command, "cpu": e.cpu, "cores": e.cores}
-        | {"memory_gib": e.memory_gib, "platform": e.platform}
+        {name: getattr(e, name) for name in facts}
         | {f"version_{name}": version for name, version in e.versions.items()}
         for e in machines.values()
     ]
@@ -338,14 +322,15 @@ def load(folder: str | Path = RESULTS) -> Results:
 # ---- parts -------------------------------------------------------------------------------
 def _check(budget: float | None, samples: int = 0, jobs: int = 1) -> None:
     """Refuse numbers that the command line refuses."""
+    fault = ""
     if budget is not None and not 0 < budget <= LARGEST_BUDGET:
-        raise SpecError(
-            f"The budget is {budget}; give a time in s above 0, at most {LARGEST_BUDGET:g}."
-        )
+        fault = f"The budget is {budget}; give a time in s above 0, at most {LARGEST_BUDGET:g}."
     if samples < 0:
-        raise SpecError(f"A run cannot be timed {samples} times; give 0 or more samples.")
+        fault = f"A run cannot be timed {samples} times; give 0 or more samples."
     if jobs < 1:
-        raise SpecError(f"The number of worker processes is {jobs}; give 1 or more jobs.")
+        fault = f"The number of worker processes is {jobs}; give 1 or more jobs."
+    if fault:
+        raise SpecError(fault)
 
 
 def _array(rows: Rows, group: str) -> np.ndarray:

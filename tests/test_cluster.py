@@ -173,22 +173,17 @@ def test_a_scheduler_that_dies_costs_what_it_had(lonely):
 
 
 @pytest.mark.long
-def test_budgets_hold_on_a_cluster(cluster):
-    tasks = [measure_task(cell, Sources()) for cell in cells("newmark", 1e-7)]
-    with ClusterRunner(cluster.scheduler_address, Limits(0.5, 4.0)) as runner:
-        ((_, answer),) = runner.run([tasks])
-    assert isinstance(answer, NoAnswer)
-    assert answer.status == "budget_exceeded"
-
-
-@pytest.mark.long
-def test_a_plugin_that_the_cluster_lacks_is_named(cluster, tmp_path):
+def test_budgets_hold_on_a_cluster_and_a_plugin_that_it_lacks_is_named(cluster, tmp_path):
     missing = Sources({str(tmp_path / "missing.py")})
-    tasks = [measure_task(cell, missing) for cell in cells("newmark", 0.1)]
-    with ClusterRunner(cluster.scheduler_address, Limits(30.0, 4.0)) as runner:
-        ((_, answer),) = runner.run([tasks])
-    # It says nothing of the method: the run is made when the cluster has the plugin.
-    assert (type(answer), answer.status) == (NoAnswer, "interrupted")
+    for step, sources, seconds, status in (
+        (1e-7, Sources(), 0.5, "budget_exceeded"),
+        # It says nothing of the method: the run is made when the cluster has the plugin.
+        (0.1, missing, 30.0, "interrupted"),
+    ):
+        tasks = [measure_task(cell, sources) for cell in cells("newmark", step)]
+        with ClusterRunner(cluster.scheduler_address, Limits(seconds, 4.0)) as runner:
+            ((_, answer),) = runner.run([tasks])
+        assert (type(answer), answer.status) == (NoAnswer, status)
     assert "missing.py" in answer.message
 
 
@@ -204,17 +199,14 @@ def test_the_command_runs_a_suite_on_a_cluster(stepbench, cluster, tmp_path):
     assert all(len(record.run_s) == 1 for record in records)
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://"])
-def test_a_cluster_that_does_not_answer_costs_one_sentence(refused, tmp_path, monkeypatch, address):
+def test_a_cluster_that_does_not_answer_or_lacks_its_library_costs_one_sentence(
+    refused, tmp_path, monkeypatch
+):
     monkeypatch.setattr("bench.running.cluster.CONNECT_SECONDS", 0.5)
     (tmp_path / "p.toml").write_text(PROFILE)
-    words = "is no address" if address == "nonsense://" else "No dask scheduler answers"
-    assert words in refused(
-        "run", tmp_path / "p.toml", "--out", tmp_path / "o", "--cluster", address
-    )
-
-
-def test_without_the_library_the_cluster_is_refused(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    line = "run", tmp_path / "p.toml", "--out", tmp_path / "o", "--cluster"
+    assert "is no address" in refused(*line, "nonsense://")
+    assert "No dask scheduler answers" in refused(*line, "tcp://127.0.0.1:9")
+    monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(SpecError, match=r"stepbench\[cluster\]"):
         ClusterRunner("tcp://127.0.0.1:1", Limits(1.0, 1.0))

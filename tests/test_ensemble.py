@@ -277,28 +277,6 @@ def test_the_command_draws_prints_and_writes_tables_for_pandas(stepbench, tmp_pa
     assert pd.read_csv(tmp_path / "m.csv")["k"][0] != table["k"][0]
 
 
-@pytest.mark.usefixtures("without_processes")
-def test_it_refuses_in_one_sentence(refused):
-    for arguments, words in (
-        ("spring_mass newmark --vary k:1..2", "--vary is for an ensemble"),
-        ("spring_mass newmark --seed 1", "--seed is for an ensemble"),
-        ("spring_mass newmark --ensemble 3", "give --vary"),
-        ("spring_mass newmark --ensemble 1000001", "not in the range 1<=x<=1000000"),
-        ("spring_mass newmark --ensemble 3 --vary kk:1..2", "did you mean 'k'"),
-        ("spring_mass newmark --ensemble 3 --vary k:2..1", "smaller one first"),
-        ("spring_mass newmark --ensemble 3 --vary k=2", "of the form NAME:LOW"),
-        ("spring_mass newmark --ensemble 3 --vary m:-1..1", "lies outside"),
-        ("spring_mass newmark --ensemble 3 --vary h:0.1..30", "larger than"),
-        ("spring_mass newmark --ensemble 3 --vary h:0.1..0.2 --step 0.1", "leave --step out"),
-        ("spring_mass newmark --ensemble 3 --vary k:1..2 -o x.txt", "ends in .csv or .parquet"),
-        ("spring_mass ida --ensemble 3 --vary k:1..2", "cannot run many members in one program"),
-        ("spring_mass kvaerno5 --ensemble 3 --vary k:1..2", "take kvaerno5[steps=constant"),
-        ("spring_mass newmark --ensemble 3 --vary k:1..2 --rtol 1e-3", "takes fixed steps"),
-        ("pendulum newmark[beta=0] --ensemble 3 --vary g:1..2", "does not take"),
-    ):
-        assert words in refused("solve", *arguments.split()), arguments
-
-
 def test_names_that_stand_for_two_things_need_their_owner():
     @dataclass(frozen=True)
     class Shared(type(REGISTRY.problem("duffing"))):

@@ -59,52 +59,39 @@ def timed(*samples: float, **changes: object):
     return a_record(run_s=list(samples), rounds=[(1, n) for n in range(len(samples))], **changes)
 
 
-@pytest.mark.parametrize(
-    ("records", "width", "runs", "cost"),
-    [
-        ([timed(*QUIET)], 0.05 / 1.025, 1, "seconds"),
-        ([timed(*NOISY)], 0.3 / 1.15, 1, "operations"),
+def test_seconds_rank_first_where_the_intervals_of_most_runs_are_narrow():
+    quiet, noisy = 0.05 / 1.025, 0.3 / 1.15
+    for records, width, runs, cost in (
+        ([timed(*QUIET)], quiet, 1, "seconds"),
+        ([timed(*NOISY)], noisy, 1, "operations"),
         # The interval of nine samples leaves out an outlier on each side.
         ([timed(0.1, *[1.0] * 7, 9.0)], 0.0, 1, "seconds"),
         # The middle of the runs counts, however wide one is.
-        ([timed(*QUIET), timed(*QUIET), timed(1.0, 1.0, 1.0, 1.0, 1.0, 90.0)], 0.05 / 1.025, 3,
-         "seconds"),
-        ([timed(*QUIET), timed(*NOISY), timed(*NOISY)], 0.3 / 1.15, 3, "operations"),
+        ([timed(*QUIET), timed(*QUIET), timed(*[1.0] * 5, 90.0)], quiet, 3, "seconds"),
+        ([timed(*QUIET), timed(*NOISY), timed(*NOISY)], noisy, 3, "operations"),
         # Five samples have no interval; a long run has one sample, which tells nothing of others.
         ([timed(*[1.0] * 5), timed(2.0)], None, 0, "operations"),
-        ([timed(*QUIET), timed(2.0), timed(0.1, 9.0)], 0.05 / 1.025, 1, "seconds"),
-        ([timed(*QUIET), *[timed(*NOISY, status="diverged")] * 3], 0.05 / 1.025, 1, "seconds"),
+        ([timed(*QUIET), timed(2.0), timed(0.1, 9.0)], quiet, 1, "seconds"),
+        ([timed(*QUIET), *[timed(*NOISY, status="diverged")] * 3], quiet, 1, "seconds"),
         ([], None, 0, "operations"),
-    ],
-)  # fmt: skip
-def test_seconds_rank_first_where_the_intervals_of_most_runs_are_narrow(records, width, runs, cost):
-    found = repeatability(records, {})
-    assert (found.runs, found.cost) == (runs, cost)
-    assert found.width == (None if width is None else pytest.approx(width, abs=1e-15))
-
-
-@pytest.mark.parametrize(
-    ("width", "cost"), [(REPEATABLE, "seconds"), (1.01 * REPEATABLE, "operations")]
-)
-def test_the_limit_itself_is_narrow_enough(width, cost):
-    record = timed(1.0 - width / 2, *[1.0] * 4, 1.0 + width / 2)
-    assert interval_width(record) == pytest.approx(width)
-    assert repeatability([record], {})._replace(width=width).cost == cost
-
-
-@pytest.mark.parametrize(
-    ("other", "cost"),
-    [
+    ):
+        found = repeatability(records, {})
+        assert (found.runs, found.cost) == (runs, cost)
+        assert found.width == (None if width is None else pytest.approx(width, abs=1e-15))
+    # The limit itself is narrow enough.
+    for width, cost in (REPEATABLE, "seconds"), (1.01 * REPEATABLE, "operations"):
+        record = timed(1.0 - width / 2, *[1.0] * 4, 1.0 + width / 2)
+        assert interval_width(record) == pytest.approx(width)
+        assert repeatability([record], {})._replace(width=width).cost == cost
+    # Times of two machines or clocks rank nothing.
+    both = [timed(*QUIET, environment=1), timed(*QUIET, environment=2)]
+    for other, cost in (
         (machine(), "seconds"),
         (machine(cpu="two"), "operations"),
         (machine(clock="wall clock"), "operations"),
         (None, "seconds"),
-    ],
-)
-def test_times_of_two_machines_or_clocks_rank_nothing(other, cost):
-    records = [timed(*QUIET, environment=1), timed(*QUIET, environment=2)]
-    places = {1: machine()} | ({2: other} if other else {})
-    assert repeatability(records, places).cost == cost
+    ):
+        assert repeatability(both, {1: machine()} | ({2: other} if other else {})).cost == cost
 
 
 @pytest.mark.parametrize("name", COSTS)
@@ -136,23 +123,19 @@ def test_page_markdown_and_terminal_take_the_same_cost_first(folders, name):
     assert shlex.quote(winner) in command
 
 
-@pytest.mark.parametrize(
-    ("name", "sentence"),
-    [
-        ("quiet", "4.9 % (median of 12 runs), so this report ranks by "
-         "seconds first."),
-        ("noisy", "26 % (median of 12 runs; at most 20 % is asked for), so "
-         "this report ranks by operations first."),
-    ],
-)  # fmt: skip
-def test_the_front_page_says_how_well_times_repeat(folders, name, sentence):
-    for file, place in (("report.html", 'id="panels-head"'), ("report.md", "## Answer")):
-        text = (folders[name] / file).read_text(encoding="utf-8")
-        assert f"Repeated times scatter by {sentence}" in text.partition(place)[0]
-
-
-def test_times_of_two_machines_are_said_not_to_compare():
-    said = times_sentence(Repeatability(0.05, 3, 2))
+def test_the_front_page_says_how_well_times_repeat(folders):
+    many = "(median of 12 runs"
+    for name, sentence in (
+        ("quiet", f"4.9 % {many}), so this report ranks by seconds first."),
+        (
+            "noisy",
+            f"26 % {many}; at most 20 % is asked for), so this report ranks by operations first.",
+        ),
+    ):
+        for file, place in (("report.html", 'id="panels-head"'), ("report.md", "## Answer")):
+            text = (folders[name] / file).read_text(encoding="utf-8")
+            assert f"Repeated times scatter by {sentence}" in text.partition(place)[0]
+    said = times_sentence(Repeatability(0.05, 3, 2))  # of two machines
     assert said.endswith("cannot be compared, so this report ranks by operations first.")
     none = times_sentence(Repeatability(None, 0, 1))
     assert none.startswith("No run has the 6 timing samples")

@@ -24,7 +24,7 @@ from bench.sweeps import batch, jobs, members
 from bench.sweeps.ensemble import ensemble
 from bench.sweeps.jobs import EnsembleRequest
 from bench.sweeps.members import member_rows, parts_of, run_members, write_members
-from bench.sweeps.variation import Quantity, Range, drawn, find_range
+from bench.sweeps.variation import Quantity, Range, find_range
 from integrators import Steps
 from problems.runtime import jax
 from problems.spec import SpecError
@@ -56,6 +56,12 @@ def asked(monkeypatch):
     # Undamped and explicit: some of the steps are too large, and their members diverge.
     runs = "spring_mass[b=0]", "newmark[beta=0]", given, END, 1e9
     return EnsembleRequest(*runs, COUNT, VARY, 7)
+
+
+def drawn(ranges, seed, first, count):
+    """The values of the ``first`` members and of those that follow."""
+    of = enumerate(ranges.items())
+    return {name: one.draw(seed, place, first, count) for place, (name, one) in of}
 
 
 def run_all(request, *faults):

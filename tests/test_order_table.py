@@ -104,20 +104,6 @@ def test_of_any_suite_the_methods_of_constant_steps_are_measured(stepbench, suit
     assert (suite.plan.samples, suite.atlas) == (0, False)
 
 
-def test_a_table_is_refused_in_a_sentence(refused, suites):
-    for arguments, words in [
-        (["pendulum"], "No integrator is named for pendulum"),
-        (["pendulum", "newmark", "--jobs", "3"], "--jobs is for a table; name several"),
-        (["pendulum", "newmark", "bdf2", "--json"], "--json is for one integrator"),
-        (["pendulum", "newmark", "bdf2", "--steps", "0.1,0.05"], "at least three step sizes"),
-        (["orders", "newmark", "--t-end", "2"], "--t-end belongs to one scene; a suite has"),
-        (["orders", "newmark", "--set", "m=1"], "--set belongs to one scene; a suite has"),
-        (["pendulum", "newmark", "ida"], "chooses its own steps, over which no order"),
-    ]:
-        assert words in refused("order", *arguments)
-        assert not suites
-
-
 def test_methods_are_taken_as_named_and_stand_under_titles_that_are_true(stepbench, suites):
     answer = stepbench("order", "orders", "bathe", "rattle", "phem56")
     assert answer.exit_code == 1

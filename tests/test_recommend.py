@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from planted import planted
+from test_refusals import scenes
 
 from bench.results.demands import Demand, demand
 from bench.results.quantities import NORMS
@@ -77,15 +78,12 @@ def test_a_race_finds_the_cheapest_and_drops_the_others_soon():
     assert len(dear.runs) < len(alone.candidate.runs)
 
 
-def test_the_winner_does_not_hang_on_the_order_of_the_start():
+def test_the_winner_hangs_neither_on_the_order_of_the_start_nor_on_a_first_step_far_too_fine():
     def named(order):
         methods = [Power("a", 2, 5.0, 7.0), Power("b", 3, 2.0, 11.0), Power("c", 1, 0.1, 1.0)]
         return raced([methods[k] for k in order]).leader.method.name
 
     assert {named(order) for order in ((0, 1, 2), (2, 1, 0), (1, 0, 2))} == {named((0, 1, 2))}
-
-
-def test_a_method_whose_first_step_is_far_too_fine_is_not_dropped_for_it():
     fine, rival = Power("fine", 5, LIMIT, 100.0), Power("rival", 2, 60 * LIMIT, 22.0)
     race = raced([rival, fine])
     assert not race.is_dropped(fine.candidate)
@@ -149,9 +147,7 @@ def test_no_run_begins_when_the_time_is_over_and_none_of_who_refuses():
     assert Race([method.candidate], 1.1, time.monotonic() - 1.0).next() == []
     method.run(0.1, UNSUPPORTED)
     assert Race([method.candidate], 1.1, math.inf).next() == []
-
-
-def test_a_method_whose_operations_are_unknown_is_not_dropped_for_them():
+    # A method whose operations are unknown is not dropped for them.
     known, unknown = Power("a", 2, 1e-3, 7.0), Power("b", 2, 10.0, 0.0)
     known.run(0.1)
     unknown.run(0.1)
@@ -160,36 +156,10 @@ def test_a_method_whose_operations_are_unknown_is_not_dropped_for_them():
     assert not race.is_dropped(unknown.candidate)
 
 
-SCENE = """
-from dataclasses import dataclass
-import numpy as np
-from problems import MechatronicSystem, State, jnp
-
-{}
-"""
-CLASS = """
-@dataclass(frozen=True)
-class {}(MechatronicSystem):
-    '''A mass on a spring.'''
-
-    interval = (0.0, 1.0)
-    nominal_step = 0.1
-
-    def mass(self, q):
-        return jnp.eye(1)
-
-    def force(self, q, v, t):
-        return -4.0 * q
-
-    def initial_state(self):
-        return State(q=np.ones(1), v=np.zeros(1))
-"""
-
-
 @pytest.mark.long
 def test_a_file_with_one_scene_gets_its_verdict_and_again_at_once(stepbench, tmp_path):
     file = tmp_path / "own.py"
-    file.write_text(SCENE.format(CLASS.format("OwnMass")))
+    file.write_text(scenes("OwnMass"))
     out = tmp_path / "out"
     asked = "recommend", file, "--error", "q:1e-4", "--cost", "operations", "--out", out, "--json"
     told = json.loads(stepbench(*asked, "--budget", "40").stdout)
@@ -262,30 +232,3 @@ def test_what_was_found_before_an_error_is_not_lost(stepbench, tmp_path, planted
     told = json.loads((tmp_path / "recommendation.json").read_text())
     assert told["ratings"]
     assert json.loads(result.stdout) == told
-
-
-@pytest.mark.usefixtures("without_processes")
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["pendulun"], "did you mean 'pendulum'"),
-        (["pendulum", "--error", "a"], "is no demand"),
-        (["pendulum", "--budget", "0"], "budget"),
-        (["friction", "--error", "energy:1"], "friction states no energy"),
-        (["nothing.py"], "nothing.py"),
-        (["{two}"], "the scenes one_mass, two_masses; name one scene"),
-        (["{one}", "newmark", "--error", "points:1"], "one_mass names no points"),
-        (["{none}"], "defines no MechatronicSystem"),
-    ],
-)
-def test_bad_input_is_one_sentence(stepbench, tmp_path, arguments, words):
-    (tmp_path / "two.py").write_text(
-        SCENE.format(CLASS.format("OneMass") + CLASS.format("TwoMasses"))
-    )
-    (tmp_path / "one.py").write_text(SCENE.format(CLASS.format("OneMass")))
-    (tmp_path / "none.py").write_text('"""Nothing."""\n')
-    files = {name: tmp_path / f"{name}.py" for name in ("one", "two", "none")}
-    result = stepbench("recommend", *(text.format(**files) for text in arguments))
-    assert result.exit_code
-    assert words in result.output
-    assert "Traceback" not in result.output

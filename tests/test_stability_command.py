@@ -121,19 +121,3 @@ def test_other_systems_have_radii(stepbench, cases):
         assert 0.45 < found["radius_at_infinity"] < 0.55
 
 
-@pytest.mark.usefixtures("without_processes")
-def test_it_refuses_in_one_sentence(refused):
-    for arguments, words in [
-        (["ida"], "chooses its own steps; an amplification matrix needs constant steps"),
-        (["generalized_alpha_adaptive"], "chooses its own steps"),
-        (["newmrk"], "did you mean 'newmark'"),
-        (["newmark", "--pattern", "0.3,0.3"], "give positive fractions of the macro step"),
-        (["newmark", "--at", "1,-2"], "omega h = -2 is not allowed"),
-        (["newmark", "--zeta", "-1"], "zeta=-1"),
-        (["newmark", "--zeta", "0.1", "--system", "loop"], "--zeta damps the oscillator"),
-        (["newmark", "newmark[beta=0.25]"], "is named twice"),
-        (["newmark[beta=0]", "--system", "joined"], "does not take joined"),
-        (["kvaerno5", "--system", "joined"], "cannot be found by running it"),
-        ([], "Missing argument"),
-    ]:
-        assert words in refused("stability", *arguments)

@@ -29,7 +29,7 @@ _LONGEST_NAME = 40
 @options.command(
     "list",
     options.argument("names", "[KIND|NAME]...", nargs=-1, shell_complete=completion.everything),
-    options.option("--draw", is_flag=True, help="Write pages of these scenes, or of all."),
+    options.flag("--draw", "Write pages of these scenes, or of all."),
     options.folder("Folder of the pages.", "stepbench-catalogue"),
     *options.SET,
     options.PLUGINS,

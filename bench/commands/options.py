@@ -62,9 +62,15 @@ def argument(name: str, metavar: str | None = None, **more: Any) -> click.Argume
     return click.Argument([name], metavar=metavar, **more)
 
 
-def option(*names: str, **more: Any) -> click.Option:
-    """Return an option of a command."""
-    return click.Option(names, **more)
+def option(names: str, words: str, **more: Any) -> click.Option:
+    """Return an option of a command, with the words of its help; a default is shown there."""
+    more.setdefault("show_default", more.get("default") is not None)
+    return click.Option(names.split(), help=words, **more)
+
+
+def flag(names: str, words: str) -> click.Option:
+    """Return an option without a value."""
+    return click.Option(names.split(), help=words, is_flag=True)
 
 
 # ---- values of options -------------------------------------------------------------------
@@ -152,72 +158,69 @@ METHODS = argument(
     "names", "INTEGRATOR...", nargs=-1, required=True, shell_complete=completion.integrators
 )
 FOLDER = argument("folder", type=PathName("folder"), default=RESULTS)
-STEP = option("--step", type=float, help="Step size h in s (with --pattern: the macro step H).")
+STEP = option("--step", "Step size h in s (with --pattern: the macro step H).", type=float)
 PATTERN = option(
-    "--pattern", callback=_numbers, metavar="F1,F2,...",
-    help="Divide each macro step into these fractions, for example 0.3,0.7.",
+    "--pattern", "Divide each macro step into these fractions, for example 0.3,0.7.",
+    callback=_numbers, metavar="F1,F2,...",
 )  # fmt: skip
 TOLERANCES = (
-    option("--rtol", type=float, help=f"Relative tolerance; {Tolerances().rtol:g} if not given."),
-    option("--atol", type=float, help="Absolute tolerance; rtol/100 if not given."),
+    option("--rtol", f"Relative tolerance; {Tolerances().rtol:g} if not given.", type=float),
+    option("--atol", "Absolute tolerance; rtol/100 if not given.", type=float),
 )
-T_END = option("--t-end", type=float, help="End time in s; the scene's own if not given.")
+T_END = option("--t-end", "End time in s; the scene's own if not given.", type=float)
 SET = (
     option(
-        "--set", "settings", multiple=True, callback=_settings, metavar="NAME=VALUE",
+        "--set settings", "Set a parameter of the scene, or start.NAME, a coordinate at its start; "
+        "repeatable.", multiple=True, callback=_settings, metavar="NAME=VALUE",
         shell_complete=completion.settings,
-        help="Set a parameter of the scene, or start.NAME, a coordinate at its start; repeatable.",
     ),
     option(  # it is read before the settings, of which it is one
-        "--keyframe", metavar="NAME", is_eager=True, expose_value=False,
+        "--keyframe", "Keyframe at which a model of MuJoCo starts.", metavar="NAME",
         callback=lambda context, _, value: context.meta.update(keyframe=value),
-        help="Keyframe at which a model of MuJoCo starts.",
+        is_eager=True, expose_value=False,
     ),
 )  # fmt: skip
 SCENES = option(
-    "-p", "--problem", "problems", multiple=True, shell_complete=completion.scenes,
-    help="Only this scene; repeatable.",
+    "-p --problem problems", "Only this scene; repeatable.",
+    multiple=True, shell_complete=completion.scenes,
 )  # fmt: skip
-FRESH = option("--fresh", is_flag=True, help="Forget earlier results in that folder.")
+FRESH = flag("--fresh", "Forget earlier results in that folder.")
 PLUGINS = option(
-    "--plugins", multiple=True, metavar="FILE_OR_FOLDER",
-    help="Python file, or folder of them, with more scenes or integrators; repeatable.",
+    "--plugins", "Python file, or folder of them, with more scenes or integrators; repeatable.",
+    multiple=True, metavar="FILE_OR_FOLDER",
 )  # fmt: skip
-JSON = option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
+JSON = flag("--json as_json", "Print JSON instead of a table.")
 
 
-def steps(words: str, name: str = "--steps", metavar: str = "H1,H2,...") -> click.Option:
+def numbers(name: str, metavar: str, words: str) -> click.Option:
     """Return an option for a list of numbers."""
-    return option(name, callback=_numbers, metavar=metavar, help=words)
+    return option(name, words, callback=_numbers, metavar=metavar)
 
 
 def integrators(words: str) -> click.Option:
     """Return -i, which may be repeated."""
-    names = "-i", "--integrator", "integrators"
-    return option(*names, multiple=True, shell_complete=completion.integrators, help=words)
+    names = "-i --integrator integrators"
+    return option(names, words, multiple=True, shell_complete=completion.integrators)
 
 
-def folder(words: str, default: str | None = None) -> click.Option:
+def folder(words: str, default: str) -> click.Option:
     """Return --out for a folder."""
-    shown = default is not None
-    return option("--out", type=PathName("folder"), default=default, show_default=shown, help=words)
+    return option("--out", words, type=PathName("folder"), default=default)
 
 
 def file(words: str) -> click.Option:
     """Return --out for a file."""
-    return option("--out", "-o", type=PathName("file"), help=words)
+    return option("--out -o", words, type=PathName("file"))
 
 
-def jobs(words: str, default: int | None = 2) -> click.Option:
+def jobs(words: str) -> click.Option:
     """Return --jobs."""
-    shown = default is not None
-    many = click.IntRange(1, _MOST_JOBS)
-    return option("--jobs", type=many, default=default, show_default=shown, help=words)
+    return option("--jobs", words, type=click.IntRange(1, _MOST_JOBS), default=2)
 
 
 def cluster(words: str) -> click.Option:
     """Return --cluster."""
-    return option("--cluster", type=ClusterAddress(), metavar="ADDRESS", help=words)
+    return option("--cluster", words, type=ClusterAddress(), metavar="ADDRESS")
 
 
 def budget(
@@ -225,10 +228,8 @@ def budget(
     default: float | None = BUDGET_S,
 ) -> click.Option:
     """Return --budget; without a default where a file may state one."""
-    seconds, shown = click.FloatRange(0, LARGEST_BUDGET, min_open=True), default is not None
-    return option(
-        "--budget", type=seconds, callback=_not_nan, default=default, show_default=shown, help=words
-    )
+    seconds = click.FloatRange(0, LARGEST_BUDGET, min_open=True)
+    return option("--budget", words, type=seconds, callback=_not_nan, default=default)
 
 
 # ---- what commands share -----------------------------------------------------------------

@@ -33,7 +33,10 @@ _FIGURES = ("orders", "convergence")
     options.argument(
         "integrators", "[INTEGRATOR]...", nargs=-1, shell_complete=completion.integrators
     ),
-    options.steps("Step sizes in s; five halvings of the scene's nominal step if not given."),
+    options.numbers(
+        "--steps", "H1,H2,...",
+        "Step sizes in s; five halvings of the scene's nominal step if not given.",
+    ),
     options.PATTERN,
     options.T_END,
     *options.SET,
@@ -44,13 +47,11 @@ _FIGURES = ("orders", "convergence")
     ),
     options.PLUGINS,
     options.JSON,
-    options.option(
-        "--markdown", is_flag=True, help="Print the table in Markdown, and write no report."
-    ),
+    options.flag("--markdown", "Print the table in Markdown, and write no report."),
     options.folder("Folder of the runs of a table and their report.", "stepbench-orders"),
     options.FRESH,
     options.jobs("Worker processes for a table."),
-)
+)  # fmt: skip
 def order_(o: Given) -> None:
     """Measure the order of integrators at constant steps.
 

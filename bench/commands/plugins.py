@@ -47,7 +47,7 @@ from problems import from_mjcf
 @options.command(
     "check",
     options.argument("names", "NAME_OR_FILE...", nargs=-1, shell_complete=completion.everything),
-    options.option("--all", "everything", is_flag=True, help="Check all scenes and integrators."),
+    options.flag("--all everything", "Check all scenes and integrators."),
     options.budget(),
     options.PLUGINS,
     options.JSON,
@@ -105,18 +105,15 @@ def _line(result: CheckResult) -> Text:
     options.argument("name"),
     options.file("File; NAME.py if not given."),
     options.option(
-        "--from",
-        "model",
+        "--from model", "Model of MuJoCo or URDF that the scene is made of.",
         type=click.Path(exists=True, dir_okay=False, path_type=Path),
-        help="Model of MuJoCo or URDF that the scene is made of.",
     ),
     options.option(
-        "--meshes",
+        "--meshes", "Folder in which meshes of the model are looked for, too.",
         type=click.Path(exists=True, file_okay=False, path_type=Path),
-        help="Folder in which meshes of the model are looked for, too.",
     ),
     *options.SET,
-)
+)  # fmt: skip
 def new(o: Given) -> None:
     """Write a small scene or integrator, which runs at once.
 
@@ -205,7 +202,7 @@ def _class_name(name: str) -> str:
     "show",
     options.PROBLEM,
     options.file("File; NAME.svg or NAME.html if not given."),
-    options.option("--animate", is_flag=True, help="Write a page that plays the motion, offline."),
+    options.flag("--animate", "Write a page that plays the motion, offline."),
     options.T_END,
     *options.SET,
     options.budget(),

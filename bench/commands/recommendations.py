@@ -48,18 +48,17 @@ _PARTS = {"seconds": (0.45, 0.57, 0.66, 0.9), "operations": (0.6, 0.75, 0.85, 0.
         "methods", "[INTEGRATOR]...", nargs=-1, shell_complete=completion.integrators
     ),
     options.option(
-        "--error", "errors", multiple=True, metavar="QUANTITY:LIMIT",
-        help="Largest error that is allowed, such as a:1e-3 (if not given), q:end:1e-6, "
-        "energy:1e-4 or points:1e-3; repeatable where integrators are named.",
+        "--error errors", "Largest error that is allowed, such as a:1e-3 (if not given), "
+        "q:end:1e-6, energy:1e-4 or points:1e-3; repeatable where integrators are named.",
+        multiple=True, metavar="QUANTITY:LIMIT",
     ),
     options.option(
-        "--rule", type=click.Choice([*RULES]), default="work-precision", show_default=True,
-        help="Errors that are asked for if none is given; iftomm: of the named points, 0.1 and "
-        "0.001.",
+        "--rule", "Errors that are asked for if none is given; iftomm: of the named points, 0.1 "
+        "and 0.001.", type=click.Choice([*RULES]), default="work-precision",
     ),
     options.option(
-        "--cost", type=click.Choice([*_PARTS]), default="seconds", show_default=True,
-        help="Cost by which integrators are ranked.",
+        "--cost", "Cost by which integrators are ranked.", type=click.Choice([*_PARTS]),
+        default="seconds",
     ),
     options.budget(
         "Time in s for all runs together; where integrators are named, processor time after which "

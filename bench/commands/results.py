@@ -32,38 +32,34 @@ _QUESTION = ("scene", "error", "cost", "component", "integrators", "t_end")
 @options.command(
     "report",
     options.FOLDER,
+    options.flag("--single-file", "One HTML file that holds all pages, to mail."),
+    options.flag("--open opened", "Open the pages in the browser, too."),
+    options.option("--csv form", "Write all records as comma-separated rows.", flag_value="csv"),
+    options.option("--json form", "Write them as a JSON array of flat rows.", flag_value="json"),
     options.option(
-        "--single-file", is_flag=True, help="One HTML file that holds all pages, to mail."
-    ),
-    options.option("--open", "opened", is_flag=True, help="Open the pages in the browser, too."),
-    options.option(
-        "--csv", "form", flag_value="csv", help="Write all records as comma-separated rows."
-    ),
-    options.option(
-        "--json", "form", flag_value="json", help="Write them as a JSON array of flat rows."
+        "--figure kind", "Write one figure for a paper, as wide as a column.",
+        type=click.Choice(_KINDS),
     ),
     options.option(
-        "--figure", "kind", type=click.Choice(_KINDS),
-        help="Write one figure for a paper, as wide as a column.",
+        "--scene", "Figure: the scene; may be left out if the folder has one.",
+        shell_complete=completion.scenes,
     ),
     options.option(
-        "--scene", shell_complete=completion.scenes,
-        help="Figure: the scene; may be left out if the folder has one.",
+        "--error",
+        f"Figure: which error, as a:end; q:{NORM} if not given.",
+        metavar="GROUP:NORM",
     ),
     options.option(
-        "--error", metavar="GROUP:NORM",
-        help=f"Figure: which error, as a:end; q:{NORM} if not given.",
+        "--cost",
+        f"Figure: seconds, or a count as residuals or steps; {COST} if not given.",
     ),
     options.option(
-        "--cost", help=f"Figure: seconds, or a count as residuals or steps; {COST} if not given."
-    ),
-    options.option(
-        "--component", metavar="GROUP:PLACE",
-        help="Figure: what a trajectory shows, as a:Y; q:1 if not given.",
+        "--component", "Figure: what a trajectory shows, as a:Y; q:1 if not given.",
+        metavar="GROUP:PLACE",
     ),
     options.integrators("Figure: only this integrator; repeatable."),
     options.option(
-        "--t-end", type=float, help="Figure: end time in s, if FOLDER has the scene with several."
+        "--t-end", "Figure: end time in s, if FOLDER has the scene with several.", type=float,
     ),
     options.file(
         "File of rows, whose ending .csv or .json decides (the screen if not given), or of a "
@@ -138,11 +134,10 @@ def _open(page: Path) -> None:
     options.argument("old", type=PathName("folder")),
     options.argument("new", type=PathName("folder")),
     options.option(
-        "--fail-on", "limits", metavar="KIND:RATIO,...",
+        "--fail-on limits", "Exit with 1 if an error, work or time is more than RATIO times the "
+        "old one, as in error:1.1,work:1.05,time:1.5, or a run no longer reaches the end; with "
+        "'vanished', also if NEW lacks a run.", metavar="KIND:RATIO,...",
         callback=lambda _, __, text: {} if text is None else read_limits(text),
-        help="Exit with 1 if an error, work or time is more than RATIO times the old one, as in "
-        "error:1.1,work:1.05,time:1.5, or a run no longer reaches the end; with 'vanished', also "
-        "if NEW lacks a run.",
     ),
     options.JSON,
 )  # fmt: skip
@@ -179,7 +174,7 @@ def compare(o: Given) -> None:
 @options.command(
     "merge",
     options.argument("folders", "FOLDER FOLDER...", nargs=-1, type=PathName("folder")),
-    options.option("--out", required=True, type=PathName("folder"), help="A new folder."),
+    options.option("--out", "A new folder.", required=True, type=PathName("folder")),
 )
 def merge_(o: Given) -> None:
     """Put results of several folders into one.
@@ -204,19 +199,16 @@ def merge_(o: Given) -> None:
     options.argument("second", "B"),
     options.FOLDER,
     options.option(
-        "--group", metavar="|".join(ASKED), default="a", show_default=True,
-        help="Quantity whose error counts; a,lam asks for both at once.",
+        "--group", "Quantity whose error counts; a,lam asks for both at once.",
+        metavar="|".join(ASKED), default="a",
+    ),
+    options.option("--norm", "Norm of the error.", metavar="|".join(NORMS), default=NORM),
+    options.option(
+        "--target targets", "Error at which costs are compared; repeatable; 1e-2, 1e-4 and 1e-6 "
+        "if not given.", type=float, multiple=True,
     ),
     options.option(
-        "--norm", metavar="|".join(NORMS), default=NORM, show_default=True,
-        help="Norm of the error.",
-    ),
-    options.option(
-        "--target", "targets", type=float, multiple=True,
-        help="Error at which costs are compared; repeatable; 1e-2, 1e-4 and 1e-6 if not given.",
-    ),
-    options.option(
-        "--cost", metavar="|".join(COSTS), help="seconds if they scatter little, else operations."
+        "--cost", "seconds if they scatter little, else operations.", metavar="|".join(COSTS),
     ),
     options.JSON,
 )  # fmt: skip

@@ -65,12 +65,9 @@ class _Study:
     options.PROBLEM,
     options.METHODS,
     options.option(
-        "--steps", type=click.IntRange(2, _MOST_STEPS), default=100_000, show_default=True,
-        help="Number of steps.",
+        "--steps", "Number of steps.", type=click.IntRange(2, _MOST_STEPS), default=100_000,
     ),
-    options.option(
-        "--step", type=float, help="Step size h in s; the scene's nominal one if not given."
-    ),
+    options.option("--step", "Step size h in s; the scene's nominal one if not given.", type=float),
     *options.SET,
     options.budget(),
     options.folder("Folder of the long runs and their page.", "stepbench-drift"),
@@ -142,15 +139,14 @@ def _rate(context: click.Context, parameter: click.Parameter, text: str) -> floa
     options.METHODS,
     *options.SET,
     options.option(
-        "--rate", required=True, callback=_rate, help="Steps per second: 1kHz, 500Hz or 1000."
+        "--rate", "Steps per second: 1kHz, 500Hz or 1000.", required=True, callback=_rate,
     ),
     options.option(
-        "--iterations", type=click.IntRange(1, _MOST_ITERATIONS),
-        help="Most iterations in each call of Newton's method; 1 and unlimited side by side if not "
-        "given.",
+        "--iterations", "Most iterations in each call of Newton's method; 1 and unlimited side by "
+        "side if not given.", type=click.IntRange(1, _MOST_ITERATIONS),
     ),
     options.option(
-        "--duration", type=float, help="Length of the run in s; the scene's interval if not given."
+        "--duration", "Length of the run in s; the scene's interval if not given.", type=float,
     ),
     options.budget(),
     options.PLUGINS,
@@ -198,16 +194,16 @@ def realtime(o: Given) -> None:
 @options.command(
     "stability",
     options.METHODS,
-    options.steps("Values of omega h to report.", "--at", "WH1,WH2,..."),
+    options.numbers("--at", "WH1,WH2,...", "Values of omega h to report."),
     options.PATTERN,
-    options.option("--zeta", type=float, help="Damping ratio of the oscillator; 0 if not given."),
+    options.option("--zeta", "Damping ratio of the oscillator; 0 if not given.", type=float),
     options.option(
-        "--system", type=click.Choice(_SYSTEMS), default=_SYSTEMS[0], show_default=True,
-        help="Linear test system; for relaxation, omega is the decay rate.",
+        "--system", "Linear test system; for relaxation, omega is the decay rate.",
+        type=click.Choice(_SYSTEMS), default=_SYSTEMS[0],
     ),
     options.option(
-        "--ratios/--no-ratios", default=True,
-        help="Seek the largest safe ratio of two steps in turns, which takes seconds.",
+        "--ratios/--no-ratios", "Seek the largest safe ratio of two steps in turns, which takes "
+        "seconds.", default=True,
     ),
     options.budget(),
     options.folder("Folder of the page.", "stepbench-stability"),
@@ -262,7 +258,7 @@ def stability(o: Given) -> None:
         "names", "[EXPERIMENT]...", nargs=-1, shell_complete=completion.experiments
     ),
     options.integrators("Put this integrator through every experiment, too; repeatable."),
-    options.option("--list", "only_list", is_flag=True, help="Name the experiments and stop."),
+    options.flag("--list only_list", "Name the experiments and stop."),
     options.folder("Folder of the results and the page.", "stepbench-atlas"),
     options.FRESH,
     options.jobs("Worker processes."),

@@ -109,9 +109,8 @@ def run_suite(
     options.SCENES,
     options.integrators("Only this integrator; repeatable. One that the suite lacks is added."),
     options.option(
-        "--mine", metavar="INTEGRATOR", shell_complete=completion.integrators,
-        help="Your integrator: it is run beside the others, and the report opens with it "
-        "highlighted.",
+        "--mine", "Your integrator: it is run beside the others, and the report opens with it "
+        "highlighted.", metavar="INTEGRATOR", shell_complete=completion.integrators,
     ),
     *options.SET,
     options.folder("Folder of the results.", options.RESULTS),

@@ -28,31 +28,28 @@ _MOST = 1_000_000
     options.PROBLEM,
     options.INTEGRATOR,
     options.option(
-        "--over", required=True, metavar="X,Y",
-        help="Two quantities: the step h (or rtol or atol of a method that chooses its steps), an "
-        "option of the integrator, or a parameter of the scene.",
+        "--over", "Two quantities: the step h (or rtol or atol of a method that chooses its "
+        "steps), an option of the integrator, or a parameter of the scene.", required=True,
+        metavar="X,Y",
     ),
     options.option(
-        "--range", "ranges", multiple=True, metavar="NAME:LOW..HIGH",
-        help="Range of one of them; repeatable. An option is taken over all allowed values, a "
-        "parameter over a tenth to tenfold, h around the scene's nominal step, rtol from 1e-6 to "
-        "1e-1, if not given.",
+        "--range ranges", "Range of one of them; repeatable. An option is taken over all allowed "
+        "values, a parameter over a tenth to tenfold, h around the scene's nominal step, rtol "
+        "from 1e-6 to 1e-1, if not given.", multiple=True, metavar="NAME:LOW..HIGH",
     ),
     options.option(
-        "--grid", metavar="NXxNY",
-        help="Points along both; 100x100 if not given, 25 along a parameter of a scene without a "
-        "closed form.",
+        "--grid", "Points along both; 100x100 if not given, 25 along a parameter of a scene "
+        "without a closed form.", metavar="NXxNY",
     ),
-    options.option("--step", type=float, help="Step size h in s, if h does not vary."),
+    options.option("--step", "Step size h in s, if h does not vary.", type=float),
     options.PATTERN,
     *options.TOLERANCES,
     options.option(
-        "--error", metavar="GROUP:NORM", default="a:end", show_default=True,
-        help="Relative error to show, as in the report.",
+        "--error", "Relative error to show, as in the report.", metavar="GROUP:NORM",
+        default="a:end",
     ),
     options.option(
-        "--threshold", type=float, default=0.1, show_default=True,
-        help="A run with a larger error is called inaccurate.",
+        "--threshold", "A run with a larger error is called inaccurate.", type=float, default=0.1,
     ),
     options.T_END,
     *options.SET,
@@ -123,19 +120,14 @@ def _read_grid(text: str) -> tuple[int, int]:
 #: Options of an ensemble.
 ENSEMBLE = (
     options.option(
-        "--ensemble", type=click.IntRange(1, _MOST), metavar="N",
-        help="Run N members, a million at most, in one compiled program; needs --vary. --budget is "
-        "that of some 1000 members.",
+        "--ensemble", "Run N members, a million at most, in one compiled program; needs --vary. "
+        "--budget is that of some 1000 members.", type=click.IntRange(1, _MOST), metavar="N",
     ),
     options.option(
-        "--vary", multiple=True, metavar="NAME:LOW..HIGH",
-        help="Draw h, a parameter or an option of each member evenly from this range (in the "
-        "logarithm if it is wide); repeatable.",
+        "--vary", "Draw h, a parameter or an option of each member evenly from this range (in the "
+        "logarithm if it is wide); repeatable.", multiple=True, metavar="NAME:LOW..HIGH",
     ),
-    options.option(
-        "--seed", type=click.IntRange(min=0), default=0, show_default=True,
-        help="Seed of the random draw.",
-    ),
+    options.option("--seed", "Seed of the random draw.", type=click.IntRange(min=0), default=0),
     options.cluster(
         "Run the members on the workers of a dask scheduler, such as tcp://host:8786."
     ),

@@ -169,17 +169,10 @@ def realtime_sentence(runs: Sequence[RealTimeRun]) -> str:
 def realtime_job(
     worker: Worker, problem: str, integrator: str, rate: float, steps: int, limit: int | None
 ) -> list[RealTimeRun]:
-    """Run a method for a number of steps of 1/rate, and measure each step.
+    """Run a method for a number of steps of 1/rate (Hz), and measure each step.
 
-    Parameters
-    ----------
-    problem, integrator
-        Names with options.
-    rate
-        Steps per s.
-    limit
-        Most iterations in each call of Newton's method; None for two runs, with one iteration and
-        with as many as the method takes, or for the latter alone if it keeps tangents over steps.
+    ``limit`` is that of the iterations in each call of Newton's method; None for two runs, with one
+    iteration and with as many as the method takes, or the latter alone if it keeps tangents.
 
     Raises
     ------

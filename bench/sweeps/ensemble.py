@@ -26,29 +26,15 @@ OUT_OF_TIME = "The ensemble's time was used up before; raise the budget."
 class Ensemble:
     """Results of an ensemble, with one entry per member in the order of the values.
 
-    Attributes
-    ----------
-    problem, integrator
-        Printed names, without the quantities that vary.
-    t_end
-        End time in s.
-    member
-        Number of each member.
-    vary
-        The values of each quantity that varies, by name.
-    status, message
-        As of a single run.
-    values
-        Arrays by name: "t", the time that was reached, in s; values at t_end, "q1", "q2" ..., NaN
-        where a run failed; counts, "work_steps" and so on.
-    compile_s, run_s
-        Seconds for preparing and for running.
+    Printed names are without the quantities that vary, times in s. ``member`` is the number of
+    each, ``vary`` has the values of each quantity by name; ``status`` and ``message`` are as of a
+    single run. ``values`` are arrays by name: "t", the time that was reached; values at t_end,
+    "q1", "q2" ..., NaN where a run failed; counts, "work_steps" and so on.
     """
 
     problem: str
     integrator: str
     t_end: float
-    # Types without shapes, as they are read where an ensemble comes from another process.
     member: np.ndarray
     vary: dict[str, np.ndarray]
     status: list[str]
@@ -127,16 +113,12 @@ def ensemble(
 
     Parameters
     ----------
-    scene, method
-        Parameters and options that do not vary are taken from them.
+    scene, method, resolution
+        All that does not vary is taken from them; the scene's nominal step or rtol=1e-6 if there is
+        no resolution.
     vary
-        Values by name, equally many for every name; one member each. Names are ``h`` for the step
-        in s, ``rtol`` or ``atol`` of a method that chooses its steps, a float parameter of the
-        scene, or a float option of the integrator; ``step.h``, ``scene.NAME``, ``integrator.NAME``
-        where a name stands for two things.
-    resolution
-        The step or the tolerances, as far as they do not vary; the scene's nominal step or
-        rtol=1e-6 if not given.
+        Values by name, equally many for every name; one member each. Names are those of
+        `bench.sweeps.variation.find_quantity`.
     t_end
         End time in s; the scene's own if not given.
     budget
@@ -146,16 +128,11 @@ def ensemble(
     first
         Number of the first member.
 
-    Returns
-    -------
-    Ensemble
-        A member that failed has its status and message there, and does not stop the others.
-
     Raises
     ------
     SpecError
         If a name or a value is not allowed, or the integrator cannot run many members as one
-        program.
+        program. A member that fails has its status and message, and does not stop the others.
     """
     refuse(method, scene)
     values = {name: np.asarray(v, dtype=float) for name, v in vary.items()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from bench.guard.serve import PREPARING, RUNNING
@@ -11,13 +12,7 @@ from bench.running.worker import Worker
 from bench.sweeps.batch import refuse
 from bench.sweeps.ensemble import Ensemble, ensemble
 from bench.sweeps.outcome_map import outcome_map
-from bench.sweeps.variation import (
-    Range,
-    drawn,
-    find_range,
-    read_ranges,
-    unvaried_resolution,
-)
+from bench.sweeps.variation import Range, find_range, read_ranges, unvaried_resolution
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances
 from problems.runtime import check_runtime, jax, jnp
@@ -32,16 +27,9 @@ POINTS, POINTS_INTEGRATED = 100, 25
 class SweepRequest:
     """The runs of a sweep as far as they are all alike.
 
-    Parameters
-    ----------
-    problem, integrator
-        Printed names.
-    given
-        The values of --step, --pattern, --rtol and --atol, None where not given.
-    t_end
-        End time in s; the scene's own if None.
-    budget
-        Seconds after which no further runs are begun.
+    Names are printed names; ``given`` are the values of --step, --pattern, --rtol and --atol, None
+    where not given; ``t_end`` is in s, the scene's own if None; no further runs are begun after
+    ``budget`` seconds.
     """
 
     problem: str
@@ -55,12 +43,7 @@ class SweepRequest:
     ) -> tuple[MechatronicSystem, Integrator, dict[str, Range], Steps | Tolerances]:
         """Make scene, integrator, ranges and the step or tolerances of all runs; compiling begins.
 
-        Parameters
-        ----------
-        worker
-            The process that runs them.
-        spans
-            Ends of the range of each quantity that varies, by name; None for those of `find_range`.
+        ``spans`` are the ends of each range by name; None for those of `find_range`.
 
         Raises
         ------
@@ -129,10 +112,11 @@ class EnsembleRequest(SweepRequest):
 def members_job(worker: Worker, request: EnsembleRequest, first: int, count: int) -> Ensemble:
     """Run ``count`` members of an ensemble from the ``first`` on."""
     scene, method, ranges, fixed = request.prepared(worker, read_ranges(request.vary, "--vary"))
+    draw = partial(Range.draw, seed=request.seed, first=first, count=count)
     return ensemble(
         scene,
         method,
-        drawn(ranges, request.seed, first, count),
+        {name: draw(of, place=place) for place, (name, of) in enumerate(ranges.items())},
         fixed,
         request.t_end,
         request.budget,

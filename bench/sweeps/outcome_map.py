@@ -42,20 +42,10 @@ def outcome_map(
 ) -> dict[str, Any]:
     """Run a method on a scene at every point of a grid over two quantities.
 
-    Parameters
-    ----------
-    scene, method
-        Parameters and options that do not vary are taken from them.
-    ranges, counts
-        The two quantities with their ranges (`bench.sweeps.variation.find_range`), and the number
-        of values of each.
-    resolution, t_end, budget, begun
-        As `bench.sweeps.ensemble.ensemble` takes them.
-    error
-        Group and norm of the relative error, as `bench.running.errors.relative_errors` takes it,
-        but at some 200 rows spread over the run.
-    threshold
-        A run with a larger error is inaccurate.
+    Both quantities have ranges (`bench.sweeps.variation.find_range`) and numbers of values; all
+    else is as in `bench.sweeps.ensemble.ensemble`. A run whose relative ``error`` (a group and a
+    norm, as `bench.running.errors.relative_errors` takes it, but at some 200 rows) is above the
+    ``threshold`` is inaccurate.
 
     Returns
     -------

@@ -27,11 +27,8 @@ _RANGE = re.compile(r"([^:]+):(.+)\.\.(.+)")
 
 
 class Quantity(NamedTuple):
-    """A number that varies.
-
-    ``name`` is the name as written, ``owner`` one of "scene", "integrator", "step" and
-    "tolerance", ``field`` the name at its owner.
-    """
+    """A number that varies: its name as written, its owner ("scene", "integrator", "step" or
+    "tolerance"), and its name there."""
 
     name: str
     owner: str
@@ -74,22 +71,12 @@ class Range:
         return np.clip(np.exp(low + (high - low) * part), self.low, self.high)
 
 
-def drawn(ranges: Mapping[str, Range], seed: int, first: int, count: int) -> dict[str, np.ndarray]:
-    """Draw the values of ``count`` members of an ensemble from the ``first`` on."""
-    return {
-        name: of.draw(seed, place, first, count) for place, (name, of) in enumerate(ranges.items())
-    }
-
-
 def find_quantity(name: str, scene: MechatronicSystem, method: Integrator) -> Quantity:
     """Find a quantity by its name.
 
-    Parameters
-    ----------
-    name
-        ``h``; for a method that chooses its steps ``rtol`` or ``atol``; a float parameter of the
-        scene; a float option of the integrator. Its owner may stand in front: ``step.h``,
-        ``tolerance.rtol``, ``scene.gamma``, ``integrator.gamma``.
+    It is ``h``; for a method that chooses its steps ``rtol`` or ``atol``; a float parameter of the
+    scene; a float option of the integrator. Its owner may stand in front: ``step.h``,
+    ``tolerance.rtol``, ``scene.gamma``, ``integrator.gamma``.
 
     Raises
     ------
@@ -123,16 +110,11 @@ def find_range(
     method: Integrator,
     ends: tuple[float, float] | None = None,
 ) -> Range:
-    """Find a quantity by its name and return it over a range.
+    """Find a quantity by its name, and return it over the range between both ends.
 
-    Parameters
-    ----------
-    name
-        As in `find_quantity`.
-    ends
-        Low and high end. Without them a step goes from a twentieth of the scene's nominal step to
-        its fifteenfold, or to a third of the interval; rtol from 1e-6 to 1e-1; an option over all
-        allowed values; a parameter of the scene from a tenth of its value to its tenfold.
+    Without them a step goes from a twentieth of the scene's nominal step to its fifteenfold, or to
+    a third of the interval; rtol from 1e-6 to 1e-1; an option over all allowed values; a parameter
+    of the scene from a tenth of its value to its tenfold.
 
     Raises
     ------
@@ -157,14 +139,9 @@ def runs_with(
     resolution: Steps | Tolerances,
     values: Mapping[Quantity, Sequence[float] | np.ndarray],
 ) -> list[BatchRun]:
-    """Return one run for each place in the values.
+    """Return one run for each place in the values, which are equally many for each quantity.
 
-    Parameters
-    ----------
-    scene, method, resolution
-        Everything that does not vary. Where rtol varies and atol is rtol/100, it stays so.
-    values
-        Values of each quantity, equally many.
+    All else does not vary; where rtol varies and atol is rtol/100, it stays so.
 
     Raises
     ------
@@ -198,13 +175,8 @@ def spec_without(base: MechatronicSystem | Integrator, quantities: Iterable[Quan
 
 
 def read_ranges(items: Sequence[str], option: str) -> dict[str, tuple[float, float]]:
-    """Read items such as "k:0.8..1.2" as ends of ranges by name; ``option`` is for messages.
-
-    Raises
-    ------
-    SpecError
-        If an item has another form or names a quantity twice.
-    """
+    """Read items such as "k:0.8..1.2" as ends of ranges by name; raise SpecError, with the
+    ``option``, if one has another form or names a quantity twice."""
     ranges: dict[str, tuple[float, float]] = {}
     for item in items:
         match = _RANGE.fullmatch(item.replace(" ", ""))
@@ -245,8 +217,8 @@ def _default_range(
         return _TOLERANCES[field]
     of = scene if owner == "scene" else method
     meta, value = numbers_of(type(of))[field].metadata, getattr(of, field)
-    low, high = (-math.inf if meta["low"] is None else meta["low"],
-                 math.inf if meta["high"] is None else meta["high"])  # fmt: skip
+    low = -math.inf if meta["low"] is None else meta["low"]
+    high = math.inf if meta["high"] is None else meta["high"]
     if owner == "integrator" and math.isfinite(high - low):
         return low, high
     if not value:

@@ -1,0 +1,202 @@
+"""What a command line may not say: each wrong line is refused in a sentence that helps."""
+
+from __future__ import annotations
+
+import shlex
+
+import pytest
+
+#: A line for each wrong command line: words of the answer, and the line.
+TABLE = """
+did you mean 'solve'                       | slove pendulum
+did you mean 'pendulum'                    | solve pendulm newmark
+did you mean 'newmark'                     | solve pendulum newmrk
+did you mean 'beta'                        | solve pendulum newmark[betta=1]
+has no option 'mass'                       | solve pendulum newmark --set mass=1
+not a finite number                        | solve pendulum newmark --set m=nan
+not of the form name=value                 | solve pendulum newmark --set m
+outside                                    | solve pendulum newmark --set m=-1
+give a positive number                     | solve pendulum newmark --step 0
+give a positive number                     | solve pendulum newmark --step -0.1
+give a positive number                     | solve pendulum newmark --step nan
+larger than the interval                   | solve pendulum newmark --step 7
+give a larger one                          | solve pendulum newmark --step 1e-320
+does not lie after the start               | solve pendulum newmark --t-end 0.1
+does not lie after the start               | solve pendulum newmark --t-end nan
+does not lie after the start               | solve pendulum newmark --t-end inf
+takes fixed steps                          | solve pendulum newmark --rtol 1e-3
+takes steps of its own                     | solve pendulum ida --step 0.1
+rtol=0 is not allowed                      | solve pendulum ida --rtol 0
+not a list of numbers                      | solve pendulum newmark --pattern 0.3,x
+sum to 1                                   | solve pendulum newmark --pattern 0.3,0.3
+constraints act like infinite frequencies  | solve pendulum newmark[beta=0]
+no plugin file or folder                   | solve pendulum newmark --plugins no_such.py
+
+--vary is for an ensemble                  | solve spring_mass newmark --vary k:1..2
+--seed is for an ensemble                  | solve spring_mass newmark --seed 1
+give --vary                                | solve spring_mass newmark --ensemble 3
+not in the range 1<=x<=1000000             | solve spring_mass newmark --ensemble 1000001
+did you mean 'k'                           | solve spring_mass newmark --ensemble 3 --vary kk:1..2
+smaller one first                          | solve spring_mass newmark --ensemble 3 --vary k:2..1
+of the form NAME:LOW                       | solve spring_mass newmark --ensemble 3 --vary k=2
+lies outside                               | solve spring_mass newmark --ensemble 3 --vary m:-1..1
+larger than                                | solve spring_mass newmark --ensemble 3 --vary h:0.1..30
+leave --step out     | solve spring_mass newmark --ensemble 3 --vary h:0.1..0.2 --step 0.1
+ends in .csv or .parquet        | solve spring_mass newmark --ensemble 3 --vary k:1..2 -o x.txt
+cannot run many members in one program     | solve spring_mass ida --ensemble 3 --vary k:1..2
+take kvaerno5[steps=constant               | solve spring_mass kvaerno5 --ensemble 3 --vary k:1..2
+takes fixed steps            | solve spring_mass newmark --ensemble 3 --vary k:1..2 --rtol 1e-3
+does not take                           | solve pendulum newmark[beta=0] --ensemble 3 --vary g:1..2
+
+give two different numbers                 | map pendulum newmark --over h
+give two different numbers                 | map pendulum newmark --over h,h
+is no number that can vary                 | map pendulum newmark --over h,newton_max
+is of no axis                              | map pendulum newmark --over h,beta --range gamma:0..1
+positive number                            | map pendulum newmark --over h,beta --range h:-1..0.1
+outside [0.0, 1.0]                         | map pendulum newmark --over h,beta --range beta:0..7
+two finite numbers                         | map pendulum newmark --over h,beta --range h:nan..1
+two numbers of at least 2                  | map pendulum newmark --over h,beta --grid 1x5
+1000000 points                             | map pendulum newmark --over h,beta --grid 99999x99999
+no error of 'x'                            | map pendulum newmark --over h,beta --error x:end
+did you mean 'max'                         | map pendulum newmark --over h,beta --error q:mx
+positive number                            | map pendulum newmark --over h,beta --threshold 0
+give --range sigma:A..B                    | map spring_mass newmark --over h,sigma --set sigma=0
+not rtol or atol                           | map pendulum generalized_alpha_adaptive --over h,th0
+leave --rtol out | map pendulum generalized_alpha_adaptive --over rtol,th0 --rtol 1e-3
+give --rtol      | map pendulum generalized_alpha_adaptive --over rtol,th0 --step 0.1
+rtol=-1 is not   | map pendulum generalized_alpha_adaptive --over rtol,th0 --range rtol:-1..1
+
+at least three                             | order pendulum newmark --steps 0.1,0.05
+chooses its own steps                      | order pendulum ida
+No integrator is named for pendulum        | order pendulum
+--jobs is for a table; name several        | order pendulum newmark --jobs 3
+--json is for one integrator               | order pendulum newmark bdf2 --json
+at least three step sizes                  | order pendulum newmark bdf2 --steps 0.1,0.05
+--t-end belongs to one scene; a suite has  | order orders newmark --t-end 2
+--set belongs to one scene; a suite has    | order orders newmark --set m=1
+chooses its own steps, over which no order | order pendulum newmark ida
+
+did you mean 'quick'                       | run quik
+cannot be read                             | run none.toml
+no scene 'nothing'                         | run -p nothing
+no integrator 'nothing'                    | run -i nothing
+no stepbench results                       | report nowhere
+no stepbench results                       | report nowhere --csv
+--open and --csv do not go together        | report --csv --open
+--json and --figure do not go together     | report --json --figure convergence
+--t-end belongs to a figure; name its kind | report --t-end 1
+--integrator belongs to a figure           | report -i ida --csv
+say --csv, --json or --figure              | report -o a.svg
+say --csv, --json or --figure              | report --open -o a.csv
+pages of scenes alone                      | list newmark --draw
+leave out --json                           | list pendulum --draw --json
+--out goes with --draw                     | list --out pages
+did you mean 'pendulum'                    | list pendulm --draw
+
+in small letters, digits and '_'; try 'my_method'    | new integrator 'My Method'
+try 'heavy_top2'                           | new problem HeavyTop2
+try 'my_3d'                                | new problem 3d
+try 'my'                                   | new problem __
+try 'my_class'                             | new problem class
+The name 'pendulum' is taken by            | new integrator pendulum
+scene.txt is not the name of a Python file | new problem scene --out scene.txt
+no folder 'nowhere'; make it first.        | new problem scene --out nowhere/scene.py
+mine.py is there already                   | new problem mine
+
+did you mean 'pendulum'                    | recommend pendulun
+did you mean 'pendulum'                    | recommend pendulun ida
+is no demand                               | recommend pendulum --error a
+is no demand                               | recommend pendulum ida --error a
+budget                                     | recommend pendulum --budget 0
+friction states no energy                  | recommend friction --error energy:1
+friction states no energy                  | recommend friction ida --rule iftomm
+spring_mass names no points                | recommend spring_mass ida --error points:1
+ranked by one error, and 2 are asked for   | recommend pendulum --rule iftomm
+or name integrators                        | recommend pendulum --error q:1 --error a:1
+No integrator takes heavy_top_so3          | recommend heavy_top_so3 rodas5p
+belong to one scene                        | recommend quick --t-end 1
+nothing.toml                               | recommend nothing.toml ida
+nothing.py                                 | recommend nothing.py
+the scenes one_mass, two_masses; name one  | recommend two.py
+one_mass names no points                   | recommend one.py newmark --error points:1
+defines no MechatronicSystem               | recommend none.py
+
+named twice                                | drift oscillator newmark newmark
+not allowed                                | drift oscillator newmark --step -1
+end time                                   | drift oscillator newmark --step 1e306
+range                                      | drift oscillator newmark --steps 1
+newmark                                    | drift oscillator nomark
+
+chooses its own steps; an amplification matrix needs constant steps | stability ida
+chooses its own steps                      | stability generalized_alpha_adaptive
+did you mean 'newmark'                     | stability newmrk
+give positive fractions of the macro step  | stability newmark --pattern 0.3,0.3
+omega h = -2 is not allowed                | stability newmark --at 1,-2
+zeta=-1                                    | stability newmark --zeta -1
+--zeta damps the oscillator                | stability newmark --zeta 0.1 --system loop
+is named twice                             | stability newmark newmark[beta=0.25]
+does not take joined                       | stability newmark[beta=0] --system joined
+cannot be found by running it              | stability kvaerno5 --system joined
+Missing argument                           | stability
+
+'0' is no rate                             | realtime pendulum newmark --rate 0
+'-5' is no rate                            | realtime pendulum newmark --rate -5
+'fast' is no rate                          | realtime pendulum newmark --rate fast
+'1e400' is no rate                         | realtime pendulum newmark --rate 1e400
+give a positive one such as 1kHz           | realtime pendulum newmark --rate 1MHz
+not in the range                           | realtime pendulum newmark --rate 1kHz --iterations 0
+at most 1 s, the interval of pendulum      | realtime pendulum newmark --rate 1kHz --duration 1e3
+not allowed                                | realtime pendulum newmark --rate 1kHz --duration nan
+from 2 to 1000000 steps                    | realtime pendulum newmark --rate 1e9
+from 2 to 1000000 steps                    | realtime pendulum newmark --rate 1e6khz
+newmark                                    | realtime pendulum nomark --rate 1kHz
+--rate                                     | realtime pendulum newmark
+1000 Hz over 0.001 s is not allowed   | realtime pendulum newmark --rate 1kHz --duration 0.001
+1000 Hz over 0.001 s is not allowed   | realtime pendulum newmark --rate 1000Hz --duration 0.001
+1000 Hz over 0.001 s is not allowed   | realtime pendulum newmark --rate 1000 --duration 0.001
+1000 Hz over 0.001 s is not allowed   | realtime pendulum newmark --rate '1 khz' --duration 0.001
+1000 Hz over 0.001 s is not allowed   | realtime pendulum newmark --rate 1e3 --duration 0.001
+"""
+MASS = """
+@dataclass(frozen=True)
+class {}(MechatronicSystem):
+    '''A mass on a spring.'''
+
+    interval = (0.0, 1.0)
+    nominal_step = 0.1
+
+    def mass(self, q):
+        return jnp.eye(1)
+
+    def force(self, q, v, t):
+        return -4.0 * q
+
+    def initial_state(self):
+        return State(q=np.ones(1), v=np.zeros(1))
+"""
+
+
+def scenes(*names: str) -> str:
+    """A plugin file with these scenes."""
+    head = "from dataclasses import dataclass\nimport numpy as np\n"
+    head += "from problems import MechatronicSystem, State, jnp\n"
+    return head + "".join(map(MASS.format, names))
+
+
+@pytest.mark.usefixtures("without_processes")
+def test_a_wrong_line_is_refused_in_a_sentence_and_nothing_is_written(
+    refused, tmp_path, monkeypatch
+):
+    files = {
+        "one.py": scenes("OneMass"),
+        "two.py": scenes("OneMass", "TwoMasses"),
+        "none.py": '"""Nothing."""\n',
+        "mine.py": "precious",
+    }
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    monkeypatch.chdir(tmp_path)
+    for case in filter(None, TABLE.splitlines()):
+        words, line = case.split("|")
+        assert words.strip() in refused(*shlex.split(line)), line
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == files
