@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
-from problems import MechatronicSystem, formulations, jax, jnp
+from problems import MechatronicSystem, jax, jnp
 from problems.constraints import constraint_acceleration, constraint_velocity
-from problems.initial_values import consistent_start
-from problems.reference import Reference
 
 
 def rng():
@@ -186,25 +183,3 @@ def keeps_energy(scene: Measured, q: Any, v: Any, t: float, tolerance: float = 1
     by_q, by_v = found["slopes"]
     terms = np.concatenate([by_q * v, by_v * a, -lam * found["moved"]])
     assert abs(terms.sum()) < tolerance * np.abs(terms).sum()
-
-
-# ---- over time ---------------------------------------------------------------------------
-def beside_radau(scene: MechatronicSystem, t_end: float, points: int, **tolerances: float) -> tuple:
-    """[q, v, x] by scipy's Radau and by the reference, which have nothing in common but the scene.
-
-    Stiffness would show in an explicit method.
-    """
-    start, t = consistent_start(scene).z, np.linspace(0, t_end, points)
-    rate = jax.jit(partial(formulations.ode_rate, scene))
-    slopes = jax.jit(jax.jacfwd(rate, 1))
-    solution = solve_ivp(
-        lambda t, s: np.asarray(rate(t, s)),
-        (0, t_end),
-        np.concatenate([start.q, start.v, start.x]),
-        method="Radau",
-        jac=lambda t, s: np.asarray(slopes(t, s)),
-        t_eval=t,
-        **tolerances,
-    )
-    known = Reference(scene, t_end)(t)
-    return solution.y.T, np.hstack([known[group] for group in "qvx"])

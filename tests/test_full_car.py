@@ -6,16 +6,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers import long, slope
-from scene_mechanics import beside_radau, flipped, options, solved
+from helpers import long
+from scene_mechanics import flipped, options, solved
 from scipy.integrate import solve_ivp
 
-from bench.running.errors import relative_errors
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import Variables, jax, jnp
 from problems.initial_values import consistent_start
-from problems.reference import Reference
 from problems.scenes.full_car import FullCar, FullCarPassive
 
 METHOD = GeneralizedAlpha(rho_inf=0.9)
@@ -296,25 +294,3 @@ def test_currents_saturate_and_pressures_are_those_of_the_strokes():
     assert comp[speeds > 0.03].min() > -0.3
     assert np.abs(comp - reb)[speeds < -0.03].max() < 0.2
     assert reb.max() > 0.8
-
-
-# ---- methods ---------------------------------------------------------------------------
-@pytest.mark.long
-def test_generalized_alpha_is_second_order_in_constraints_and_controller():
-    scene, t_end = FullCar(**EARLY), 0.6
-    reference = Reference(scene, t_end)
-    steps = [2.5e-4 * 2.0 ** (-k / 2) for k in range(3)]
-    runs = [METHOD.prepare(scene, t_end, Steps(h)).measure() for h in steps]
-    assert [run.status for run in runs] == ["ok"] * 3
-    errors = [relative_errors(run, reference)[0] for run in runs]
-    for group in ("q", "v", "a", "lam", "x", "y"):
-        settled = [e[group]["settled"] for e in errors]
-        assert slope(steps, settled) == pytest.approx(2, abs=0.2), group
-
-
-@pytest.mark.long
-def test_an_implicit_method_finds_the_reference():
-    found, known = beside_radau(FullCar(**EARLY), 0.3, 10, rtol=1e-9, atol=1e-11)
-    for part in (slice(0, 12), slice(12, 24), slice(24, 32), slice(32, 35)):
-        difference = np.abs(found - known)[:, part].max()
-        assert difference < 1e-9 * np.abs(known[:, part]).max()

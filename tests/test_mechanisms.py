@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import long, reference, slope
+from helpers import long, reference
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from bench.running.errors import relative_errors
-from integrators import Steps, Tolerances
-from integrators.adapters.ida import IDA
-from integrators.methods.generalized_alpha import GeneralizedAlpha
-from integrators.methods.half_explicit import PHEM56
 from problems import (
     jax,
     jnp,
@@ -123,24 +118,3 @@ def test_the_start_of_the_slider_crank_is_that_of_its_source():
     v = SpatialSliderCrank().initial_state().v.reshape(3, 6)
     assert v[1] == pytest.approx([0.12, -0.24, 0.0, 1.92, -0.96, 0.48], abs=1e-13)
     assert v[2] == pytest.approx([0.24, 0.0, 0.0, 0.0, 0.0, 0.0], abs=1e-13)
-
-
-# ---- methods ---------------------------------------------------------------------------
-def test_generalized_alpha_has_order_two_on_the_four_bar():
-    scene, steps = SpatialFourBar(), [0.005, 0.0025, 0.00125]
-    method = GeneralizedAlpha(rho_inf=0.8)
-    runs = [method.prepare(scene, 0.5, Steps(h)).measure() for h in steps]
-    tables = [relative_errors(run, reference(scene, 0.5)).errors for run in runs]
-    for group in ("q", "v", "a", "lam"):
-        assert 1.8 < slope(steps, [table[group]["settled"] for table in tables]) < 2.3
-
-
-@pytest.mark.parametrize("method", long(IDA(), PHEM56()), ids=lambda method: method.name)
-def test_tolerances_are_followed_on_the_four_bar(method):
-    scene, tolerances = SpatialFourBar(), (1e-4, 1e-6, 1e-8)
-    runs = [method.prepare(scene, 0.5, Tolerances(rtol)).measure() for rtol in tolerances]
-    tables = [relative_errors(run, reference(scene, 0.5)).errors for run in runs]
-    for group in ("q", "v"):
-        errors = [table[group]["max"] for table in tables]
-        assert errors[0] > 5 * errors[1] > 25 * errors[2]
-        assert errors[2] < 1e-5

@@ -339,7 +339,8 @@ def test_commands_take_the_file(stepbench, tmp_path):
     found = json.loads(stepbench(*solve, "--step", "0.002", "--json").stdout)
     assert found["status"] == "ok"
     assert found["constraint"]["position"] < 1e-12
-    floor = saved(tmp_path, "arm above a floor")
+    (tmp_path / "floor").mkdir()
+    floor = saved(tmp_path / "floor", "arm above a floor")
     gone = [f"--set={part}=left_out" for part in FILES["arm above a floor"].left_out]
     told = stepbench("list", "robot", "--plugins", floor, *gone, "--set=control_m0=0.5")
     assert told.exit_code == 0, told.output

@@ -135,6 +135,8 @@ def test_bricards_mechanism_starts_with_the_published_rank_and_accelerations():
         (PlanarTruckJoint(), Rodas5P(), Tolerances(1e-8), 5.0, 1e-6),
         (Bricard(), Dopri8(), Tolerances(1e-10), 2.0, 1e-9),
         (Bricard(), ALI3P(), Steps(5e-3), 2.0, 1e-4),
+        (Andrews(), PHEM56(), Tolerances(1e-9), 0.03, 1e-7),
+        (Andrews(), Rodas5P(), Tolerances(1e-9), 0.03, 1e-7),
         (FlyballGovernor(), Rodas5P(), Tolerances(1e-9), 1.0, 1e-6),
         (FlyballGovernor(), IDA(), Tolerances(1e-9), 1.0, 1e-6),
     ],

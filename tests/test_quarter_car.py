@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import slope
-from scene_mechanics import beside_radau, flipped
+from scene_mechanics import flipped
 from scipy.integrate import solve_ivp
 
-from bench.running.errors import relative_errors
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import Variables, jax
 from problems.initial_values import consistent_start
-from problems.reference import Reference
 from problems.scenes.quarter_car import QuarterCar
 
 
@@ -118,23 +115,6 @@ def test_the_compression_chamber_is_low_extending_and_near_the_other_one_compres
 
 
 # ---- over time -------------------------------------------------------------------------
-@pytest.mark.long
-def test_an_implicit_method_finds_the_reference():
-    found, known = beside_radau(QuarterCar(), 1.2, 40, rtol=3e-10, atol=1e-11)
-    assert (np.abs(found - known).max(axis=0) < 1e-9 * np.abs(known).max(axis=0)).all()
-
-
-@pytest.mark.long
-def test_generalized_alpha_is_second_order_in_the_whole_loop():
-    scene, t_end = QuarterCar(), 1.2
-    reference = Reference(scene, t_end)
-    steps = [1e-3 * 2.0**-k for k in range(1, 4)]
-    runs = [GeneralizedAlpha(rho_inf=0.9).prepare(scene, t_end, Steps(h)) for h in steps]
-    errors = [relative_errors(run.measure(), reference)[0] for run in runs]
-    for group in ("q", "v", "a", "x", "y"):
-        assert slope(steps, [e[group]["settled"] for e in errors]) == pytest.approx(2, abs=0.1)
-
-
 def body_shaking(scene):
     """RMS of the body's acceleration over the interval, and the currents."""
     run = GeneralizedAlpha(rho_inf=0.9).prepare(scene, 4.0, Steps(1e-3)).measure()

@@ -6,21 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import long, slope
 
 from bench.check.scenes import check_start
 from bench.plugins.registry import Registry
-from bench.running.errors import relative_errors
 from bench.running.linearisation import growth
-from integrators import Steps, Tolerances
-from integrators.adapters.cvode import CVODE
-from integrators.adapters.ida import IDA
+from integrators import Steps
 from integrators.methods.bdf2 import BDF2
-from integrators.methods.composite import Bathe
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from integrators.methods.half_explicit import PHEM56
 from integrators.methods.radau_iia import RadauIIA
-from integrators.methods.rodas5p import Rodas5P
 from integrators.methods.simulator_steppers import SemiImplicitEuler
 from problems import MechatronicSystem, State, checks, jax, jnp, parameter
 from problems.constraints import constraint_force
@@ -124,42 +117,6 @@ class Turret(MechatronicSystem):
 
     def initial_state(self):
         return State(q=np.array([0.3, 0.1]), v=np.zeros(2))
-
-
-METHODS = [
-    GeneralizedAlpha(rho_inf=0.8),
-    Bathe(formulation="stabilised_index2"),
-    GeneralizedAlpha(formulation="stabilised_index2"),
-]
-TIGHT = [PHEM56(), IDA(), CVODE()]
-
-
-def orders(method, scene, steps=(0.02, 0.01, 0.005)):
-    """Slopes of errors over the last quarter."""
-    exact = Reference(scene, 1.0)
-    runs = [method.prepare(scene, 1.0, Steps(h)).measure() for h in steps]
-    assert all(run.status == "ok" for run in runs), runs[0].message
-    tables = [relative_errors(run, exact).errors for run in runs]
-    return {g: slope(list(steps), [t[g]["settled"] for t in tables]) for g in tables[0]}
-
-
-@pytest.mark.parametrize("scene", [Sleigh(), Rubbing(), *long(SleighOfRates(), Turret())], ids=str)
-@pytest.mark.parametrize("method", [METHODS[0], *long(*METHODS[1:])], ids=str)
-def test_methods_of_order_two_keep_it(method, scene):
-    found = orders(method, scene)
-    assert all(1.8 < found[g] < 2.6 for g in ("q", "v", "a", "lam", "y") if g in found)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("scene", [Sleigh(), *long(Rubbing(), SleighOfRates(), Turret())], ids=str)
-@pytest.mark.parametrize("method", [TIGHT[0], *long(*TIGHT[1:], Rodas5P(), RadauIIA())], ids=str)
-def test_tolerances_are_followed(method, scene):
-    if method.why_not(scene):
-        pytest.skip(method.why_not(scene))
-    run = method.prepare(scene, 1.0, Tolerances(1e-8)).measure()
-    assert run.status == "ok", run.message
-    errors = relative_errors(run, Reference(scene, 1.0)).errors
-    assert max(errors[g]["max"] for g in ("q", "v")) < 1e-5
 
 
 def test_both_forms_of_the_sleigh_move_alike_and_keep_the_energy():

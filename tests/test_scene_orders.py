@@ -1,0 +1,186 @@
+"""Orders at constant steps, errors at tolerances, and another solver, on scenes of every kind."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+from helpers import long, reference, slope
+from scipy.integrate import solve_ivp
+from test_wider_scenes import Rubbing, Sleigh, SleighOfRates, Turret
+
+from bench.running.errors import relative_errors
+from integrators import Steps, Tolerances
+from integrators.adapters.cvode import CVODE
+from integrators.adapters.ida import IDA
+from integrators.methods.composite import Bathe
+from integrators.methods.generalized_alpha import GeneralizedAlpha
+from integrators.methods.half_explicit import PHEM56
+from integrators.methods.radau_iia import RadauIIA
+from integrators.methods.rodas5p import Rodas5P
+from problems import formulations, jax
+from problems.initial_values import consistent_start
+from problems.scenes.bicycle import Bicycle
+from problems.scenes.car_axis import CarAxis
+from problems.scenes.chain import Chain
+from problems.scenes.chaplygin_sleigh import ChaplyginSleigh
+from problems.scenes.driven_springs import DrivenSprings
+from problems.scenes.duffing import Duffing
+from problems.scenes.friction import Friction
+from problems.scenes.full_car import FullCar
+from problems.scenes.heavy_top import HeavyTop
+from problems.scenes.oscillator import Oscillator
+from problems.scenes.quarter_car import QuarterCar
+from problems.scenes.rolling_disc import RollingDisc
+from problems.scenes.slider_crank import (
+    SliderCrank,
+    SliderCrankDriven,
+    SliderCrankFriction,
+    SliderCrankMinimal,
+)
+from problems.scenes.slider_crank_flexible import SliderCrankFlexible
+from problems.scenes.spatial_four_bar import SpatialFourBar
+from problems.scenes.stiff_bar import StiffBar
+
+PLAIN, ALPHA = GeneralizedAlpha(), GeneralizedAlpha(rho_inf=0.8)
+STABILISED = GeneralizedAlpha(rho_inf=0.8, formulation="stabilised_index2")
+#: Its errors fall from the first step on.
+SMOOTH = GeneralizedAlpha(formulation="stabilised_index2", start="corrected")
+#: The lane change early and quick, so that a short run meets it.
+CAR = FullCar(t_left=0.5, t_right=1.0, pulse=0.2)
+#: Groups that the constraints alone determine: they are exact at any step and have no order.
+EXACT = {"slider_crank_driven": ("q", "v")}
+
+
+def errors_of(method, scene, t_end, steps, norm="max"):
+    """Errors of each group at these steps."""
+    runs = [method.prepare(scene, t_end, Steps(h)).measure() for h in steps]
+    assert {run.status for run in runs} == {"ok"}, runs[0].message
+    tables = [relative_errors(run, reference(scene, t_end)).errors for run in runs]
+    return {
+        g: [table[g][norm] for table in tables]
+        for g in ("q", "v", "a", "lam", "x", "y")
+        if g in tables[0]
+    }
+
+
+def halved(coarsest, count=4):
+    return [coarsest * 2.0**-k for k in range(count)]
+
+
+#: Method, scene, end, steps in the asymptotic range, and the norm: the largest error, or that of
+#: the last quarter, where the transient of the start is over.
+ORDER_TWO = [
+    (SMOOTH, Duffing(), 3.0, halved(0.0125), "max"),
+    (SMOOTH, Friction(eps=1.0), 5.0, halved(0.02), "max"),
+    (STABILISED, ChaplyginSleigh(), 2.0, halved(0.025, 3), "settled"),
+    (ALPHA, SpatialFourBar(), 0.5, halved(0.005, 3), "settled"),
+    (ALPHA, Sleigh(), 1.0, halved(0.02, 3), "settled"),
+    (ALPHA, Rubbing(), 1.0, halved(0.02, 3), "settled"),
+]
+MORE = [
+    (SMOOTH, Oscillator(), 5.0, halved(0.1), "max"),
+    (SMOOTH, DrivenSprings(k1=100.0), 2.0, halved(4e-3), "max"),
+    (SMOOTH, CarAxis(), 1.0, halved(1.25e-3), "max"),
+    (SMOOTH, Chain(), 0.5, halved(2.5e-3), "max"),
+    (SMOOTH, HeavyTop(), 0.2, halved(1.25e-4), "max"),
+    (SMOOTH, SliderCrank(), 1.0, halved(6.25e-4), "max"),
+    (SMOOTH, SliderCrankMinimal(), 1.0, halved(6.25e-4), "max"),
+    (SMOOTH, SliderCrankDriven(), 0.05, halved(1.25e-4), "max"),
+    (SMOOTH, StiffBar(stretch=1.0), 10.0, halved(0.01), "max"),
+    # Steps that resolve its highest frequency; see the scene for larger ones.
+    (SMOOTH, SliderCrankFlexible(), 0.004, halved(2e-6), "max"),
+    (STABILISED, RollingDisc(), 1.0, halved(RollingDisc.nominal_step / 2, 3), "settled"),
+    (STABILISED, SliderCrankFriction(), 0.2, halved(0.00125, 3), "settled"),
+    (STABILISED, Bicycle(speed=4.6, lean_rate=0.5), 1.0, halved(0.01, 3), "settled"),
+    (GeneralizedAlpha(rho_inf=0.9), QuarterCar(), 1.2, halved(5e-4, 3), "settled"),
+    (GeneralizedAlpha(rho_inf=0.9), CAR, 0.6, [2.5e-4 * 2.0 ** (-k / 2) for k in range(3)],
+     "settled"),
+    *((method, scene, 1.0, halved(0.02, 3), "settled")
+      for scene in (SleighOfRates(), Turret(), Sleigh(), Rubbing())
+      for method in (ALPHA, Bathe(formulation="stabilised_index2"), STABILISED)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("cases", [ORDER_TWO, *long(*([case] for case in MORE))])
+def test_order_two_is_seen_in_every_group(cases):
+    for method, scene, t_end, steps, norm in cases:
+        for group, errors in errors_of(method, scene, t_end, steps, norm).items():
+            if group in EXACT.get(scene.name, ()):
+                assert max(errors) < 1e-13
+            else:
+                low, high = (-0.2, 0.2) if norm == "max" else (-0.2, 0.6)
+                assert low < slope(steps, errors) - 2 < high, (scene.spec, group)
+
+
+@pytest.mark.long
+def test_the_start_shows_what_index_3_loses_in_the_multipliers():
+    # The start has velocity and jerk, so that an uncorrected one is first order in lam.
+    for _, scene, t_end, steps, _ in MORE[2:6]:
+        errors = errors_of(PLAIN, scene, t_end, steps)
+        assert slope(steps, errors["lam"]) == pytest.approx(1.0, abs=0.25)
+        assert slope(steps, errors["q"]) == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_vibrating_stiff_bar_hides_the_order_of_the_acceleration():
+    steps = halved(0.01)
+    errors = errors_of(SMOOTH, StiffBar(), 2.5, steps)
+    assert slope(steps, errors["q"]) == pytest.approx(2.0, abs=0.2)
+    assert min(errors["a"]) > 0.3  # as large as the vibration itself
+
+
+TIGHT = IDA(), PHEM56()
+SCENES = [
+    (ChaplyginSleigh(), 2.0),
+    (RollingDisc(), 1.0),
+    (SliderCrankFriction(), 0.2),
+    (Bicycle(speed=4.6, lean_rate=0.5), 1.0),
+    (SpatialFourBar(), 0.5),
+    (Sleigh(), 1.0),
+    (SleighOfRates(), 1.0),
+    (Rubbing(), 1.0),
+    (Turret(), 1.0),
+]
+
+
+@pytest.mark.parametrize(
+    ("methods", "scene", "t_end"),
+    [(TIGHT, *SCENES[0]),
+     *long(*((TIGHT, *case) for case in SCENES[1:]),
+           *(((CVODE(), Rodas5P(), RadauIIA()), *case) for case in SCENES[5:]))],
+)  # fmt: skip
+def test_tolerances_are_followed(methods, scene, t_end):
+    for method in methods:
+        if method.why_not(scene):
+            continue
+        found = []
+        for rtol in (1e-6, 1e-9):
+            run = method.prepare(scene, t_end, Tolerances(rtol)).measure()
+            assert run.status == "ok", run.message
+            errors = relative_errors(run, reference(scene, t_end)).errors
+            found.append(max(errors[group]["max"] for group in ("q", "v")))
+        assert found[0] < 1e-3, method.spec
+        assert found[1] < min(1e-6, found[0] / 30), method.spec
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("scene", "t_end", "rtol"), [(QuarterCar(), 1.2, 3e-10), (CAR, 0.3, 1e-9)], ids=str
+)
+def test_an_implicit_method_of_scipy_finds_the_reference(scene, t_end, rtol):
+    """They have nothing in common but the scene; stiffness would show in an explicit method."""
+    start, t = consistent_start(scene).z, np.linspace(0, t_end, 20)
+    rate = jax.jit(partial(formulations.ode_rate, scene))
+    slopes = jax.jit(jax.jacfwd(rate, 1))
+    solution = solve_ivp(
+        lambda t, s: np.asarray(rate(t, s)), (0, t_end),
+        np.concatenate([start.q, start.v, start.x]), method="Radau",
+        jac=lambda t, s: np.asarray(slopes(t, s)), t_eval=t, rtol=rtol, atol=1e-11,
+    )  # fmt: skip
+    known = reference(scene, t_end)(t)
+    cuts = np.cumsum([len(start.q), len(start.v), min(len(start.x), 8)])
+    parts = np.split(solution.y.T, cuts, axis=1)
+    wanted = np.split(np.hstack([known[group] for group in "qvx"]), cuts, axis=1)
+    for found, right in zip(parts, wanted, strict=True):
+        assert np.abs(found - right).max(initial=0) <= 1e-9 * np.abs(right).max(initial=0)
