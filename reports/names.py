@@ -163,16 +163,19 @@ def short_name(label: str) -> str:
 def short_names(labels: Iterable[str]) -> dict[str, str]:
     """A short name for each label, in their order; no two are the same.
 
-    Left out are options that all members of a family have in common, and those that always come
-    with another one.
+    Left out are options that all members of a family have in common, those that always come with
+    another one, and the way of Newton's method if all that state one state the same.
     """
     parts = {label: _parts(label) for label in dict.fromkeys(labels)}
     families: dict[str, list[str]] = {}
     for label, (name, _, _) in parts.items():
         families.setdefault("" if name in _ALPHA_FAMILY else name, []).append(label)
+    own = [[parts[label][1] for label in members] for members in families.values()]
+    stated = [o.get("newton") for each in own if any("newton" in o for o in each) for o in each]
+    common = {"newton"} if len(stated) > 1 and len({*stated}) == 1 else set()
     found = {}
-    for members in families.values():
-        needless = _needless([parts[label][1] for label in members])
+    for members, options_of in zip(families.values(), own, strict=True):
+        needless = common | _needless(options_of)
         for label in members:
             name, options, steps = parts[label]
             kept = {key: value for key, value in options.items() if key not in needless}

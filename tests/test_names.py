@@ -48,12 +48,13 @@ def test_what_a_family_has_in_common_is_left_out_and_what_tells_apart_stays():
         "my_method[newton=modified]",
     ]
     assert list(short_names(labels).values()) == [
-        "gα 0.8 · GGL", "gα 0.8", "HHT 0.1", "Newmark", "my_method · modified"
+        "gα 0.8 · GGL", "gα 0.8", "HHT 0.1", "Newmark", "my_method"
     ]  # fmt: skip
     # One with the full Newton method: all must say theirs.
     names = short_names([*labels, "wbz[rho_inf=0.8]"])
     assert names[labels[1]] == "gα 0.8 · modified"
     assert names["wbz[rho_inf=0.8]"] == "WBZ 0.8"
+    assert names["my_method[newton=modified]"] == "my_method · modified"
     # With another start in the field, the corrected one no longer goes with GGL alone.
     names = short_names([*labels, "generalized_alpha[rho_inf=0.8,start=corrected,newton=modified]"])
     assert names[labels[0]] == "gα 0.8 · GGL · corrected start"
