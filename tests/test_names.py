@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from itertools import pairwise
 from pathlib import Path
 
 from hypothesis import given
@@ -96,9 +97,15 @@ def test_no_two_integrators_of_a_report_share_a_name(found):
     assert len(set(names.values())) == len(names)
 
 
-def test_the_names_of_the_suite_with_all_scenes_are_short():
+def test_the_suite_with_all_scenes_has_one_set_of_methods_and_short_names():
     text = (ROOT / "bench/profiles/full.toml").read_text(encoding="utf-8")
-    names = short_names(tomllib.loads(text)["study"][0]["integrators"])
+    studies = tomllib.loads(text)["study"]
+    main = [s for s in studies if not s.get("title", "").startswith("Families")]
+    assert len({p for s in main for p in s["problems"]}) == 18
+    assert all(s["integrators"] == main[0]["integrators"] for s in main)
+    steps = [one / two for s in studies for one, two in pairwise(s["rtol"])]
+    assert max(steps) < 3.4  # two tolerances a decade
+    names = short_names(i for s in studies for i in s["integrators"])
     assert max(map(len, names.values())) < 20
 
 

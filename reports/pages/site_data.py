@@ -11,6 +11,7 @@ from typing import Any
 
 from bench.results.quantities import ASKED, COSTS, ERROR_NAMES, NORM, NORMS, RANKED_COSTS, TRUST
 from bench.results.records import NOT_TRIED, Record, SceneRecord
+from bench.results.timings import FEWEST, LEAST_OF_FEW, median_interval
 from reports.charts.mechanism import little_picture
 from reports.formatting import tie_text
 from reports.names import family_name, form_name, scene_name
@@ -57,6 +58,7 @@ def site_data(report: Report) -> dict[str, Any] | None:
         "later": LATER,
         "wrong_a": WRONG_A,
         "units": {c: COSTS[c].unit for c in RANKED_COSTS},
+        "apart": {c: COSTS[c].tie for c in RANKED_COSTS} | {"few": LEAST_OF_FEW},
         "ties": {cost: tie_text(cost) for cost in RANKED_COSTS},
         "targets": [replace(first, target=t).accuracy for t in GRID],
         "first": {
@@ -127,7 +129,14 @@ def _runs(series: Series, places: Mapping[str, int], columns: Sequence[str]) -> 
         "control": "h" if series.controls == "step" else "rtol",
         "resolutions": [_short(step_or_tolerance(r), 6) for r in series.records],
         "columns": [own if any(own) else None for own in found],
+        "spread": [_spread(r) for r in series.records],
     } | ({"endings": endings} if {*endings} != {"ok"} else {})
+
+
+def _spread(record: Record) -> list[float] | None:
+    """The interval of a run's median time; None of too few samples."""
+    enough = len(record.run_s) >= FEWEST
+    return [_short(x, 4) for x in median_interval(record.run_s)] if enough else None
 
 
 def _value(record: Record, name: str) -> float | None:

@@ -81,7 +81,14 @@
     place.replaceChildren(html("p", {}, ...verdict), ...stepbench.wrong("scenes", place.dataset.verdict));
   });
 
-  const row = (scene, index, state, question) => {
+  // The cost of a run over that of another one, with the interval of times, and whether they are told apart.
+  const against = (runs, k, other, j, cost) => {
+    const value = (of, run) => stepbench.columnOf(of, cost)[run], ratio = value(runs, k) / value(other, j);
+    const [a, b] = cost === "seconds" ? [runs.spread[k], other.spread[j]] : [], ends = a && b ? [a[0] / b[1], a[1] / b[0]] : [ratio, ratio];
+    const tie = Math.max(ratio, 1 / ratio) <= data.apart[cost === "seconds" && !(a && b) ? "few" : cost] || ends[0] <= 1 && ends[1] >= 1;
+    return `${stepbench.number(ratio)} ×${a && b ? ` (${ends.map((end) => stepbench.number(end)).join(" to ")})` : ""}${tie ? ", not told apart" : ""}`;
+  };
+  const row = (scene, index, state, question, mine) => {
     const method = data.methods[index], link = html("a", { title: method.label }, method.short);
     link.href = stepbench.page(method.page);
     const head = html("th", { scope: "row" }, stepbench.badge(method), link);
@@ -91,7 +98,7 @@
       const runs = runsOf(scene, index), near = state === "far" && nearest(scene, question, index);
       const tried = near ? ` down to ${stepbench.resolutionOf(runs, runs.resolutions.length - 1)}; least error: ${stepbench.number(near.error)}` : "";
       const ends = state === "failed" ? `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}` : "";
-      return html("tr", { class: "out" }, head, ...form, html("td", { colspan: 3 + held }, STATES[state] + tried + ends));
+      return html("tr", { class: "out" }, head, ...form, html("td", { colspan: 3 + held + Boolean(mine) }, STATES[state] + tried + ends));
     }
     const [multiple, k, cost] = state, runs = runsOf(scene, index), error = stepbench.columnOf(runs, question.group)[k];
     // A violation that is larger than the accuracy is told to be.
@@ -99,7 +106,7 @@
     const violation = held ? [html("td", {}, stepbench.number(off), off > Number(question.target) ? ` > ${question.target}` : "")] : [];
     return html("tr", method.label === question.highlight ? { class: "mine" } : {}, head, ...form,
       html("td", {}, stepbench.costText(cost, question.cost)), html("td", {}, `${stepbench.multiple(multiple)} ×`),
-      html("td", {}, stepbench.number(error)), ...violation);
+      ...(mine ? [html("td", {}, index === mine.index ? "" : against(runs, k, runsOf(scene, mine.index), mine.k, question.cost))] : []), html("td", {}, stepbench.number(error)), ...violation);
   };
   for (const table of document.querySelectorAll("[data-methods]")) stepbench.onChange((question) => {
     const scene = Number(table.dataset.methods), states = stepbench.answer()[scene]?.states || [];
@@ -107,11 +114,12 @@
     const refused = states.length ? data.runs_of[scene].filter((runs) => runs.endings?.every((end) => end === "unsupported")).map((runs) => [runs.method, "refused"]) : [];
     const found = [...Object.entries(states).filter(([, state]) => state !== null), ...refused].sort((one, two) => multiple(one) - multiple(two) || 0);
     table.closest("section").hidden = !found.length;
-    const held = data.scenes[scene].groups.includes("constraint");
-    const head = ["method", ...(held ? ["form"] : []), stepbench.costName(question), "multiple of the best", `error in ${data.group_names[question.group].split(" ").at(-1)}`, ...(held ? ["violation of Φ, relative"] : [])];
+    const held = data.scenes[scene].groups.includes("constraint"), own = data.methods.findIndex(({ label }) => label === question.highlight);
+    const mine = Array.isArray(states[own]) ? { index: own, k: states[own][1] } : null;
+    const head = ["method", ...(held ? ["form"] : []), stepbench.costName(question), "multiple of the best", ...(mine ? [`multiple of ${data.methods[own].short}`] : []), `error in ${data.group_names[question.group].split(" ").at(-1)}`, ...(held ? ["violation of Φ, relative"] : [])];
     table.replaceChildren(
-      html("caption", {}, `Cheapest run of each with an error of at most ${question.target} in ${data.group_names[question.group]}, ${stepbench.norm()}`),
+      html("caption", {}, `Cheapest run of each with an error of at most ${question.target} in ${data.group_names[question.group]}, ${stepbench.norm()}${mine ? "" : "; highlight a method to compare all with it"}`),
       html("thead", {}, html("tr", {}, ...head.map((name) => html("th", { scope: "col" }, name)))),
-      html("tbody", {}, ...found.map(([index, state]) => row(scene, Number(index), state, question))));
+      html("tbody", {}, ...found.map(([index, state]) => row(scene, Number(index), state, question, mine))));
   });
 })();
