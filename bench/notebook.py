@@ -20,8 +20,8 @@ from bench.results.quantities import GROUPS
 from bench.results.records import Record, Rows, endings
 from bench.results.store import Store
 from bench.running.inventory import Inventory
-from bench.running.plan import LARGEST_BUDGET, make_suite
-from bench.running.profiles import read_profile
+from bench.running.plan import make_suite
+from bench.running.profiles import LARGEST_BUDGET, read_profile
 from bench.running.progress import OnStandardError
 from bench.running.solve import Request
 from bench.running.solve import solve as run_one

@@ -12,11 +12,13 @@ import pytest
 from helpers import long
 
 from bench.guard import process as limits
+from bench.guard.process import Limits
 from bench.plugins.registry import Registry
 from bench.results.store import Store
 from bench.running import worker
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell
+from bench.running.runner import Runner, measure_task, time_task
 from bench.running.session import solve_cells
 from integrators import Steps
 
@@ -41,7 +43,7 @@ def test_each_fate_is_a_row_and_the_good_cells_are_measured(monkeypatch):
     cells = [
         Cell("pendulum", f"misbehaving[how={how}]", 1.35, Steps(0.01)) for how in (*FATES, "last")
     ]
-    results, _ = solve_cells(cells, Inventory([PLUGINS]), samples=2, budget_s=5.0, memory_gib=1.0)
+    results = solve_cells(cells, Inventory([PLUGINS]), budget_s=5.0, memory_gib=1.0)
     records = [record for record, _ in results]
     for record, (how, (status, words)) in zip(records, FATES.items(), strict=False):
         assert (record.status, how) == (status, how)
@@ -50,7 +52,6 @@ def test_each_fate_is_a_row_and_the_good_cells_are_measured(monkeypatch):
     for good in (records[0], records[-1]):  # "last" goes well, after all the others
         assert good.status == "ok"
         assert good.errors["q"]["max"] == 0.0
-        assert len(good.run_s) == 2
 
 
 @pytest.mark.long
@@ -59,12 +60,12 @@ def test_a_crash_while_timing_keeps_the_measured_row():
         Cell("pendulum", f"misbehaving[how={how}]", 1.35, Steps(0.01))
         for how in ("crash_when_timed", "well")
     ]
-    ((crashed, _), (well, _)), _ = solve_cells(
-        cells, Inventory([PLUGINS]), samples=2, budget_s=20.0
-    )
-    assert crashed.status == well.status == "ok"
-    assert crashed.run_s == []
-    assert len(well.run_s) == 2
+    sources = frozenset({str(PLUGINS)})
+    with Runner(1, Limits(20.0)) as runner:
+        measured = runner.run([[measure_task(cell, sources) for cell in cells]])
+        assert [answer.record.status for _, answer in measured] == ["ok"] * 2
+        times = runner.time([time_task(cell, sources) for cell in cells], 2, {})
+        assert [task.label for task, _, _ in times] == [cells[1].key] * 2
 
 
 @pytest.mark.usefixtures("without_processes")

@@ -91,13 +91,12 @@ def answered(monkeypatch):
     """The answers of runs without the runs: their errors fall with the square of the step."""
     asked = []
 
-    def solve_cells(cells, registry, samples, **more):
+    def solve_cells(cells, *_, samples=0, **more):
         asked.extend(cells)
         runs = [planted("pendulum", cell.integrator, HELD, h=cell.resolution.h) for cell in cells]
         for record in runs:
             record.run_s = [0.3, 0.1, 0.2][:samples]
-        names = {"q": ["X [m]", "Y [m]"]}
-        return [(record, curves(1.0, {"q": 2, "lam": 1})) for record in runs], names
+        return [(record, curves(1.0, {"q": 2, "lam": 1})) for record in runs]
 
     def run_one(request, plugins, budget, progress):
         registry = Inventory()
@@ -105,8 +104,8 @@ def answered(monkeypatch):
         method = registry.integrator(request.integrator)
         steps = Steps(request.step or scene.nominal_step, request.pattern or (1.0,))
         cell = Cell(scene.spec, method.spec, scene.interval[1], steps)
-        (result,), names = solve_cells([cell], registry, request.samples)
-        return result, names
+        (result,) = solve_cells([cell], samples=request.samples)
+        return result, {"q": ["X [m]", "Y [m]"]}
 
     monkeypatch.setattr("bench.notebook.run_one", run_one)
     monkeypatch.setattr("bench.running.session.solve_cells", solve_cells)

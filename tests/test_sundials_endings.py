@@ -109,7 +109,7 @@ def test_a_worker_is_ended_with_the_status_that_python_would_give(method, callba
     names = (*FATES, "ceasing_force")
     cells = [Cell(name, integrator, 1.0, Tolerances(1e-6)) for name in names]
     cells.append(Cell("ceasing_force[breaks_at=9]", integrator, 1.0, Tolerances(1e-6)))
-    results, _ = solve_cells(cells, Inventory([PLUGINS]), samples=1, budget_s=2.0)
+    results = solve_cells(cells, Inventory([PLUGINS]), budget_s=2.0)
     records = {record.problem: record for record, _ in results}
     for name, (status, words) in FATES.items():
         assert (records[name].status, name) == (status, name)

@@ -57,7 +57,7 @@ def test_a_report_tells_unsupported_runs_apart_from_failures(tmp_path):
 @pytest.mark.parametrize("norm", [[], ["--json"]])
 def test_an_order_of_unsupported_runs_alone_is_one_sentence(stepbench, monkeypatch, norm):
     runs = [(ended("unsupported", h), Rows(t=[])) for h in (0.1, 0.05, 0.025)]
-    monkeypatch.setattr("bench.running.session.solve_cells", lambda *a, **k: (runs, {}))
+    monkeypatch.setattr("bench.running.session.solve_cells", lambda *a, **k: runs)
     result = stepbench("order", "pendulum", "newmark", *norm)
     assert result.exit_code == 1
     assert result.stderr == f"Error: {runs[0][0].integrator} does not take pendulum: Because.\n"

@@ -22,7 +22,7 @@ from click.core import ParameterSource
 from bench.commands import completion
 from bench.plugins.registry import Sources
 from bench.running.inventory import Inventory, MethodFacts, SceneFacts
-from bench.running.plan import LARGEST_BUDGET
+from bench.running.profiles import LARGEST_BUDGET
 from integrators.resolutions import Tolerances
 from problems.spec import SpecError
 

@@ -136,8 +136,7 @@ def order_records(
 
     suite = _on_scene(registry, scene, [integrator], budget, steps, pattern, t_end)
     cells = [*suite.cells.values()]
-    results, _ = solve_cells(cells, registry, 0, budget_s=budget, progress=progress)
-    return [record for record, _ in results]
+    return [record for record, _ in solve_cells(cells, registry, budget, progress=progress)]
 
 
 def _show_one(records: Sequence[Record], as_json: bool) -> None:

@@ -17,18 +17,16 @@ from bench.plugins.reasons import Unavailable
 from bench.plugins.registry import Sources
 from bench.results.records import IntegratorFacts, Plan, Record, Study
 from bench.running.inventory import Inventory, MethodFacts, SceneFacts
-from bench.running.profiles import FIGURES, TABLES, ProfileFile, StudyFile
+from bench.running.profiles import FIGURES, ProfileFile, StudyFile
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances, check_end
 from problems.checks import tidy
-from problems.spec import SpecError, one_of
+from problems.spec import SpecError
 from problems.system import MechatronicSystem
 
 #: Steps (halvings of the nominal step) and tolerances of a scene if a profile gives none.
 DEFAULT_HALVINGS = 6
 DEFAULT_RTOL = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
-#: Largest budget of a run, in s of time and in GiB of memory.
-LARGEST_BUDGET = 1e9
 
 
 @dataclass(frozen=True)
@@ -141,7 +139,6 @@ def make_suite(
     SpecError
         If a name, option or number is not known or not allowed, or nothing is left to do.
     """
-    _check_profile(profile)
     lost: list[str] = []
     scenes = [registry.problem(text) for text in _usable(problems, registry.problem, lost)]
     integrators = _usable(integrators, registry.integrator, lost)
@@ -194,22 +191,6 @@ class _Entry(NamedTuple):
     file: StudyFile
     scene: SceneFacts
     methods: list[MethodFacts]
-
-
-def _check_profile(profile: ProfileFile) -> None:
-    """Refuse numbers and names that are not allowed."""
-    if not 0 <= profile.samples <= 1000:
-        raise SpecError(f"samples={profile.samples} is not allowed; give 0 (no timing) to 1000.")
-    for key in ("budget_s", "memory_gib"):
-        if not 0 < getattr(profile, key) <= LARGEST_BUDGET:
-            raise SpecError(
-                f"{key}={getattr(profile, key)} is not allowed; give more than 0, and at most "
-                f"{LARGEST_BUDGET:g}."
-            )
-    known = FIGURES + TABLES
-    for file in profile.study:
-        for figure in file.figures:
-            one_of(figure, known, "figure")
 
 
 def _usable(names: Sequence[str], facts_of: Callable[[str], object], lost: list[str]) -> list[str]:

@@ -5,21 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from bench.guard.process import Limits, NoAnswer, ask_once
-from bench.plugins.registry import Registry
+from bench.guard.process import Limits, NoAnswer
 from bench.results.environment import environment
 from bench.results.quantities import NORM, NORMS
 from bench.results.records import INTERRUPTED, TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.results.store import Store
 from bench.results.timings import FEWEST, contenders
 from bench.running.cluster import ClusterRunner
-from bench.running.inventory import Inventory, MethodFacts, SceneFacts, load_registry
+from bench.running.inventory import Inventory, MethodFacts, SceneFacts
 from bench.running.plan import Cell, Suite
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task, measure_task, scene_task, time_task
 from bench.running.worker import CellResult, Worker
-from problems.runtime import check_runtime, users_settings
-from problems.spec import SpecError
 
 
 def runner_for(suite: Suite, jobs: int, progress: Progress, cluster: str | None = None) -> Runner:
@@ -144,48 +141,16 @@ def time_suite(suite: Suite, store: Store, registry: Inventory, runner: Runner) 
 def solve_cells(
     cells: list[Cell],
     registry: Inventory,
-    samples: int,
     budget_s: float,
     memory_gib: float = 4.0,
     progress: Progress | None = None,
-) -> tuple[list[CellResult], dict[str, list[str]]]:
-    """Measure a few cells of one scene and integrator without a store, timed ``samples`` times.
-
-    Programs of which no times are taken are compiled quickly rather than well.
-
-    Returns the results, and the names of the components of each group of the scene if known.
-
-    Raises
-    ------
-    SpecError
-        If JAX does not compute as the user's environment has set it up.
-    """
-    limits = Limits(budget_s, memory_gib)
-    if len(cells) > 1 and (given := users_settings()):  # it would end a process for each cell
-        about = f"JAX does not start with {given}"
-        if fault := ask_once(about, load_registry, (frozenset(),), limits, _runtime_fault):
-            raise SpecError(fault)
-    results, names = {}, {}
-    sources = cells[0].sources(registry)
-    tasks = [measure_task(cell, sources) for cell in cells]
-    tasks.append(Task(Worker.components, (cells[0].problem,), sources=sources))
-    with Runner(1, limits, progress) as runner:
-        runner.draft = not samples
-        for task, answer in runner.run([tasks]):
-            if task.job is Worker.measure:
-                cell = task.arguments[0]
-                results[task.label] = result_of(cell, answer, *cell.facts(registry))
-            elif not isinstance(answer, NoAnswer):
-                names = answer
-        good = [cell for cell in cells if results[cell.key].record.status == "ok"]
-        due = [time_task(cell, sources) for cell in good]
-        for task, _, seconds in runner.time(due, samples, {}):
-            results[task.label].record.run_s.append(seconds)
-    return [results[cell.key] for cell in cells], names
-
-
-def _runtime_fault(_: Registry) -> str:
-    return check_runtime()
+) -> list[CellResult]:
+    """Measure a few cells without a store and times: programs are compiled quickly, not well."""
+    groups = [[measure_task(cell, cell.sources(registry)) for cell in cells]]
+    with Runner(1, Limits(budget_s, memory_gib), progress) as runner:
+        runner.draft = True
+        found = {task.label: answer for task, answer in runner.run(groups)}
+    return [result_of(cell, found[cell.key], *cell.facts(registry)) for cell in cells]
 
 
 def describe_scenes(

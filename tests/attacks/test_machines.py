@@ -343,14 +343,6 @@ def test_a_run_under_such_a_variable_is_no_success(tmp_path, profile, name, valu
     assert sentence in text
 
 
-def test_a_wrong_flag_costs_an_order_one_process():
-    code, text = ask("order", "oscillator", "newmark", XLA_FLAGS="--xla_nonsense=1")
-    assert code == 1, text
-    assert "JAX does not start with XLA_FLAGS=--xla_nonsense=1: The process died" in text
-    assert text.count("Error: ") == 1
-    assert "crashed" not in text
-
-
 # ---- compiled programs that are kept ---------------------------------------------------
 @attack
 @pytest.mark.parametrize("content", [b"", b"garbage", None], ids=["empty", "garbage", "cut"])
