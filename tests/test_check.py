@@ -15,7 +15,6 @@ from bench.check.verdicts import FAILED, NOT_APPLICABLE, PASSED
 from bench.guard import process as limits
 from bench.plugins.registry import Registry
 from bench.running.inventory import Inventory
-from integrators.native.kernel import Kernel
 
 PLUGINS = Path(__file__).parent / "wrong_plugins.py"
 
@@ -136,34 +135,10 @@ def test_a_run_tells_that_a_step_pattern_is_ignored(refused, tmp_path, command):
     assert "it ignores resolution.pattern" in refused(*given)
 
 
-@pytest.mark.parametrize(
-    ("spoil", "sentence"),
-    [
-        (lambda lane, call: 1e-6, "differs from its single run by "),
-        *long((lambda lane, call: 1e-12 * call, "has other bits when it is run again")),
-    ],
-)
-def test_a_batch_that_is_not_its_single_runs_fails(registry, monkeypatch, spoil, sentence):
-    plain, calls = Kernel.batched, []
-
-    def spoilt(self, packed, rows, row_count):
-        table, end = plain(self, packed, rows, row_count)
-        calls.append(1)
-        table = np.array(table)  # rows: number, t, q ...
-        table[:, :, 2] *= 1 + spoil(np.arange(len(table))[:, None], len(calls))
-        return table, end
-
-    monkeypatch.setattr(Kernel, "batched", spoilt)
-    finding = examine(registry, "integrators", "stormer_verlet", "batch")
-    assert finding.verdict == FAILED
-    assert sentence in finding.text
-
-
 def test_a_check_without_an_object_says_why(registry):
     for kind, name, check, reason in (
         ("integrators", "newmark", "tolerance", "fixed steps"),
         ("integrators", "ida", "order", "cannot take constant steps"),
-        ("integrators", "ida", "batch", "are not JAX functions"),
         ("problems", "spring_mass", "conserved", "states no energy"),
     ):
         found = examine(registry, kind, name, check)

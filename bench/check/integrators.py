@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from bench.check.batch import check_batch
 from bench.check.counts import check_counts
 from bench.check.jumps import check_events, check_samples
 from bench.check.orders import check_order, check_tolerance
@@ -211,7 +210,6 @@ def _ends_badly(trial: Trial, what: str) -> str:
 INTEGRATOR_CHECKS = {
     "description": check_description,
     "runs": check_runs,
-    "batch": check_batch,
     "events": check_events,
     "endings": check_endings,
     "order": lambda *of: check_order(trials(*of, ORDERS_TAG)),

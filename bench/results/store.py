@@ -9,6 +9,7 @@ run killed at any moment has lost nothing but the cell in work.
 from __future__ import annotations
 
 import errno
+import os
 import sqlite3
 import zlib
 from collections.abc import Iterable, Iterator
@@ -345,20 +346,12 @@ def _locked(folder: Path) -> FileLock | None:
 
 def _opened_to_read(path: Path) -> sqlite3.Connection:
     """Open a file that must not change, also in a folder that cannot be written."""
-    uri = f"{path.absolute().as_uri()}?mode=ro"
-    db = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=30.0)
-    try:
-        db.execute("SELECT 1 FROM sqlite_master")  # the file is opened by the first query
-        return db
-    except sqlite3.Error as error:
-        db.close()
-        log = path.with_name(path.name + "-wal")
-        # In a folder that cannot be written there is no place for the log's index. Nobody
-        # writes there either, so the file stands still, but rows still in a log would be lost.
-        refused = error.sqlite_errorcode & 0xFF in (
-            sqlite3.SQLITE_CANTOPEN,
-            sqlite3.SQLITE_READONLY,
-        )
-        if not refused or (log.exists() and log.stat().st_size):
-            raise
-    return sqlite3.connect(f"{uri}&immutable=1", uri=True, isolation_level=None)
+    log = path.with_name(path.name + "-wal")
+    # In a folder that cannot be written there is no place for the log's index. Nobody writes there
+    # either, so the file stands still, but rows still in a log would be lost.
+    logged = log.exists() and log.stat().st_size > 0
+    as_user = os.access in os.supports_effective_ids
+    written = os.access(path.parent, os.W_OK, effective_ids=as_user)
+    still = "" if written or logged else "&immutable=1"
+    uri = f"{path.absolute().as_uri()}?mode=ro{still}"
+    return sqlite3.connect(uri, uri=True, isolation_level=None, timeout=30.0)
