@@ -39,9 +39,7 @@ class Run(PreparedRun):
             while HELD.exists():
                 time.sleep(0.02)
         if self.how == "computes":  # half a second
-            started = time.process_time()
-            while time.process_time() < started + 0.5:
-                pass
+            sum(range(30_000_000))
         empty = np.zeros((5, 0))
         exact = {"lam": empty} | self.exact(self.t)
         return Trajectory(t=self.t, x=empty, xdot=empty, y=empty, **exact)

@@ -23,10 +23,6 @@ PHRASES = ("Interrupted.", "Stopped.")
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-def parent_of(process: int) -> int:
-    return int(Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()[1])
-
-
 def promised_seconds() -> float:
     """Twice the two seconds that are promised, longer by as much as others have the processors."""
     begun, computed = time.monotonic(), time.process_time()
@@ -62,25 +58,16 @@ class Started:
         """What it said, in one line; the last part of very much."""
         return " ".join(self._said.read_text(errors="replace")[-100_000:].split())
 
-    def family(self, role: str = "") -> list[int]:
-        """All processes that it started, itself included, oldest first; or those of one role.
-
-        Workers are its own, and engines those of its workers.
-        """
+    def family(self, words: str = "") -> list[int]:
+        """All processes that it started, itself included, oldest first; or its workers."""
+        line = {"": b"", "worker": b"serve(int("}[words]
         found = []
         for entry in Path("/proc").glob("[0-9]*"):
             with suppress(OSError):
-                if self._mark in (entry / "environ").read_bytes():
-                    number = int(entry.name)
-                    if not role or role == self._role(number, (entry / "cmdline").read_bytes()):
-                        found.append(number)
+                marked = self._mark in (entry / "environ").read_bytes()
+                if marked and line in (entry / "cmdline").read_bytes():
+                    found.append(int(entry.name))
         return sorted(found)
-
-    def _role(self, process: int, line: bytes) -> str:
-        above = parent_of(process)
-        if b"serve(int(" in line:
-            return "worker" if above == self.pid else "engine"
-        return "other"
 
     def wait_for(self, condition: Callable[[], object], seconds: float = 500.0) -> None:
         """Wait for a condition, or the end of the process."""

@@ -31,7 +31,7 @@ from bench.running.worker import Worker
 from integrators import Steps
 
 STEPBENCH = str(Path(sys.executable).with_name("stepbench"))
-#: By this variable processes of a run are known, and by this argument those that cleared it.
+#: By this variable processes of a run are known.
 MARK = "HOSTILE_RUN"
 ALL = hostile.METHODS | hostile.SCENES
 NEWMARK = "newmark[beta=0.25,gamma=0.5]"
@@ -60,8 +60,7 @@ def processes(mark: str) -> list[str]:
     found = []
     for process in psutil.process_iter():
         try:
-            sleeper = " ".join(process.cmdline()) == "sleep 3599"
-            if sleeper or process.environ().get(MARK) == mark:
+            if process.environ().get(MARK) == mark:
                 found.append(f"{process.pid} {process.cmdline()}")
         except psutil.Error:
             continue

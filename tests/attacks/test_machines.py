@@ -151,20 +151,10 @@ def test_a_folder_that_is_read_only_is_named_by_every_command(disk, profile):
     assert len(stored(disk / "out")) == 2
 
 
-@attack
-def test_without_shared_memory_the_results_are_stored(disk, profile):
-    script = "mount -t tmpfs -o size=1m,ro tmpfs /dev/shm\n" + RUN
-    (code, text), *_ = in_a_namespace(script, disk, profile)
-    assert OK in text
-    assert code == 0 or "Read-only file system" in text
-    assert len(stored(disk / "out")) == 2
-
-
 @pytest.mark.parametrize(
     ("most", "sentence"),
     [
         pytest.param(0, "cannot be opened (disk I/O error)", marks=pytest.mark.long),
-        pytest.param(100_000, "Earlier results are intact.", marks=attack),
         pytest.param(700_000, "The results are stored.", marks=attack),
     ],
 )
@@ -212,7 +202,7 @@ def test_too_few_open_files_are_a_sentence(tmp_path, profile, most):
 
 
 @attack
-@pytest.mark.parametrize("most", [20, 30, 40, 64])
+@pytest.mark.parametrize("most", [20, 40])
 def test_few_open_files_cost_no_result(tmp_path, profile, most):
     few = limit(resource.RLIMIT_NOFILE, most)
     code, text = ask("run", profile, "--out", tmp_path / "out", "--jobs", 1, limits=few)
@@ -226,7 +216,6 @@ def test_few_open_files_cost_no_result(tmp_path, profile, most):
     ("which", "most"),
     [
         (resource.RLIMIT_AS, 200 << 20),
-        (resource.RLIMIT_AS, 600 << 20),
         (resource.RLIMIT_AS, 2000 << 20),
         (resource.RLIMIT_CPU, 1),
     ],
@@ -242,27 +231,7 @@ def test_too_little_memory_or_time_is_no_success(tmp_path, profile, which, most)
 
 
 @attack
-@pytest.mark.parametrize(
-    ("most", "codes"),
-    [(3, {1}), (30, {0})],
-)
-def test_few_processes(tmp_path, profile, most, codes):
-    # Root has no limit: the command runs as nobody, who may read everything.
-    rights = "+dac_read_search,+dac_override"
-    nobody = ["setpriv", "--reuid=65534", "--clear-groups", f"--inh-caps={rights}"]
-    nobody += [f"--ambient-caps={rights}", "bash", "-c"]
-    if not shutil.which("setpriv") or subprocess.run([*nobody, "true"], check=False).returncode:
-        pytest.skip("Only root may run a command as nobody.")
-    script = f"ulimit -u {most}; exec {STEPBENCH} run {profile} --out {tmp_path}/out --jobs 1"
-    done = subprocess.run(
-        [*nobody, script], capture_output=True, text=True, timeout=500, check=False
-    )
-    assert "Traceback" not in done.stderr, done.stderr
-    assert done.returncode in codes, done.stderr
-
-
-@attack
-@pytest.mark.parametrize("closed", [(0,), (1,), (2,), (0, 2), (0, 1, 2)], ids=str)
+@pytest.mark.parametrize("closed", [(1,), (0, 2)], ids=str)
 def test_closed_descriptors_cost_no_result(tmp_path, profile, closed):
     out = tmp_path / "out"
 
@@ -309,27 +278,11 @@ def test_variables_without_a_sane_value_cost_no_result(tmp_path, profile, variab
 #: XLA ends a process at these, with a line of its own.
 ENDED = {
     "unknown flag": ("XLA_FLAGS", "--xla_nonsense=1", "Unknown flag in XLA_FLAGS: --xla_nonsense"),
-    "no flags": ("XLA_FLAGS", "/not/there", 'Could not open file "/not/there'),
 }
 REFUSED = {
     "no such platform": ("JAX_PLATFORMS", "nonsense", "unset JAX_PLATFORMS=nonsense"),
-    "no CUDA": ("JAX_PLATFORMS", "cuda", "unset JAX_PLATFORMS=cuda"),
-    "no number": ("JAX_ENABLE_X64", "maybe", "JAX_ENABLE_X64=maybe"),
     "32 bits": ("JAX_ENABLE_X64", "0", "unset JAX_ENABLE_X64"),
 }
-
-
-@attack
-@pytest.mark.parametrize(("name", "value", "sentence"), REFUSED.values(), ids=REFUSED)
-def test_a_variable_that_keeps_jax_from_computing_is_named(name, value, sentence):
-    code = "from problems.runtime import check_runtime; print(check_runtime())"
-    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"} | {name: value}
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    assert sentence in done.stdout
-    assert f"{name}={value}" in done.stdout or value == "0"
 
 
 @attack

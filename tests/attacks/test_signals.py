@@ -107,9 +107,9 @@ def check_goes_on(folder: Path, kept: int) -> None:
     [
         pytest.param("map", INT, to_all, marks=pytest.mark.long),
         *(
-            pytest.param(name, number, send, marks=attack)
-            for name in ENDLESS
-            for number, send in ((INT, to_one), (INT, twice), (TERM, to_one), (HUP, to_all))
+            pytest.param(name, *how, marks=attack)
+            for k, name in enumerate(ENDLESS)
+            for how in (((INT, to_one), (TERM, to_one)), ((INT, twice), (HUP, to_all)))[k % 2]
         ),
     ],
 )
@@ -139,11 +139,10 @@ def test_nothing_is_imported_before_signals_are_obeyed():
 
 # ---- short commands, and the beginning and the end of all --------------------------------------
 @attack
-@pytest.mark.parametrize("number", [INT, TERM])
 @pytest.mark.parametrize("name", SHORT)
-def test_short_work_ends_at_a_random_moment_or_is_done(folder, name, number):
-    command, seconds = SHORT[name]
-    moment = random.Random(f"{name} {number}").uniform(0, seconds)
+def test_short_work_ends_at_a_random_moment_or_is_done(folder, name):
+    (command, seconds), number = SHORT[name], INT
+    moment = random.Random(name).uniform(0, seconds)
     process = Started(folder, *command.split())
     process.wait_until_it_obeys()
     time.sleep(moment)
@@ -160,7 +159,7 @@ def test_short_work_ends_at_a_random_moment_or_is_done(folder, name, number):
     ("entry", "seed"),
     [
         ("module", 1),
-        *(pytest.param(entry, n, marks=attack) for entry in ENTRIES for n in range(2, 8)),
+        *(pytest.param(entry, n, marks=attack) for entry in ENTRIES for n in range(2, 5)),
     ],
 )
 def test_imports_end_at_a_random_moment(folder, entry, seed):
@@ -170,18 +169,6 @@ def test_imports_end_at_a_random_moment(folder, entry, seed):
     time.sleep(moment)
     to_all(process, INT)
     process.check_obeys(INT)
-
-
-@attack
-@pytest.mark.parametrize("seed", range(10))
-def test_a_signal_at_the_very_end_is_obeyed_or_too_late(folder, seed):
-    process = Started(folder, "report", "planted", "--csv")
-    process.wait_for(lambda: "pendulum" in process.said)
-    time.sleep(random.Random(seed).uniform(0, 0.05))
-    to_all(process, INT)
-    if process.process.wait(promised_seconds()) != 0:
-        process.check_obeys(INT)
-    process.finish()
 
 
 def test_a_plugin_that_hangs_as_it_is_imported_ends_with_its_command(folder):
@@ -233,21 +220,12 @@ def measured(count: int) -> Callable[[Path, Started], bool]:
     return lambda folder, _: saved(folder) >= count
 
 
-def timed(count: int) -> Callable[[Path, Started], bool]:
-    return lambda folder, _: saved(folder, "samples") >= count
-
-
-def reporting(_: Path, process: Started) -> bool:
-    return "as predicted" in process.said or "measured now" in process.said
-
-
 MOMENTS = {
     "planning": lambda *_: True,
     "measuring": measured(1),
     "later": measured(7),
-    "timing": timed(1),
-    "timing more": timed(20),
-    "pages": reporting,
+    "timing": lambda folder, _: saved(folder, "samples") >= 1,
+    "pages": lambda _, process: "measured now" in process.said,
 }
 
 
@@ -256,8 +234,8 @@ MOMENTS = {
     ("moment", "number", "send"),
     [
         (moment, *how)
-        for moment in MOMENTS
-        for how in ((INT, to_all), (INT, twice), (TERM, to_one), (HUP, to_all))
+        for k, moment in enumerate(MOMENTS)
+        for how in (((INT, to_all), (TERM, to_one)), ((INT, twice), (HUP, to_all)))[k % 2]
     ],
 )
 def test_a_run_ends_and_goes_on(folder, moment, number, send):
