@@ -177,27 +177,6 @@ HIT = {
         ("exact_energy", "Largest change of the energy by t = 5 s, of three steps"),
         ("exact_energy", "Largest error of the acceleration by t = 5 s, of three steps"),
     },
-    "kvaerno3": {
-        ("drift", "Power of the time with which the violation of the constraint's positions grows"),
-        ("drift", "Largest violation of the constraint's positions, pendulum over 20 s"),  # ODE
-        ("bdf_damping", "Part of the energy that is lost in 100 periods, equal steps with IDA's "
-         "evaluations"),
-    },
-    "kvaerno3[steps=constant]": {
-        ("drift", "Power of the time with which the violation of the constraint's positions grows"),
-        ("drift", "Largest violation of the constraint's positions, pendulum over 20 s"),  # ODE
-        ("baumgarte", "Largest violation of the constraint's positions, pendulum over 100 steps of "
-         "0.2 s"),
-        ("bdf_damping", "Part of the energy that is lost in 100 periods, equal steps with IDA's "
-         "evaluations"),
-        ("exact_energy", "Largest change of the energy by t = 5 s, of three steps"),
-        ("exact_energy", "Largest error of the acceleration by t = 5 s, of three steps"),
-        ("no_error_control", "Part of the flight that is reached, largest step 0.1 s"),
-        ("singular", "Error of the multipliers, the fold at the end of the 50th step or between "
-         "two steps"),  # lam is computed at the fold
-        ("stiff_controller", "Order of the acceleration where a stiff, damped spring follows a "
-         "slow motion"),  # stage order 2
-    },
 }  # fmt: skip
 
 

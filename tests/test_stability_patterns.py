@@ -54,14 +54,9 @@ def growth_of_a_run(method, macro, pattern, patterns):
     return (late / early) ** (macro / (last - half))
 
 
-def test_words_are_cyclic_and_sum_to_zero():
-    found = step_words(4)
-    assert found == [(1, -1), (1, 0, -1), (1, -1, 0), (1, 1, -1, -1), (1, 0, 0, -1), (1, 0, -1, 0),
-                     (1, -1, 0, 0)]  # fmt: skip
+def test_words_are_cyclic_and_fractions_follow_them():
+    assert step_words(3) == [(1, -1), (1, 0, -1), (1, -1, 0)]
     assert len(step_words(6)) == 39
-
-
-def test_fractions_follow_the_word():
     parts = np.array(fractions((1, 1, -1, -1), 2.0))
     assert parts.sum() == pytest.approx(1.0)
     assert parts / parts[0] == pytest.approx([1, 2, 4, 2])
@@ -122,17 +117,6 @@ def test_runs_confirm_a_stable_and_an_unstable_point(rho_inf, fixed, updated, ga
     run = method.prepare(scene, 2000 * macro, Steps(macro, stays)).measure()
     size = np.abs(run.q[:, 0])
     assert size[len(size) // 2 :].max() <= size[: len(size) // 2].max() * (1 + 1e-9)
-
-
-def test_updating_gamma_costs_stability():
-    # The same pattern and step: damped with fixed gamma, growing with updated gamma.
-    pattern, at = fractions(ALTERNATING, 1.5), np.array([1.6])
-    fixed, updated = (
-        radii(eigenvalues(matrices(method_of(0.8, gamma), Oscillator(), at, pattern).a))[0]
-        for gamma in ("fixed", "updated")
-    )
-    assert fixed < 1 - 1e-4
-    assert updated > 1 + 1e-4
 
 
 def test_the_pattern_of_figure_6_grows_with_updated_gamma_unless_it_is_guarded():

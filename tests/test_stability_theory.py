@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -68,14 +67,6 @@ def test_so_it_is_for_the_controller():
         assert ratio_to_matrices(polynomial, Relaxation(), method) < 1e-10
 
 
-def test_another_polynomial_is_told_apart():
-    other = multistep_form(GeneralizedAlpha(rho_inf=0.79).scheme())
-    assert (
-        ratio_to_matrices(partial(oscillator, other), Oscillator(), GeneralizedAlpha(rho_inf=0.8))
-        > 1e-4
-    )
-
-
 @given(st.floats(0.02, 0.97))
 @settings(max_examples=30)
 def test_generalized_alpha_is_of_order_two_and_stable_at_both_ends(rho_inf):
@@ -117,7 +108,9 @@ def test_without_damping_the_root_at_infinity_is_multiple():
     assert not multistep_form(Newmark(beta=1 / 6).scheme()).q.infinity_stable
 
 
-def test_hht_ends_where_it_says():
+def test_hht_ends_where_it_says_and_other_methods_are_no_multistep_formulas():
+    assert isinstance(GeneralizedAlpha().multistep_form(), MultistepForm)
+    assert Kvaerno5().multistep_form() is None
     assert multistep_form(HHT(alpha=1 / 3).scheme()).q.infinity_stable
     assert not multistep_form(HHT(alpha=0.55, any_alpha=True).scheme()).q.infinity_stable
 
@@ -128,23 +121,6 @@ def test_roots_on_the_circle_are_counted():
     assert not stable([(-1.001, 1)], on_circle=2)
     # Two explicit steps that are consistent but not zero-stable: u+2 - 3u+1 + 2u = ...
     assert not Multistep(np.array([1.0, -3.0, 2.0]), np.array([0.0, 0.0, -1.0]), 1).zero_stable
-
-
-def test_only_methods_of_the_recurrence_have_it():
-    assert isinstance(GeneralizedAlpha().multistep_form(), MultistepForm)
-    assert Kvaerno5().multistep_form() is None
-
-
-def test_the_smallest_step_ratios_are_those_that_are_printed():
-    for rho_inf, gamma, theta in [
-        (0.0, 1 / 2, 1 / 3),
-        (0.25, 2 / 7, 1 / 11),
-        (0.5, 0.0, 1 / 5),
-        (0.8, 1 / 2, 7 / 11),
-    ]:
-        form = GeneralizedAlpha(rho_inf=rho_inf).multistep_form()
-        assert form.smallest_ratio == pytest.approx(gamma, abs=1e-15)
-        assert form.smallest_ratio_x == pytest.approx(theta, abs=1e-15)
 
 
 # ---- formulas in varying steps ---------------------------------------------------------

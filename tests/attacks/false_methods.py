@@ -47,12 +47,8 @@ NAN = float("nan")
 TRAJECTORIES = {
     "no_trajectory": (lambda run: None, "measure() is None, expected a Trajectory"),
     "t_none": (put(t=None), "t is None, expected real numbers of shape (k"),
-    "t_number": (put(t=1.0), "t is 1.0, expected real numbers of shape (k"),
     "t_nan": (with_time(2, NAN), "t[2] is nan, expected finite numbers"),
-    "t_inf": (with_time(5, np.inf), "t[5] is inf, expected finite numbers"),
-    "t_text": (put(t=["a"] * ROWS), "expected real numbers of shape (k,)"),
     "t_matrix": (moved("t", lambda t: t[:, None]), "t is an array of float64 of shape (6, 1)"),
-    "t_backwards": (moved("t", lambda t: t[[0, 2, 1, 3, 4, 5]]), "expected a time after t[1]"),
     "t_repeated": (moved("t", lambda t: t[[0, 1, 1, 3, 4, 5]]), "expected a time after t[1]"),
     "t_early": (moved("t", lambda t: t - 1.0), "the first of t is -1.0, expected the start of"),
     "t_beyond": (moved("t", lambda t: 2 * t), "expected no time after the end"),
@@ -60,15 +56,10 @@ TRAJECTORIES = {
         lambda run: replace(Trajectory.failed("ok", ""), work=run.work),
         "t has no times, expected those of all rows of a run that is ok",
     ),
-    "q_none": (put(q=None), "q is None, expected real numbers of shape (6, 1)"),
     "q_turned": (moved("q", np.transpose), "expected real numbers of shape (6, 1); it is transpo"),
-    "q_flat": (moved("q", np.ravel), "q is an array of float64 of shape (6,), expected real"),
     "v_short": (moved("v", lambda v: v[:-1]), "v is an array of float64 of shape (5, 1)"),
-    "a_wide": (moved("a", lambda a: np.hstack([a, a])), "a is an array of float64 of shape (6, 2)"),
     "q_complex": (moved("q", lambda q: q + 1j), "q is an array of complex128 of shape (6, 1)"),
-    "q_text": (put(q=np.full((ROWS, 1), "1.0")), "q is an array of <U3 of shape (6, 1)"),
     "q_ragged": (put(q=[[1.0], [1.0, 2.0]]), "expected real numbers of shape (6, 1)"),
-    "status_none": (put(status=None), "status is None, expected one of ok, newton_failed"),
     "status_unknown": (put(status="great"), "status is 'great', expected one of ok, newton_failed"),
     "message_none": (put(message=None), "message is None, expected text"),
     "message_empty": (
@@ -76,11 +67,9 @@ TRAJECTORIES = {
         "message is ' ', expected text that is not empty",
     ),
     "work_none": (put(work=None), "work is None, expected a Work"),
-    "steps_nan": (count(steps=NAN), "work.steps is nan, expected a whole number from 0"),
     "steps_half": (count(steps=2.5), "work.steps is 2.5, expected a whole number from 0"),
     "steps_negative": (count(steps=-1), "work.steps is -1, expected a whole number from 0"),
     "notes_none": (put(notes=None), "notes is None, expected a dictionary"),
-    "notes_list": (put(notes=[1.0]), "notes is [1.0], expected a dictionary"),
     "notes_short": (put(notes={"h": np.zeros(5)}), "notes['h'] is an array of float64 of shape (5"),
 }
 #: By name, a fact, its false value, and words of the sentence on it.
@@ -89,7 +78,6 @@ FACTS = {
     "orders_none": ("orders", None, "orders is None, expected a dictionary of whole numbers"),
     "orders_group": ("orders", {"p": 2}, "a group of orders is 'p', expected one of q, v, a"),
     "source_none": ("source", None, "source is None, expected text"),
-    "family_number": ("family", 7, "family is 7, expected text"),
     "family_raises": ("family", KeyError("x"), "KeyError: 'x'"),
     "controls_unknown": ("controls", "order", "controls is 'order', expected one of step, toler"),
 }
@@ -105,7 +93,6 @@ PREPARES = {
 #: By name, a bill, and words of the sentence on it.
 BILLS = {
     "bill_none": (None, "bill() is None, expected a dictionary of operations by part"),
-    "bill_nan": ({"solves": NAN}, "bill()['solves'] is nan, expected a finite number"),
     "bill_negative": (
         {"solves": -1},
         "bill()['solves'] is -1, expected a number that is n",
@@ -117,15 +104,12 @@ BILLS = {
 RAISED = {
     "raises_exit": (SystemExit(0), "SystemExit: 0"),
     "raises_much": (ValueError("x" * 10**6), "ValueError: xxxxxxxx"),
-    "raises_memory": (MemoryError(), "MemoryError: no message"),
 }
 #: By name, an answer that is turned into our own types.
 MENDED = {
     "numpy_counts": count(steps=np.int64(5), residuals=np.float64(5.0), solves=np.array(5)),
     "jax_counts": lambda run: replace(run, work=Work(steps=jnp.asarray(5))),
-    "float_counts": count(steps=5.0),
     "single_rows": moved("q", lambda q: q.astype(np.float32)),
-    "whole_rows": moved("q", lambda q: q.astype(np.int8)),
     "list_rows": moved("q", np.ndarray.tolist),
     "jax_rows": lambda run: replace(run, q=jnp.asarray(run.q), t=jnp.asarray(run.t)),
     "nan_notes": put(notes={"h": [NAN, np.inf, -np.inf, 1, 2, 3]}),

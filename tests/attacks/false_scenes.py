@@ -41,11 +41,6 @@ SCENES = {
         "reference",
         "; it is transposed",
     ),
-    "ExactFlat": (
-        closed(lambda z: z | {"a": z["a"][:, 0]}),
-        "reference",
-        "exact()['a'] is an array of float64 of shape",
-    ),
     "ExactLess": (closed(lambda z: {"q": z["q"]}), "reference", "exact() leaves out v, a"),
     "ExactMore": (
         closed(lambda z: z | {"speed": z["v"]}),
@@ -53,7 +48,6 @@ SCENES = {
         "a group of exact() is 'speed', expected one of q, v, a",
     ),
     "DrawNone": (drawn(None), "reference", "draw() is None, expected a list of lines"),
-    "DrawNan": (drawn([LINE * NAN]), "reference", "line 0 of draw()[0, 0] is nan, expected finite"),
     "DrawSpace": (
         drawn([LINE, np.zeros((4, 3))]),
         "reference",
@@ -69,13 +63,7 @@ SCENES = {
         "conserved",
         "energy() is Array(nan, dty",
     ),
-    "EnergyText": (
-        {"energy": lambda self, q, v: "much"},
-        "conserved",
-        "energy() is 'much', expected",
-    ),
     "TagsOfNumbers": ({"tags": (1, 2)}, "description", "tags[0] is 1, expected text"),
-    "Unsourced": ({"source": None}, "description", "source is None, expected text"),
     "Numbered": (
         {"coordinates": (1,)},
         "description",
@@ -86,16 +74,10 @@ SCENES = {
         "description",
         "a component is 'q [m] ~ big', expected positive numbers after '~'",
     ),
-    "Negative": (
-        {"coordinates": ("q [m] ~ -1",)},
-        "description",
-        "a component is 'q [m] ~ -1', expected positive numbers after '~'",
-    ),
 }
 #: The same for faults that leave no run possible.
 STARTS = {
     "StartNone": (begun(None), "start", "initial_state() is None, expected State(q, v), or State("),
-    "StartPair": (begun(([1.0], [0.0])), "start", "expected State(q, v), or State(q, v, x)"),
     "StartNan": (
         begun(State(np.array([NAN]), np.zeros(1))),
         "start",
@@ -114,12 +96,10 @@ STARTS = {
 }
 #: By name of the class: its interval or step, and words of the reason why it cannot be used.
 TIMES = {
-    "StepText": ({"nominal_step": "short"}, "nominal_step is 'short', expected a positive number"),
     "StepNan": ({"nominal_step": NAN}, "nominal_step is nan, expected a positive number"),
     "StepZero": ({"nominal_step": 0.0}, "nominal_step is 0.0, expected a positive number"),
     "IntervalTurned": ({"interval": (1, 0)}, "interval is (1.0, 0.0), expected a start in s, and"),
     "IntervalNan": ({"interval": (0, NAN)}, "interval[1] is nan, expected finite numbers"),
-    "IntervalOne": ({"interval": 3.0}, "interval is 3.0, expected real numbers of shape (2"),
 }
 
 

@@ -183,7 +183,7 @@ def test_false_times_are_told_when_the_scene_is_found(registry):
 
 
 def test_a_false_energy_costs_the_drift_of_rows(worker):
-    for name in ("EnergyVector", "EnergyNan", "EnergyText"):
+    for name in ("EnergyVector", "EnergyNan"):
         record = row(worker, "well", snake_case(name))
         assert (record.status, record.energy_drift) == ("ok", None)
         assert "No energy drift is known: " in record.message
