@@ -90,30 +90,20 @@ def test_errors_are_compared_beyond_rounding(tmp_path):
             assert change.ratio == pytest.approx(by)
 
 
-def test_errors_within_the_trust_in_the_reference_are_no_change(tmp_path):
-    def run(name, error):
-        record = planted("pendulum", "m", FREE, h=0.1)
-        record.errors["q"]["max"] = error
-        record.reference_error["q"]["max"] = 1e-8
-        return plant(tmp_path / name, [record])
-
-    low, below, above = run("low", 1e-9), run("below", 0.9e-6), run("above", 3e-6)
-    assert not compare_folders(low, below).changes
-    (change,) = compare_folders(low, above).changes
-    assert change.ratio == pytest.approx(3.0)
-    (change,) = compare_folders(above, below).changes
-    assert change.ratio == pytest.approx(1 / 3)
-
-
-def test_of_two_references_the_poorer_one_is_trusted_no_further(tmp_path):
-    folders = []
-    for error, floor in ((1e-5, 1e-12), (3e-5, 1e-6)):
+def test_errors_within_the_trust_in_the_poorer_reference_are_no_change(tmp_path):
+    def run(name, error, floor=1e-8):
         record = planted("pendulum", "m", FREE, h=0.1)
         record.errors["q"]["max"] = error
         record.reference_error["q"]["max"] = floor
-        folders.append(plant(tmp_path / str(error), [record]))
-    assert not compare_folders(*folders).changes
-    assert not compare_folders(*folders[::-1]).changes
+        return plant(tmp_path / name, [record])
+
+    low, below, above = run("low", 1e-9), run("below", 0.9e-6), run("above", 3e-6)
+    good, poor = run("good", 1e-5, 1e-12), run("poor", 3e-5, 1e-6)
+    for one, two, ratios in (
+        (low, below, []), (low, above, [3.0]), (above, below, [1 / 3]),
+        (good, poor, []), (poor, good, []),
+    ):  # fmt: skip
+        assert [c.ratio for c in compare_folders(one, two).changes] == pytest.approx(ratios)
 
 
 def test_the_worst_is_told_first(old):
@@ -124,6 +114,14 @@ def test_the_worst_is_told_first(old):
             by = 10.0 if record.integrator == "poor" else 1.0
             record.errors["a"]["max"] *= by * order[STEPS.index(record.h)]
 
+    def both_ways(record):
+        if record.integrator == "poor":
+            record.errors["a"]["max"] *= 3 if record.h == STEPS[0] else 0.5
+
+    assert compare_folders(old, edited(old, "both", both_ways)).summary() == [
+        "poor on spring_mass: error (a) x3 in 1 run",
+        "poor on spring_mass: error (a) x0.5 in 5 runs",
+    ]
     found = compare_folders(old, edited(old, "new", edit))
     assert found.summary() == [
         "poor on spring_mass: error (a) x10 to x70 in 6 runs",
@@ -134,17 +132,6 @@ def test_the_worst_is_told_first(old):
     assert [line.rpartition(" limit")[0].rpartition("(")[2].replace(")", "") for line in said] == (
         worst
     )
-
-
-def test_larger_and_smaller_errors_have_a_line_each(old):
-    def edit(record):
-        if record.integrator == "poor":
-            record.errors["a"]["max"] *= 3 if record.h == STEPS[0] else 0.5
-
-    assert compare_folders(old, edited(old, "new", edit)).summary() == [
-        "poor on spring_mass: error (a) x3 in 1 run",
-        "poor on spring_mass: error (a) x0.5 in 5 runs",
-    ]
 
 
 def test_an_error_that_is_no_number_any_more_is_beyond_every_limit(tmp_path, stepbench):
@@ -161,25 +148,25 @@ def test_an_error_that_is_no_number_any_more_is_beyond_every_limit(tmp_path, ste
     assert answer["changes"][0]["new"] is None
 
 
-def test_a_count_that_one_of_the_two_lacks_is_said_and_no_regression(tmp_path):
-    one, two = (planted("pendulum", "m", FREE, h=0.1) for _ in range(2))
-    two.work["residuals"] = None
-    found = compare_folders(plant(tmp_path / "1", [one], 0), plant(tmp_path / "2", [two], 0))
-    line = "m on pendulum: work (residuals) counted in one of the two in 1 run"
-    assert found.summary() == [line]
-    assert regressions(found, {"work": 1.0}) == []
-
-
-def test_bills_of_operations_are_compared_by_their_sum_where_both_are_known(tmp_path):
-    def folder(name, **operations):
-        run = planted("pendulum", "m", FREE, h=0.1, operations=operations)
+def test_counts_and_bills_are_compared_where_both_are_known(tmp_path):
+    def folder(name, **changes):
+        run = planted("pendulum", "m", FREE, h=0.1, **changes)
         return plant(tmp_path / name, [run], 0)
 
-    old = folder("old", residuals=300.0, factorisations=100.0)
-    (change,) = compare_folders(old, folder("more", residuals=500.0, factorisations=100.0)).changes
+    found = compare_folders(folder("1"), folder("2", work={"steps": 10, "residuals": None}))
+    line = "m on pendulum: work (residuals) counted in one of the two in 1 run"
+    assert found.summary()[:1] == [line]
+    assert regressions(found, {"work": 1.0}) == []
+    bill = {"residuals": 300.0, "factorisations": 100.0}
+    old = folder("old", operations=bill)
+    more, moved = (
+        folder("more", operations=bill | {"residuals": 500.0}),
+        dict(zip(bill, (100.0, 300.0), strict=True)),
+    )
+    (change,) = compare_folders(old, more).changes
     assert (change.kind, change.name, change.ratio) == ("work", "operations", 1.5)
-    assert not compare_folders(old, folder("moved", residuals=100.0, factorisations=300.0)).changes
-    assert not compare_folders(old, folder("unknown")).changes
+    for name, operations in (("moved", moved), ("unknown", {})):
+        assert not compare_folders(old, folder(name, operations=operations)).changes
 
 
 # ---- times -------------------------------------------------------------------------------
@@ -202,12 +189,120 @@ def test_slower_runs_fail_on_the_same_machine_only(old, stepbench):
     assert "time x3 in 6 runs, not comparable" in result.output
 
 
-def test_other_versions_are_named(old):
+def test_other_versions_and_edited_source_are_named(old):
     new = elsewhere(old, versions={"python": "3.13.0", "jax": "0.7"})
     found = compare_folders(old, new)
     names = ["python: 3.12.1 -> 3.13.0", "numpy: 2.1.0 -> none", "jax: none -> 0.7"]
-    assert found.differences == names
-    assert not found.changes
+    assert (found.differences, found.changes) == (names, [])
+
+    def edit(record):
+        if record.integrator == "poor":
+            record.fingerprint = "another"
+
+    found = compare_folders(old, edited(old, "edited", edit))
+    assert f"Of {len(STEPS)} of them the source was edited" in " ".join(found.state())
+
+
+def seven(low: float, middle: float, high: float) -> list[float]:
+    """Seven samples; the interval of their median is the whole range."""
+    return [low, *[middle] * 5, high]
+
+
+def test_times_differ_beyond_their_intervals_and_the_noise_of_both(tmp_path):
+    cases = [
+        (seven(0.9, 1.0, 1.1), seven(1.9, 2.0, 2.2), 2.0),
+        (seven(0.9, 1.0, 1.1), seven(0.4, 0.5, 0.5), 0.5),
+        (seven(0.9, 1.0, 1.1), seven(1.05, 2.0, 2.2), None),  # the intervals overlap
+        (seven(0.9, 1.0, 2.5), seven(2.4, 2.6, 9.0), None),
+        (seven(0.9, 1.0, 1.1), [1.23] * 7, 1.23),
+        (seven(0.9, 1.0, 1.1), [1.21] * 7, None),  # the noise is 1.1 / 0.9 = 1.222
+        (seven(0.9, 1.0, 1.1), seven(1.2, 1.4, 1.5), None),  # ... times 1.5 / 1.2
+        ([1.0] * 7, [1.11] * 7, 1.11),
+        ([1.0] * 7, [1.09] * 7, None),
+        ([1.0] * 9, [0.1, *[1.2] * 7, 9.0], 1.2),  # of nine samples an outlier on each side is cut
+        ([1.0] * 5, [1.9] * 5, None),  # five samples have no interval of 95 %
+        ([1.0] * 5, [2.1] * 5, 2.1),
+        (seven(0.9, 1.0, 1.1), [5.0], None),  # one sample has no spread
+    ]
+    for k, (before, after, ratio) in enumerate(cases):
+        folders = [timed(tmp_path / f"{k}a", [before]), timed(tmp_path / f"{k}b", [after])]
+        found = compare_folders(*folders)
+        assert [c.ratio for c in found.changes] == ([] if ratio is None else [pytest.approx(ratio)])
+        assert found.untold == (len(after) < 2)
+
+
+def timed(folder: Path, samples: list[list[float]]) -> Path:
+    runs = [planted("pendulum", "m", {"q": (1.0, 2)}, h=0.1 / 2**k) for k in range(len(samples))]
+    plant(folder, runs, samples=0)
+    with Store(folder, create=True) as store:
+        for run, seconds in zip(runs, samples, strict=True):
+            for k, s in enumerate(seconds):
+                store.add_sample(run.key, k, 1e-3 * s)
+    return folder
+
+
+def test_runs_that_are_noisy_beside_a_run_say_what_its_time_is_worth(tmp_path):
+    quiet, noisy = seven(1.0, 1.01, 1.02), seven(0.5, 1.0, 1.5)
+    old = timed(tmp_path / "old", [quiet] * 8)
+    for loud, told in ((1, True), (2, False)):  # of eight; from a quarter on it counts
+        new = timed(
+            tmp_path / f"{loud}", [seven(2.0, 2.01, 2.02)] + [quiet] * (7 - loud) + [noisy] * loud
+        )
+        found = compare_folders(old, new)
+        assert [c.resolution for c in found.changes] == ["h=0.1"] * told
+        words = f"noisy: times that differ by less than x{3 * 1.02:.4g} are"
+        assert (words in " ".join(found.state())) is not told
+
+
+def test_a_change_that_halves_the_work_is_no_regression_of_times(tmp_path):
+    """The machine is busier in the second folder; runs whose source is the same show it."""
+
+    def folder(name, halved, busier):
+        runs = [
+            planted(
+                "pendulum", who, {"q": (1.0, 2)}, h=h, run_s=[],
+                work={"residuals": 50 if who == "edited" and halved else 100},
+                fingerprint=f"{who} {halved and who == 'edited'}",
+            )
+            for who in ("edited", "kept")
+            for h in (0.1, 0.05, 0.04, 0.025, 0.0125)
+        ]  # fmt: skip
+        plant(tmp_path / name, runs, samples=0)
+        with Store(tmp_path / name, create=True) as store:
+            for run in runs:
+                for k in range(7):
+                    seconds = 1e-3 * (1 + k / 1000) * run.work["residuals"] * busier(run, k)
+                    store.add_sample(run.key, k, seconds)
+        return tmp_path / name
+
+    limits = {"time": 1.1}
+    old = folder("old", halved=False, busier=lambda run, k: 1.0)
+    # All runs of the second folder are slowed by 1.8: the edited ones are faster none the less.
+    new = folder("new", halved=True, busier=lambda run, k: 1.8)
+    found = compare_folders(old, new)
+    assert {c.integrator for c in found.changes if c.kind == "time"} == set()
+    assert regressions(found, limits) == []
+    # The edited ones are hit harder than the others, but not beyond what these show.
+    new = folder("hit", halved=True, busier=lambda run, k: 3.0 if run.h < 0.05 else 1.0)
+    found = compare_folders(old, new)
+    assert regressions(found, limits) == []
+    # A run whose source is the same may be slower than all others: it is shown, and no regression.
+    new = folder(
+        "one",
+        halved=True,
+        busier=lambda run, k: 9.0 if run.key.startswith("pendulum | kept | h=0.1") else 1.0,
+    )
+    found = compare_folders(old, new)
+    times = {(c.integrator, c.comparable) for c in found.changes if c.kind == "time"}
+    assert times == {("edited", True), ("kept", False)}
+    assert regressions(found, limits) == []
+    # An edited run that is slower, beside others that are not, is one.
+    new = folder(
+        "slow",
+        halved=True,
+        busier=lambda run, k: 9.0 if run.h == 0.1 and "edited" in run.key else 1.0,
+    )
+    assert len(regressions(compare_folders(old, new), limits)) == 1
 
 
 # ---- endings and cells that come and go ----------------------------------------------------
@@ -238,24 +333,9 @@ def test_runs_that_come_and_go_are_told(tmp_path, stepbench, refused):
     assert f"goes on pendulum, h=0.1: not in {new}" in refused(
         "compare", old, new, "--fail-on", "vanished"
     )
-
-
-def test_with_limits_something_must_be_shared(tmp_path, stepbench, refused):
-    old, new = (
-        plant(tmp_path / name, [planted("pendulum", name, FREE, h=0.1)]) for name in ("1", "2")
-    )
-    assert stepbench("compare", old, new).exit_code == 0
-    assert "nothing can be judged" in refused("compare", old, new, "--fail-on", "error:1.1")
-
-
-def test_edited_source_is_counted(old):
-    def edit(record):
-        if record.integrator == "poor":
-            record.fingerprint = "another"
-
-    found = compare_folders(old, edited(old, "new", edit))
-    assert found.edited == len(STEPS)
-    assert f"Of {len(STEPS)} of them the source was edited" in " ".join(found.state())
+    other = plant(tmp_path / "other", runs[2:])
+    assert stepbench("compare", old, other).exit_code == 0
+    assert "nothing can be judged" in refused("compare", old, other, "--fail-on", "error:1.1")
 
 
 def test_scenes_over_several_intervals_are_told_apart(tmp_path):
