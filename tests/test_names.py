@@ -8,8 +8,8 @@ from pathlib import Path
 
 from hypothesis import given
 from hypothesis import strategies as st
+from small_stores import atlas_with
 
-from bench.results.experiments import CaseResult, ExperimentResult, PartResult
 from reports.formatting import symbols
 from reports.names import BUILT_IN, short_name, short_names
 from reports.pages.method_chapter import atlas_table
@@ -119,21 +119,7 @@ def test_pages_write_symbols_and_names_as_a_reader_knows_them():
 
 
 def test_the_atlas_counts_the_parts_that_spare_each():
-    def case(name, healthy):
-        return CaseResult(
-            label=f"case of {name}", integrator=name, family="f", axis="h", x=[], y=[],
-            number=1.0, expected=None, as_expected=None, healthy=healthy,
-        )  # fmt: skip
-
-    cases = [case("mine", True), case("mine", False), case("newmark", True), case("ida", None)]
-    part = PartResult(text="", quantity="", take="last", healthy=(0, 1), cases=cases)
-    found = [
-        ExperimentResult(
-            name="e", number=3, title="Growth", claim="", remedy="", source="", parts=[part]
-        )
-    ]
-    for name, spared in (("mine", "1 of 2"), ("newmark", "1 of 1"), ("ida", "does not apply")):
-        table = atlas_table(name, found)
-        assert table
-        assert table.rows == [["3. Growth", spared]]
+    found = [*atlas_with("mine", "e").values()]
+    for name, spared in (("mine", "0 of 1"), ("spared", "1 of 1")):
+        assert atlas_table(name, found).rows == [["1. ", spared]]
     assert atlas_table("bdf", found) is None

@@ -34,15 +34,12 @@ def test_the_help_of_run_names_every_suite_with_its_title(stepbench):
         assert f"{name} {title}" in text
 
 
-def test_runs_that_are_not_supported_are_no_failures():
+def test_runs_that_are_not_supported_are_no_failures(tmp_path):
     runs = [*map(ended, ["ok", "ok", "unsupported", "diverged"])]
     assert endings(runs) == "2 ok, 1 not supported, 1 failed with a reason"
     assert endings(runs[:2]) == "2 ok, 0 failed with a reason"
     cut = [*runs, ended("interrupted")]
     assert endings(cut) == f"{endings(runs)}, 1 interrupted"
-
-
-def test_a_report_tells_unsupported_runs_apart_from_failures(tmp_path):
     runs = [ended("ok"), ended("unsupported", integrator="shy")]
     runs += [ended("diverged", integrator="wild"), ended("diverged", 0.05, integrator="wild")]
     report = read_report(plant(tmp_path / "store", runs))
@@ -119,7 +116,7 @@ def narrow(monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
 
 
-def test_the_list_has_a_line_for_each(stepbench, narrow):
+def test_the_list_has_a_line_for_each_and_details_of_one(stepbench, narrow):
     registry = Inventory()
     lines = stepbench("list").stdout.splitlines()
     for name in (*registry.problems, *registry.integrators, *suite_titles()):
@@ -130,9 +127,6 @@ def test_the_list_has_a_line_for_each(stepbench, narrow):
     only = stepbench("list", "scenes").stdout
     assert "pendulum" in only
     assert "newmark" not in only
-
-
-def test_details_come_with_a_name(stepbench, narrow):
     text = " ".join(stepbench("list", "pendulum", "generalized_alpha").stdout.split())
     for words in (
         "Released at rest at angle th0 from the downward vertical",
