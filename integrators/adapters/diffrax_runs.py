@@ -55,12 +55,15 @@ class DiffraxScheme:
     projects, baumgarte
         Whether each step ends by a projection onto the constraints, and whether Baumgarte's term
         is in the equations.
+    counted
+        Whether its programs are for `run_counted`.
     """
 
     library_class: str
     template: MechatronicSystem
     projects: bool
     baumgarte: bool
+    counted: bool = False
 
     @property
     def kind(self) -> Any:
@@ -93,12 +96,12 @@ class DiffraxScheme:
 
 
 @cache
-def _terms(scheme: DiffraxScheme, counted: bool) -> diffrax.AbstractTerm:
-    """The right-hand side as a solver takes it; a counted one is for `run_counted`."""
+def _terms(scheme: DiffraxScheme) -> diffrax.AbstractTerm:
+    """The right-hand side as a solver takes it."""
     import diffrax
 
     rate = jax.jit(scheme.rate)
-    term = diffrax.ODETerm(watch(rate) if counted else rate)
+    term = diffrax.ODETerm(watch(rate) if scheme.counted else rate)
     if scheme.kind.term_structure is diffrax.AbstractTerm:
         return term  # others split the right-hand side
     return diffrax.MultiTerm(diffrax.ODETerm(lambda t, s, p: jnp.zeros_like(s)), term)
@@ -160,9 +163,9 @@ class DiffraxRun(PreparedRun):
 
 # ---- adaptive steps --------------------------------------------------------------------
 @cache
-def adaptive_programs(scheme: DiffraxScheme, max_steps: int) -> tuple[Callable, Callable]:
-    """Programs of (p, s0, t0, t_end, rtol, atol) that return t, s, step counts and the ending: one
-    to be timed, and one that keeps all steps, for `run_counted`.
+def _adaptive(scheme: DiffraxScheme, max_steps: int) -> Callable:
+    """Program of (p, s0, t0, t_end, rtol, atol) that returns t, s, step counts and the ending; a
+    counted one keeps all steps.
 
     The ending is whether the solve succeeded, and the number of diffrax's ``RESULTS``.
     """
@@ -170,28 +173,24 @@ def adaptive_programs(scheme: DiffraxScheme, max_steps: int) -> tuple[Callable, 
     import optimistix
 
     solver = scheme.solver(diffrax.with_stepsize_controller_tols(optimistix.Newton)())
+    save = diffrax.SaveAt(steps=True) if scheme.counted else diffrax.SaveAt(t1=True)
 
-    def program(counted: bool) -> Callable:
-        save = diffrax.SaveAt(steps=True) if counted else diffrax.SaveAt(t1=True)
+    def solve(p: Any, s0: Any, t0: Any, t_end: Any, rtol: Any, atol: Any) -> tuple:
+        # A step near the rounding of time cannot help. Without this limit diffrax would go on
+        # trying ever smaller ones until max_steps.
+        smallest = 16 * np.finfo(float).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t_end))
+        control = diffrax.PIDController(rtol, atol, dtmin=smallest, force_dtmin=False)
+        solution = diffrax.diffeqsolve(
+            _terms(scheme), solver, t0, t_end, None, s0, p,
+            stepsize_controller=control, saveat=save, max_steps=max_steps,
+            adjoint=diffrax.ForwardMode(), throw=False,
+        )  # fmt: skip
+        steps = tuple(solution.stats[f"num_{k}_steps"] for k in ("accepted", "rejected"))
+        good = solution.result == diffrax.RESULTS.successful
+        (number,) = jax.tree.leaves(solution.result)
+        return solution.ts, solution.ys, steps, (good, number)
 
-        def solve(p: Any, s0: Any, t0: Any, t_end: Any, rtol: Any, atol: Any) -> tuple:
-            # A step near the rounding of time cannot help. Without this limit diffrax would
-            # go on trying ever smaller ones until max_steps.
-            smallest = 16 * np.finfo(float).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t_end))
-            control = diffrax.PIDController(rtol, atol, dtmin=smallest, force_dtmin=False)
-            solution = diffrax.diffeqsolve(
-                _terms(scheme, counted), solver, t0, t_end, None, s0, p,
-                stepsize_controller=control, saveat=save, max_steps=max_steps,
-                adjoint=diffrax.ForwardMode(), throw=False,
-            )  # fmt: skip
-            steps = tuple(solution.stats[f"num_{k}_steps"] for k in ("accepted", "rejected"))
-            good = solution.result == diffrax.RESULTS.successful
-            (number,) = jax.tree.leaves(solution.result)
-            return solution.ts, solution.ys, steps, (good, number)
-
-        return jax.jit(solve)
-
-    return program(counted=False), program(counted=True)
+    return jax.jit(solve)
 
 
 class DiffraxAdaptiveRun(DiffraxRun):
@@ -207,7 +206,7 @@ class DiffraxAdaptiveRun(DiffraxRun):
         scene = method.scene
         super().__init__(method.scheme, scene, t_end)
         self._max_steps, self._t0 = max_steps, scene.interval[0]
-        self._timed, self._counted = adaptive_programs(method.scheme, max_steps)
+        self._timed = _adaptive(method.scheme, max_steps)
         z = consistent_start(scene).z
         self._s0 = np.concatenate([z.q, z.v, z.x])
         rtol, atol = resolution.rtol, resolution.atol
@@ -222,7 +221,8 @@ class DiffraxAdaptiveRun(DiffraxRun):
 
     def _measured(self) -> tuple[Trajectory, tuple[int, int]]:
         self.execute()  # the warm-up
-        solution, counts = run_counted(self._counted, *self._arguments)
+        counted = _adaptive(replace(self._scheme, counted=True), self._max_steps)
+        solution, counts = run_counted(counted, *self._arguments)
         t, s, steps, (good, number) = solution
         accepted, rejected = map(int, steps)
         kept = RowKeeper(1, (self._t0, self._s0), self._t_end)
@@ -276,10 +276,9 @@ class DiffraxState(NamedTuple):
 
 @dataclass(frozen=True)
 class DiffraxStep(StepFunctions):
-    """The step of a diffrax solver on scenes of one kind; counted steps are for `run_counted`."""
+    """The step of a diffrax solver on scenes of one kind."""
 
     scheme: DiffraxScheme
-    counted: bool
     numbers: Any = None
 
     def with_numbers(self, numbers: Any) -> DiffraxStep:
@@ -293,8 +292,8 @@ class DiffraxStep(StepFunctions):
         slopes = jnp.abs(jax.jacfwd(self.scheme.rate, argnums=1)(z.t, s, p))
         rounding = np.finfo(float).eps * jnp.max(slopes @ (1 + jnp.abs(s)))
         atol = _NEWTON_TOLERANCE * (1 + size) + 100 * rounding
-        terms = _terms(self.scheme, self.counted)
-        return DiffraxState(s, self._solver(atol).init(terms, z.t, z.t + h, s, p), atol)
+        begun = self._solver(atol).init(_terms(self.scheme), z.t, z.t + h, s, p)
+        return DiffraxState(s, begun, atol)
 
     def step(
         self, scene: MechatronicSystem, state: DiffraxState, t: Time, h: Time, work: StepWork
@@ -302,7 +301,7 @@ class DiffraxStep(StepFunctions):
         from diffrax import RESULTS
 
         s, _, _, solver_state, result = self._solver(state.atol).step(
-            _terms(self.scheme, self.counted), t - h, t, state.s, self.numbers,
+            _terms(self.scheme), t - h, t, state.s, self.numbers,
             state.solver_state, made_jump=False,
         )  # fmt: skip
         work.count(converged=result == RESULTS.successful)
@@ -334,10 +333,9 @@ class DiffraxStepMethod(NativeMethod):
     scheme: DiffraxScheme
     scene: MechatronicSystem
     baumgarte: Baumgarte | None = None
-    counted: bool = False
 
     def functions(self) -> StepFunctions:
-        return DiffraxStep(self.scheme, self.counted)
+        return DiffraxStep(self.scheme)
 
     def numbers(self) -> np.ndarray:
         return packed_parameters(self.scene, self.baumgarte)
@@ -359,7 +357,7 @@ class DiffraxConstantRun(DiffraxRun):
 
     def _measured(self) -> tuple[Trajectory, tuple[int, int]]:
         run = self._timed.measure()  # the warm-up, too
-        counted = replace(self._method, counted=True)
+        counted = replace(self._method, scheme=replace(self._scheme, counted=True))
         counted = counted.prepare(self._scene, self._t_end, self._resolution)
         _, counts = run_counted(counted.execute)  # once: rows take more passes
         completed = trajectory_from_states(self._scene, run.t, run.q, run.v, run.x)
