@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from integrators.lowering.known import on_numbers
-from integrators.lowering.moves import MOVES
+from integrators.lowering.moves import MOVES, on_numbers
 from integrators.lowering.operators import ELEMENTARY, OPERATORS
 from integrators.programs import Follower, Program, Step, program
 from problems.compiled import compiled

@@ -46,9 +46,10 @@ def sparse_start(scene: MechatronicSystem, state: State, t: float) -> Start:
     start = _with_rates(scene, z, xdot, equations, factors)
     if factors is None or not nl:
         return start
-    if scene.sizes.ny:  # beside the outputs stands [[M, Phi_q^T], [Phi_q, 0]]
-        factors = _sparse_factors(factors.matrix[: nv + nl, : nv + nl])
-    along = equations.constraint_change(scene.parameters(), z, start.jerk)
+    augmented = factors.matrix[: nv + nl, : nv + nl]  # [[M, Phi_q^T], [Phi_q, 0]]
+    if scene.sizes.ny:  # it stands beside the outputs
+        factors = _sparse_factors(augmented)
+    along = augmented[nv:, :nv] @ np.asarray(start.jerk)
     right = np.concatenate([np.zeros(nv), along])
     part = factors.solve(right)[:nv] if factors else np.full(nv, np.nan)
     return start._replace(constrained_jerk=jnp.asarray(part))
@@ -135,15 +136,12 @@ class _Equations(NamedTuple):
         residual ``(n,)``, and its Jacobian by u: the entries in the order of the pattern
     ``drift(p, z, xdot)``
         derivative of the residual by time at constant u, ``(n,)``
-    ``constraint_change(p, z, w)``
-        Phi_q w, ``(nl,)``
     """
 
     pattern: Pattern | None
     residual: Callable[..., Array]
     jacobian: Callable[..., Array]
     drift: Callable[..., Array]
-    constraint_change: Callable[..., Array]
 
 
 class _Factors(NamedTuple):
@@ -167,9 +165,6 @@ def _equations(template: MechatronicSystem, sparse: bool) -> _Equations:
         rates = q_rate(scene, z.q, z.v), z.a, xdot, jnp.ones_like(z.t)
         return jax.jvp(lambda *state: at(p, *state)(u), (z.q, z.v, z.x, z.t), rates)[1]
 
-    def change(p: Mapping, z: Variables, w: Array) -> Array:
-        return constraint_change(template.with_parameters(p), z.q, z.t, w)
-
     pattern = None
     if sparse:
         start = map(jnp.asarray, (*template.initial_state(), template.interval[0]))
@@ -180,7 +175,6 @@ def _equations(template: MechatronicSystem, sparse: bool) -> _Equations:
         residual=jax.jit(lambda p, u, *state: at(p, *state)(u)),
         jacobian=jax.jit(jacobian),
         drift=jax.jit(drift),
-        constraint_change=jax.jit(change),
     )
 
 

@@ -17,12 +17,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from integrators.lowering.elimination import eliminate
 from integrators.lowering.graph import Graph, LoweredFunction, NotLowered, WhileLoop
-from integrators.lowering.known import on_numbers
-from integrators.lowering.moves import INDICES, MOVES
+from integrators.lowering.moves import INDICES, MOVES, on_numbers
 from integrators.lowering.operators import operator
-from integrators.lowering.rules import RULES
+from integrators.lowering.rules import RULES, eliminate
 from integrators.programs import Body, Follower, Step, Type, program
 from problems.runtime import jax
 
