@@ -171,12 +171,15 @@ def test_steps_that_are_rejected_free_their_factorisations_too(held):
 
 
 @pytest.mark.long
-def test_an_adaptive_run_ends_before_a_singular_tangent(held):
+def test_an_adaptive_run_ends_before_a_singular_tangent_as_with_full_matrices(held):
+    full = GeneralizedAlphaAdaptive(newton="modified", formulation="index3", linear_solver="dense")
+    dense = full.prepare(Failing(), 1.0, Tolerances(1e-3)).measure()
     run = adaptive(Failing(), 1.0, formulation="index3")
     analysis = set(held)
     end = run.measure()
-    assert (end.status, end.work.steps > 0) == ("diverged", True)
-    assert 0 < end.t[-1] < 0.05
+    assert end.status == dense.status != "ok"
+    assert end.work.steps > 0
+    assert 0 < end.t[-1] <= 0.05
     assert f"Ended at t={end.t[-1]:.6g} s of 1 s" in end.message
     run.execute()
     assert set(held) == analysis
