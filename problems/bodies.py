@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from problems import spec
+from problems.drawing import OBLIQUE
 from problems.joints import Frame, Joint, Link, SpringDamper, Vector, vector
 from problems.rotations import conjugate, product, quaternion_rate, rotated, turned
 from problems.runtime import Array, Float, jax, jnp
@@ -25,8 +26,6 @@ from problems.variables import State
 GROUND = "ground"
 #: Singular values below this part of the largest are of dependent constraints.
 _DEPENDENT = 1e-10
-#: Oblique view: y to the right, z up, x towards the lower left.
-_VIEW = np.array([[-0.4, 1.0, 0.0], [-0.4, 0.0, 1.0]])
 
 
 def _axes_turned(p: np.ndarray) -> np.ndarray:
@@ -310,7 +309,7 @@ class RigidBodies(MechatronicSystem):
             ]
             axes = vector(body.position) + np.sqrt(np.max(body.inertia) / body.mass) * np.eye(3)
             lines += [[frame.now, frame.point(end)] for end in ends or axes]
-        return [np.asarray(line) @ _VIEW.T for line in lines]
+        return [np.asarray(line) @ OBLIQUE for line in lines]
 
 
 @cache

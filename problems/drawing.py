@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+#: Oblique view of points in space, from the right: y to the right, z up, x towards the lower left.
+OBLIQUE = np.array([[-0.4, -0.4], [1.0, 0.0], [0.0, 1.0]])
+
 
 def box(x: float, half: float) -> np.ndarray:
     """A square around (x, 0) with sides of twice ``half``."""

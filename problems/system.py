@@ -49,8 +49,7 @@ _PARTNERS = (
 class MechatronicSystem:
     """Base class of all scenes.
 
-    Required: ``mass``, ``force`` and ``initial_state``. A scene states other blocks if it has them;
-    an override may leave out annotations.
+    Required: ``mass``, ``force``, and ``initial_state`` or ``exact``. No annotations are needed.
 
     Attributes
     ----------
@@ -175,8 +174,11 @@ class MechatronicSystem:
         raise NotImplementedError
 
     def initial_state(self) -> State:
-        """q, v and x at the start of the interval, from NumPy and concrete parameters."""
-        raise NotImplementedError
+        """q, v and x at the start, from NumPy and concrete parameters; else those of ``exact``."""
+        if not self.has("exact"):
+            raise NotImplementedError
+        start = self.exact(np.array([self.interval[0]]))
+        return State(*(start[group][0] if group in start else np.zeros(0) for group in "qvx"))
 
     def sample(self, z: Variables) -> Mapping[str, Float[Array, ...] | float]:
         """Values from a sample instant on: held ones by name, perhaps also "x" (or "q", "v")."""
@@ -308,9 +310,8 @@ class MechatronicSystem:
         """Return L at q, whether it depends on q or not."""
         actuation: Any = self.actuation
         named = inspect.signature(actuation).parameters.values()
-        return (
-            actuation(q) if any(p.kind is p.POSITIONAL_OR_KEYWORD for p in named) else actuation()
-        )
+        takes_q = any(p.kind is p.POSITIONAL_OR_KEYWORD for p in named)
+        return actuation(q) if takes_q else actuation()
 
     def parameters(self) -> dict[str, float]:
         """The traced parameters by name."""

@@ -284,7 +284,8 @@ def _fault(kind: str, name: str, cls: Any) -> str:
     if cls.name != name:
         return f"it is registered as {name!r} but calls itself {cls.name!r}."
     if kind == "problems":
-        missing = [b for b in ("mass", "force", "initial_state") if not cls.has(b)]
+        needed = "mass", "force", *(() if cls.has("exact") else ("initial_state",))
+        missing = [b for b in needed if not cls.has(b)]
         if missing:
             return f"it lacks {', '.join(missing)}."
         if fault := cls.fault():

@@ -19,6 +19,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from problems.drawing import OBLIQUE
 from problems.models.mjcf_check import Start, checked_start, reset
 from problems.models.mjcf_model import Model
 from problems.models.mjcf_parts import called, lacking, load_mujoco, numbers
@@ -31,8 +32,6 @@ from problems.variables import Component, State, parameter
 
 #: What a parameter says of a part that the equations do not have.
 REFUSED, LEFT_OUT = "refused", "left_out"
-#: Oblique view: y to the right, z up, x towards the lower left.
-_VIEW = np.array([[-0.4, 1.0, 0.0], [-0.4, 0.0, 1.0]])
 
 
 class MujocoScene(MechatronicSystem):
@@ -124,7 +123,7 @@ class MujocoScene(MechatronicSystem):
             lines.append([origins[parent] if parent >= 0 else np.zeros(3), origins[k]])
             if k not in tree.parent and tree.mass[k]:
                 lines.append([origins[k], centres[k]])
-        return [np.asarray(line) @ _VIEW.T for line in lines]
+        return [np.asarray(line) @ OBLIQUE for line in lines]
 
 
 def from_mjcf(

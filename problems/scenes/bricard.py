@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import MechatronicSystem, Published, State, jax, jnp, lagrange, parameter
+from problems import Published, State, jax, jnp, parameter
+from problems.lagrange import OfEnergies
 
 #: Axes of the joints P0 to P4: y, z, x, y, z of the frame of the rod that begins there.
 _AXES = np.eye(3)[[1, 2, 0, 1, 2]]
@@ -20,7 +21,7 @@ _ACROSS = np.cross(_AXES[:, None], np.eye(3))
 
 
 @dataclass(frozen=True)
-class Bricard(MechatronicSystem):
+class Bricard(OfEnergies):
     """Five rods in a closed loop of six hinges, which moves although it should be rigid.
 
     The benchmark A04 of the library. The hinges of six bodies, the ground among them, leave no
@@ -41,6 +42,7 @@ class Bricard(MechatronicSystem):
     )
     coordinates = tuple(f"joint P{k} [rad]" for k in range(5))
     multipliers = ("P5 x [N]", "P5 y [N]", "P5 z [N]", "axis y [N m]", "axis z [N m]")
+    energy = OfEnergies._total
     source = (
         "IFToMM benchmark library, A04; Gonzalez et al. (2006), doi:10.1007/s11044-006-9013-y; "
         "digits by a null-space method with DOP853, two settings of which agree"
@@ -83,19 +85,10 @@ class Bricard(MechatronicSystem):
         joints = self._joints(q)
         return self.m * self.g * jnp.sum(joints[:-1] + joints[1:], axis=0)[1] / 2
 
-    def mass(self, q: jax.Array) -> jax.Array:
-        return lagrange.mass(self._kinetic_energy, q)
-
-    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        return lagrange.force(self._kinetic_energy, self._potential_energy, q, v)
-
     def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         frames, rods = self._rods(q)
         gap = jnp.sum(rods, axis=0) - self.length * jnp.array([0.0, 0.0, 1.0])
         return jnp.concatenate([gap, frames[-1, 0, 1:]])
-
-    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return self._kinetic_energy(q, v) + self._potential_energy(q)
 
     def points(self, q: jax.Array) -> dict[str, jax.Array]:
         return {"P3": self._joints(q)[3]}

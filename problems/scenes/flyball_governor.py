@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import MechatronicSystem, Published, State, drawing, jax, jnp, lagrange, parameter
+from problems import Published, State, drawing, jax, jnp, parameter
+from problems.lagrange import OfEnergies
 
 #: Distance of hinges and slider points from the axis, length of the rods, height of the hinges, m.
 _REACH, _ROD, _TOP = 0.05, 1.0, 1.0
@@ -18,7 +19,7 @@ _START = np.pi / 6, 0.5
 
 
 @dataclass(frozen=True)
-class FlyballGovernor(MechatronicSystem):
+class FlyballGovernor(OfEnergies):
     """Two balls on hinged rods turn about a shaft and hold a slider by stiff spring-dampers.
 
     The benchmark A05 of the library. Tests stiffness by damping: one rate of 8117 per s beside a
@@ -72,15 +73,9 @@ class FlyballGovernor(MechatronicSystem):
         across, along = 0.5 * _ROD * jnp.cos(q[1]), _TOP - 0.5 * _ROD * jnp.sin(q[1]) - q[2]
         return jnp.sqrt(across**2 + along**2)
 
-    def mass(self, q: jax.Array) -> jax.Array:
-        return lagrange.mass(self._kinetic_energy, q)
-
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         slope = jax.grad(self._length)(q)
-        return (
-            lagrange.force(self._kinetic_energy, self._potential_energy, q, v)
-            - 2 * self.c * (slope @ v) * slope
-        )
+        return super().force(q, v, t) - 2 * self.c * (slope @ v) * slope
 
     def momentum(self, q: jax.Array, v: jax.Array) -> jax.Array:
         return self._axial_inertia(q[1])[None] * v[:1]

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import MechatronicSystem, State, Variables, jax, jnp, lagrange, parameter
+from problems import State, Variables, jax, jnp, lagrange, parameter
+from problems.lagrange import OfEnergies
 from problems.scenes.damper import SemiActiveDamper
 
 #: Waves of the road: cycles per m, with phases on the left and on the right that were drawn once.
@@ -17,7 +18,7 @@ _FRONT = np.array([1.0, 1.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True)
-class _Car(MechatronicSystem):
+class _Car(OfEnergies):
     """Body, wheels, tyres and steering of both cars: everything but the dampers.
 
     Axes: x forward, y to the left, z up; roll is positive with the left side up, pitch with the
@@ -99,7 +100,7 @@ class _Car(MechatronicSystem):
         """Extension of springs and dampers in m, shape ``(4,)``; with v for q, their speed."""
         return self._corners() @ q[2:5] - q[6:10]
 
-    def _road(self, t: jax.Array) -> jax.Array:
+    def _road(self, t: jax.Array | float) -> jax.Array:
         """Height of the road under each wheel in m, at the initial speed; zero at t = 0."""
         x, _ = self._places()
         way = self.speed * t + x
@@ -130,7 +131,7 @@ class _Car(MechatronicSystem):
         plane = jnp.sum(unsprung) * (ahead**2 + aside**2)
         return 0.5 * (self.m * (body @ body) + plane + turning + unsprung @ v[6:10] ** 2)
 
-    def _potential_energy(self, q: jax.Array, t: jax.Array) -> jax.Array:
+    def _potential_energy(self, q: jax.Array, t: jax.Array | float = 0.0) -> jax.Array:
         springs = self._axles(self.k_front, self.k_rear) @ self._stretch(q) ** 2
         tyres = self.k_tyre * jnp.sum((q[6:10] - self._road(t)) ** 2)
         front = q[3] - (q[6] - q[7]) / self.track_front
@@ -167,9 +168,6 @@ class _Car(MechatronicSystem):
         stiff = self.slope / (self.shape * self.friction) * -jnp.arctan2(across, along)
         bent = stiff - self.curvature * (stiff - jnp.arctan(stiff))
         return self.friction * self._tyre_loads(q, t) * jnp.sin(self.shape * jnp.arctan(bent))
-
-    def mass(self, q: jax.Array) -> jax.Array:
-        return lagrange.mass(self._kinetic_energy, q)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         g = lagrange.force(self._kinetic_energy, lambda q: self._potential_energy(q, t), q, v)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jax, jnp, parameter
+from problems import MechatronicSystem, State, drawing, jax, jnp, parameter
+from problems.rotations import rotation_matrix
 
 
 @dataclass(frozen=True)
@@ -113,13 +114,8 @@ class HeavyTop(MechatronicSystem):
         )
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        # Oblique view: y to the right, z up, x towards the lower left.
-        p0, p = q[3], np.asarray(q[4:])
-        cross = np.array([[0, -p[2], p[1]], [p[2], 0, -p[0]], [-p[1], p[0], 0]])
-        rotation = (p0**2 - p @ p) * np.eye(3) + 2 * np.outer(p, p) + 2 * p0 * cross
-        view = np.array([[-0.4, 1.0, 0.0], [-0.4, 0.0, 1.0]])
-        angle = np.linspace(0, 2 * np.pi, 33)
-        rim = np.column_stack([0.4 * np.cos(angle), np.ones_like(angle), 0.4 * np.sin(angle)])
+        rotation = np.asarray(rotation_matrix(jnp.asarray(q[3:])))
+        rim = np.insert(drawing.circle(np.zeros(2), 0.4), 1, 1.0, axis=1)
         shaft = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
         spoke = np.array([shaft[1], rim[0]])
-        return [self.length * line @ rotation.T @ view.T for line in (shaft, rim, spoke)]
+        return [self.length * line @ rotation.T @ drawing.OBLIQUE for line in (shaft, rim, spoke)]

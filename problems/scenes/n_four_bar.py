@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from problems import MechatronicSystem, Published, State, jax, jnp, parameter
+from problems import MechatronicSystem, Published, jax, jnp, parameter
 
 
 @dataclass(frozen=True)
@@ -51,15 +52,11 @@ class NFourBar(MechatronicSystem):
     loops: int = parameter(2, "-", "number of four-bar loops", low=1, high=1000)
 
     @property
-    def coordinates(  # pyright: ignore[reportIncompatibleVariableOverride]
-        self,
-    ) -> tuple[str, ...]:
+    def coordinates(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
         return tuple(f"B{k} {axis} [m]" for k in range(self.loops + 1) for axis in "xy")
 
     @property
-    def multipliers(  # pyright: ignore[reportIncompatibleVariableOverride]
-        self,
-    ) -> tuple[str, ...]:
+    def multipliers(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
         uprights = tuple(f"upright {k} [N/m]" for k in range(self.loops + 1))
         return uprights + tuple(f"coupler {k} [N/m]" for k in range(1, self.loops + 1))
 
@@ -91,10 +88,6 @@ class NFourBar(MechatronicSystem):
 
     def points(self, q: jax.Array) -> dict[str, jax.Array]:
         return {"B0": q[:2]}
-
-    def initial_state(self) -> State:
-        start = self.exact(np.array([self.interval[0]]))
-        return State(q=start["q"][0], v=start["v"][0])
 
     def exact(self, t: np.ndarray) -> dict[str, np.ndarray]:
         """th = pi - 2 am(K - w t, k^2), from I th'' = G sin th with th = 0, th' = v0/length."""

@@ -59,8 +59,8 @@ class Pendulum(MechatronicSystem):
         return 0.5 * self.m * (v @ v) + self.m * self.g * q[1]
 
     def initial_state(self) -> State:
-        start = self.exact(np.array([self.interval[0]]))
-        return State(q=start["q"][0], v=start["v"][0] + self.radial / self.length * start["q"][0])
+        q, v, x = super().initial_state()
+        return State(q, v + self.radial / self.length * q, x)
 
     def exact(self, t: np.ndarray) -> dict[str, np.ndarray]:
         """th(t) = 2 asin(k sn(K - w t, k^2)) with k = sin(th0/2), w = sqrt(g/length)."""

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from problems import MechatronicSystem, Published, State, jax, jnp, parameter
+from problems import MechatronicSystem, Published, State, drawing, jax, jnp, parameter
 
 #: Masses of rear axle, chassis, front axle, cab and load in kg; inertias of the last three that
 #: turn (chassis, cab, load) in kg m^2, in the order of the coordinates.
@@ -114,11 +114,7 @@ class PlanarTruck(MechatronicSystem):
         chassis = turned(0.0, q[1], q[2], (-4.0, 0.0), (4.2, 0.0))
         cab = (-0.8, 0.0), (-0.8, 1.4), (0.9, 1.4), (0.9, 0.0), (-0.8, 0.0)
         load = turned(*q[6:], (-2.6, 0.0), (-2.6, 1.2), (2.6, 1.2), (2.6, 0.0), (-2.6, 0.0))
-        angle = np.linspace(0.0, 2 * np.pi, 25)
-        wheels = [
-            np.column_stack([x + 0.5 * np.cos(angle), z + 0.5 * np.sin(angle)])
-            for x, z in ((-2.06, q[0]), (2.44, q[3]))
-        ]
+        wheels = [drawing.circle(np.array(at), 0.5) for at in ((-2.06, q[0]), (2.44, q[3]))]
         return [chassis, turned(2.74, q[4], q[5], *cab), load, *wheels]
 
 

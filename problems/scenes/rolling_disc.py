@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jax, jnp, lagrange, parameter
+from problems import State, jax, jnp, parameter
+from problems.lagrange import OfEnergies
 
 
 @dataclass(frozen=True)
-class RollingDisc(MechatronicSystem):
+class RollingDisc(OfEnergies):
     """A thin uniform disc rolls on a horizontal plane: two constraints of velocities, in space.
 
     Tests rolling, with rotation by three angles: heading (about the vertical, z up), lean (to the
@@ -30,6 +31,7 @@ class RollingDisc(MechatronicSystem):
     )
     coordinates = ("centre x [m]", "centre y [m]", "heading [rad]", "lean [rad]", "spin [rad]")
     multipliers = ("along [N]", "across [N]")
+    energy = OfEnergies._total
     source = "Neimark & Fufaev (1972); Bloch (2003), section 1.4; O'Reilly (1996)"
 
     m: float = parameter(1.0, "kg", "mass", low=1e-12)
@@ -51,21 +53,12 @@ class RollingDisc(MechatronicSystem):
     def _potential_energy(self, q: jax.Array) -> jax.Array:
         return self.m * self.g * self.r * jnp.cos(q[3])
 
-    def mass(self, q: jax.Array) -> jax.Array:
-        return lagrange.mass(self._kinetic_energy, q)
-
-    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        return lagrange.force(self._kinetic_energy, self._potential_energy, q, v)
-
     def velocity_constraint(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         _, _, heading, lean, _ = q
         dx, dy, turn, lean_rate, spin = v
         c, s = jnp.cos(heading), jnp.sin(heading)
         along = c * dx + s * dy - self.r * (spin + turn * jnp.sin(lean))
         return jnp.stack([along, c * dy - s * dx + self.r * lean_rate * jnp.cos(lean)])
-
-    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return self._kinetic_energy(q, v) + self._potential_energy(q)
 
     def initial_state(self) -> State:
         speed = self.r * (self.spin0 + self.turn0 * np.sin(self.lean0))

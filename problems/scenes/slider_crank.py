@@ -7,16 +7,8 @@ from types import ModuleType
 
 import numpy as np
 
-from problems import (
-    MechatronicSystem,
-    State,
-    Variables,
-    drawing,
-    jax,
-    jnp,
-    lagrange,
-    parameter,
-)
+from problems import MechatronicSystem, State, Variables, drawing, jax, jnp, parameter
+from problems.lagrange import OfEnergies
 from problems.spec import SpecError
 
 
@@ -157,7 +149,7 @@ class SliderCrankFriction(SliderCrank):
 
 
 @dataclass(frozen=True)
-class SliderCrankMinimal(_FreeCrank):
+class SliderCrankMinimal(_FreeCrank, OfEnergies):
     """The free slider crank by its crank angle alone: an ODE of one degree of freedom.
 
     Tests the cost of absolute coordinates: the motion is that of ``slider_crank``, and serves as a
@@ -168,6 +160,7 @@ class SliderCrankMinimal(_FreeCrank):
     tags = ("smooth", "nonlinear", "conservative", "multibody")
     coordinates = ("crank angle [rad]",)
     source = "Lagrange's equation of slider_crank"
+    energy = OfEnergies._total
 
     def _kinetic_energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         _, rate = jax.jvp(lambda q: self._assembled(q[0], jnp), (q,), (v,))
@@ -176,15 +169,6 @@ class SliderCrankMinimal(_FreeCrank):
     def _potential_energy(self, q: jax.Array) -> jax.Array:
         at = self._assembled(q[0], jnp)
         return self.g * (self.m1 * at[1] + self.m2 * at[4])
-
-    def mass(self, q: jax.Array) -> jax.Array:
-        return lagrange.mass(self._kinetic_energy, q)
-
-    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        return lagrange.force(self._kinetic_energy, self._potential_energy, q, v)
-
-    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return self._kinetic_energy(q, v) + self._potential_energy(q)
 
     def initial_state(self) -> State:
         return State(q=np.array([self.th0]), v=np.array([self.w0]))
@@ -245,10 +229,6 @@ class SliderCrankDriven(MechatronicSystem):
         phi, x = q
         along, across = x - self.l1 * jnp.cos(phi), self.l1 * jnp.sin(phi)
         return jnp.stack([0.5 * (along**2 + across**2 - self.l2**2), phi - self.omega * t])
-
-    def initial_state(self) -> State:
-        start = self.exact(np.array([self.interval[0]]))
-        return State(q=start["q"][0], v=start["v"][0])
 
     def exact(self, t: np.ndarray) -> dict[str, np.ndarray]:
         """x = l1 cos(p) + R with R = sqrt(l2^2 - l1^2 sin(p)^2); NaN where the rod is too short.

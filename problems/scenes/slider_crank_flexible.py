@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import MechatronicSystem, State, drawing, jax, jnp, lagrange, parameter
+from problems import State, drawing, jax, jnp, parameter
+from problems.lagrange import OfEnergies
 from problems.spec import SpecError
 
 _PI = np.pi
@@ -26,7 +27,7 @@ _MOMENT_ACROSS = np.array([1 / _PI, -0.5 / _PI, 0, 0])
 
 
 @dataclass(frozen=True)
-class SliderCrankFlexible(MechatronicSystem):
+class SliderCrankFlexible(OfEnergies):
     """A slider crank driven at constant speed whose rod bends and stretches: stiff, index 3.
 
     Tests high frequencies beside slow motion: the elastic rod's eigenfrequencies are 1277, 5107,
@@ -99,12 +100,6 @@ class SliderCrankFlexible(MechatronicSystem):
         e, stiffness = q[3:], self.young * self.width * self.height / self.l2
         slender = (self.height / self.l2) ** 2
         return 0.5 * stiffness * (e @ (slender * _BEND + _STRETCH) @ e)
-
-    def mass(self, q: jax.Array) -> jax.Array:
-        return lagrange.mass(self._kinetic_energy, q)
-
-    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        return lagrange.force(self._kinetic_energy, self._potential_energy, q, v)
 
     def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         length = self.l2 + q[6]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jax, jnp, parameter
+from problems import MechatronicSystem, jax, jnp, parameter
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,6 @@ class SoftImpact(MechatronicSystem):
 
     def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         return 0.5 * self.m * (v @ v + self.v0**2 * jnp.exp(-q[0] / self.d))
-
-    def initial_state(self) -> State:
-        start = self.exact(np.array([self.interval[0]]))
-        return State(q=start["q"][0], v=start["v"][0])
 
     def exact(self, t: np.ndarray) -> dict[str, np.ndarray]:
         """q = 2 d ln cosh s with s = v0 (t - t_c)/(2 d)."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import MechatronicSystem, State, drawing, jax, jnp, parameter
+from problems import MechatronicSystem, drawing, jax, jnp, parameter
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,6 @@ class StiffBar(MechatronicSystem):
 
     def momentum(self, q: jax.Array, v: jax.Array) -> jax.Array:
         return self.m * (q[0] * v[1] - q[1] * v[0])[None]
-
-    def initial_state(self) -> State:
-        start = self.exact(np.array([self.interval[0]]))
-        return State(q=start["q"][0], v=start["v"][0])
 
     def exact(self, t: np.ndarray) -> dict[str, np.ndarray]:
         """Motion under a central force, by elliptic functions of s = r^2/L^2 - 1.

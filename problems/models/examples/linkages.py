@@ -27,8 +27,24 @@ def _constants(cls: Any, *symbols: Any) -> dict[Any, float]:
     return {symbol: getattr(cls, symbol.name) for symbol in symbols}
 
 
+class _Derived(MechatronicSystem):
+    """A scene whose blocks are those of a class that `from_sympy` makes."""
+
+    source_text = _SYMPY  # decides its fingerprint
+    _derived: Any
+
+    def mass(self, q: Array) -> Array:
+        return self._derived().mass(self, q)
+
+    def force(self, q: Array, v: Array, t: Array) -> Array:
+        return self._derived().force(self, q, v, t)
+
+    def initial_state(self) -> State:
+        return self._derived().initial_state(self)
+
+
 @dataclass(frozen=True)
-class SympyFourBar(MechatronicSystem):
+class SympyFourBar(_Derived):
     """A four-bar linkage by SymPy's Lagrange's method, with two constraints (`hol_coneqs`).
 
     Tests a closed loop in absolute angles; the motion is that of `mjcf_four_bar`. The crank goes
@@ -42,7 +58,6 @@ class SympyFourBar(MechatronicSystem):
     multipliers = ("support x [N]", "support y [N]")
     tags = ("multibody", "constrained", "index 3", "conservative", "smooth", "model")
     source = "data: docs/models.md; equations: sympy.physics.mechanics.LagrangesMethod"
-    source_text = _SYMPY  # decides its fingerprint
 
     l1: float = parameter(1.0, "m", "length of the crank")
     l2: float = parameter(2.0, "m", "length of the coupler")
@@ -78,20 +93,11 @@ class SympyFourBar(MechatronicSystem):
             nominal_step=cls.nominal_step,
         )
 
-    def mass(self, q: Array) -> Array:
-        return self._derived().mass(self, q)
-
-    def force(self, q: Array, v: Array, t: Array) -> Array:
-        return self._derived().force(self, q, v, t)
-
     def constraint(self, q: Array, t: Array) -> Array:
         return self._derived().constraint(self, q, t)
 
     def energy(self, q: Array, v: Array) -> Array:
         return self._derived().energy(self, q, v)
-
-    def initial_state(self) -> State:
-        return self._derived().initial_state(self)
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
         rods = np.stack([np.cos(q), np.sin(q)], axis=1) * [[self.l1], [self.l2], [self.l3]]
@@ -99,7 +105,7 @@ class SympyFourBar(MechatronicSystem):
 
 
 @dataclass(frozen=True)
-class SympyCartLinks(MechatronicSystem):
+class SympyCartLinks(_Derived):
     """SymPy's pendulum of links on a cart, by Kane's method: three links, which hang and swing.
 
     Tests an M(q) that couples all coordinates, without constraints. Masses are points at the ends
@@ -112,7 +118,6 @@ class SympyCartLinks(MechatronicSystem):
     coordinates = ("cart [m]", "link 1 [rad]", "link 2 [rad]", "link 3 [rad]")
     tags = ("multibody", "smooth", "model")
     source = "sympy.physics.mechanics.models.n_link_pendulum_on_cart"
-    source_text = _SYMPY  # decides its fingerprint
 
     m0: float = parameter(1.0, "kg", "mass of the cart")
     m1: float = parameter(1.0, "kg", "mass at the end of link 1")
@@ -140,15 +145,6 @@ class SympyCartLinks(MechatronicSystem):
             interval=cls.interval,
             nominal_step=cls.nominal_step,
         )
-
-    def mass(self, q: Array) -> Array:
-        return self._derived().mass(self, q)
-
-    def force(self, q: Array, v: Array, t: Array) -> Array:
-        return self._derived().force(self, q, v, t)
-
-    def initial_state(self) -> State:
-        return self._derived().initial_state(self)
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
         links = np.stack([-np.sin(q[1:]), np.cos(q[1:])], axis=1)
