@@ -30,84 +30,54 @@ def test_a_clean_power_law_is_found_over_all_points(order, factor):
     assert fit.verdict == "converges"
 
 
-def test_the_order_of_the_points_does_not_matter():
-    errors = [h**2 + 30 * h**4 for h in STEPS]
-    assert fit_order(STEPS[::-1], errors[::-1]) == fit_order(STEPS, errors)
+def test_the_window_of_a_fit_has_asymptotic_points_alone():
+    """Orders with their tolerance, and the numbers of points of the window's ends."""
+    spoilt = [h**2 for h in STEPS]
+    spoilt[-1], spoilt[-2] = spoilt[-3] * 1.5, spoilt[-3] * 0.9
+    for errors, floor, order, tolerance, first, last in (
+        ([h**2 * (1 + 400 * h * h) for h in STEPS], 0.0, 2.0, 0.06, 1, 7),  # coarse points go
+        ([h**2 + 0.03 * h for h in STEPS], 0.0, 1.0, 0.2, 0, 7),  # an order lost at fine steps
+        (spoilt, 0.0, 2.0, 1e-6, 0, 5),  # round-off
+        ([h**2 + 1e-6 for h in STEPS], 1e-6, 2.0, 0.06, 0, 3),  # near the reference's own error
+    ):
+        fit = fit_order(STEPS, errors, floor=floor)
+        assert fit.order == pytest.approx(order, abs=tolerance)
+        assert fit.window[0] < 1.01 * STEPS[first]
+        assert fit.window[1] > 0.99 * STEPS[last]
+        assert fit_order(STEPS[::-1], errors[::-1], floor=floor) == fit
 
 
-def test_coarse_points_before_the_asymptotic_range_are_dropped():
-    errors = [h**2 * (1 + 400 * h * h) for h in STEPS]
-    fit = fit_order(STEPS, errors)
-    assert fit.window[0] < STEPS[0]
-    assert fit.order == pytest.approx(2.0, abs=0.06)
-
-
-def test_an_order_that_is_lost_only_at_fine_steps_is_seen():
-    # Second order in appearance, first order in truth.
-    fit = fit_order(STEPS, [h**2 + 0.03 * h for h in STEPS])
-    assert fit.order < 1.2
-
-
-def test_fine_points_spoilt_by_round_off_are_dropped():
-    errors = [h**2 for h in STEPS]
-    errors[-1], errors[-2] = errors[-3] * 1.5, errors[-3] * 0.9
-    fit = fit_order(STEPS, errors)
-    assert fit.order == pytest.approx(2.0, abs=1e-6)
-    assert fit.window[1] == pytest.approx(STEPS[-3])
-
-
-def test_points_near_the_error_of_the_reference_do_not_count():
-    errors = [h**2 + 1e-6 for h in STEPS]
-    fit = fit_order(STEPS, errors, floor=1e-6)
-    assert fit.window[1] ** 2 > 1e-4
-
-
-def test_fewer_than_three_points_determine_nothing():
-    for errors in [
-        [1e-2, 1e-3] + [None] * 6,
-        [1e-2, 1e-3] + [math.inf, math.nan] * 3,
-        [1e-2, 1e-3] + [0.0] * 6,
-        [None] * 8,
-    ]:
+def test_errors_without_an_order_say_so():
+    unknown, stuck = "not determined", "does not converge"
+    for errors, verdict, order in (
+        ([1e-2, 1e-3] + [None] * 6, unknown, None),  # fewer than three points
+        ([1e-2, 1e-3] + [math.inf, math.nan] * 3, unknown, None),
+        ([1e-2, 1e-3] + [0.0] * 6, unknown, None),
+        ([None] * 8, unknown, None),
+        ([h**2 + 1e-3 * h for h in STEPS], unknown, None),  # still falling at the finest step
+        ([h**2 + 3e-3 * h for h in STEPS], unknown, None),
+        ([0.3] * 8, stuck, 0.0),
+        ([0.3, 0.8, 0.2, 0.9, 0.3, 1.1, 0.25, 0.7], stuck, None),
+    ):
         fit = fit_order(STEPS, errors)
-        assert fit.order is None
-        assert fit.window is None
-        assert fit.verdict == "not determined"
-
-
-def test_errors_that_do_not_fall_are_called_so():
-    level = fit_order(STEPS, [0.3] * 8)
-    assert level.verdict == "does not converge"
-    assert level.order == pytest.approx(0.0, abs=1e-9)
-    scattered = fit_order(STEPS, [0.3, 0.8, 0.2, 0.9, 0.3, 1.1, 0.25, 0.7])
-    assert scattered.verdict == "does not converge"
-    assert scattered.order is None
-
-
-def test_a_plateau_of_round_off_is_no_order_zero():
-    fit = fit_order(STEPS, [1e-3 * h**4 + 2e-12 for h in STEPS])
-    assert fit.verdict != "does not converge"
-    assert fit.order is None or fit.order == pytest.approx(4.0, abs=0.2)
-
-
-def test_a_long_rise_of_round_off_does_not_hide_the_order():
-    errors = [1e-5, 2.5e-6, 6.3e-7, 2.2e-7, 5.5e-7, 2.1e-6, 7.4e-6, 2.8e-5]
-    fit = fit_order([1e-3 * 2.0**-k for k in range(8)], errors)
-    assert fit.verdict != "does not converge"
-    assert fit.order is None or fit.order == pytest.approx(2.0, abs=0.25)
-
-
-def test_an_order_that_is_still_falling_at_the_finest_step_is_not_claimed():
-    for share in [1e-3, 3e-3]:
-        fit = fit_order(STEPS, [h**2 + share * h for h in STEPS])
-        assert fit.order is None
-        assert fit.verdict == "not determined"
+        assert fit.verdict == verdict
+        assert fit.order == (order if order is None else pytest.approx(order, abs=1e-9))
+    assert fit_order([0.1] * 3, [0.3] * 3).verdict == unknown
+    # A plateau of round-off is no order zero, and a long rise of it hides none.
+    rise = [1e-5, 2.5e-6, 6.3e-7, 2.2e-7, 5.5e-7, 2.1e-6, 7.4e-6, 2.8e-5]
+    plateau = [1e-3 * h**4 + 2e-12 for h in STEPS]
+    for steps, errors, order in (
+        (STEPS, plateau, pytest.approx(4.0, abs=0.2)),
+        ([1e-3 * 2.0**-k for k in range(8)], rise, pytest.approx(2.0, abs=0.25)),
+    ):
+        fit = fit_order(steps, errors)
+        assert fit.verdict != stuck
+        assert fit.order is None or fit.order == order
 
 
 def test_a_step_given_twice_is_one_point():
     once = fit_order(STEPS, [h**2 for h in STEPS])
     assert fit_order(STEPS + STEPS[:2], [h**2 for h in STEPS + STEPS[:2]]) == once
-    assert fit_order([0.1] * 3, [0.3] * 3).verdict == "not determined"
     # Of several runs at one step the worst counts, wherever it stands.
     worst, better = [h**2 for h in STEPS], [h**2 / (2 + k) for k, h in enumerate(STEPS)]
     assert fit_order(STEPS * 2, worst + better) == fit_order(STEPS * 2, better + worst) == once
