@@ -203,7 +203,7 @@ def test_a_scene_answers_the_question_in_words_and_in_its_table(browser, site):
         assert len(rows) == len({r.integrator for r in records})
         assert f" {least} 1 × " in rows[0].text  # noqa: RUF001
         assert sum("×" in row.text for row in rows) == len({r.integrator for r in able})  # noqa: RUF001
-        assert "fragile no run reached the end" in [row.text for row in rows]
+        assert "fragile no run reached the end: newton failed" in [row.text for row in rows]
     assert browser.get_log("browser") == []
 
 

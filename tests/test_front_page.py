@@ -144,6 +144,10 @@ def test_a_scene_without_the_quantity_is_not_counted_and_says_so(browser, site):
     assert labels
     assert all(": No run on this scene has an error in multiplier" in s for s in labels)
     assert "Tied: counts that differ by at most 10 %, or" in shown(browser)["answer"]
+    panel = "return document.querySelectorAll('#panels .chart')[0].innerHTML"
+    assert browser.execute_script(panel) == (
+        '<p class="note">No run on this scene has an error in multiplier λ.</p>'
+    )
 
 
 def test_a_scene_that_cannot_be_judged_says_why(browser, site):

@@ -267,6 +267,10 @@
   // Draw one scene's chart into a place, for the question of the page.
   stepbench.draw = (place, index, { large = false, wide: known = 0 } = {}) => {
     const size = large ? LARGE : SMALL, scene = data.scenes[index], { question } = stepbench;
+    if (!scene.groups.includes(question.group)) {
+      place.replaceChildren(html("p", { class: "note" }, stepbench.unjudged(index, question)));
+      return;
+    }
     const wide = Math.max(260, Math.round(known || place.clientWidth || (large ? 900 : 360)));
     const curves = pointsOf(index, question), narrow = large && wide < 560, names = large && !narrow;
     const fits = narrow ? { ...size, right: 14, left: 50, high: 380 }
@@ -315,7 +319,7 @@
     if (names) chart.append(legend(drawn, at, wide));
     if (large) chart.append(svg("text", { class: "asked-name", x: beside ? at.inside.x1 - 4 : at.inside.x0 + 6, y: y - 5, "text-anchor": beside ? "end" : "start" }, `asked: ${question.target}`));
     if (!all.some((p) => !p.failed)) chart.append(svg("text", { class: "nothing", x: wide / 2, y: fits.high / 2, "text-anchor": "middle" },
-      curves.some((c) => c.points.length) ? `no error in ${data.group_names[question.group]} here` : "not run"));
+      curves.some((c) => c.points.length) ? "no run reached the end" : "not run"));
     listen(chart, curves, question, fits, large ? null : stepbench.page(scene.page));
     stepbench.hide(chart);
     place.replaceChildren(chart);
