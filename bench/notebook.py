@@ -72,7 +72,7 @@ class Solution:
         return f"<{self.title}; {len(self.t)} rows>"
 
     def _repr_svg_(self) -> str | None:
-        from reports.pages.in_notebook import solution_chart
+        from reports.figures import solution_chart
 
         return (
             solution_chart(self.integrator, self._rows, self.components) if self._rows.t else None
@@ -110,7 +110,7 @@ class Orders:
         return _pandas().DataFrame(rows)
 
     def _repr_svg_(self) -> str | None:
-        from reports.pages.in_notebook import orders_chart
+        from reports.figures import orders_chart
 
         return orders_chart(self._records)
 

@@ -1,22 +1,54 @@
-"""Single figures for a paper: one panel of a page's chart, as wide as a column."""
+"""Single figures: one panel of a page's chart for a paper, as wide as a column; for notebooks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from inspect import signature
 from pathlib import Path
 from typing import Any
 
 from bench.results.quantities import COST, COSTS, GROUPS, error_note, group_and_norm
+from bench.results.records import Record, Rows
 from problems.spec import SpecError, one_of
-from reports.charts.errors import ACROSS, error_charts
+from reports.charts.errors import ACROSS, convergence_chart, error_charts
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import histories, trajectory_chart
-from reports.charts.paper_style import FORMATS, file_content, on_paper
-from reports.charts.vega_lite import Spec
+from reports.charts.rendering import picture
+from reports.charts.vega_lite import Spec, chart_json
 from reports.formatting import words
 from reports.selection import Selection, group_and_place
-from reports.series import Series, ok_runs
+from reports.series import Series, groups_of, label_of, ok_runs, series_of
+
+#: Width of a column in points (88 mm), and height of the panel without its legend.
+_WIDTH, _HEIGHT = 250, 165
+_PNG_PER_INCH = 300
+FORMATS = (".svg", ".png", ".pdf", ".json")
+_SCHEMA = "https://vega.github.io/schema/vega-lite/v6.json"
+_THIN: dict[str, Spec] = {
+    "line": {"strokeWidth": 0.9},
+    "point": {"size": 24},
+    "rule": {"strokeWidth": 0.5},
+    "text": {"fontSize": 7, "dx": -3, "dy": -3},
+}
+
+#: Black on white, thin axes without a grid, 8 points of text.
+_PAPER: Spec = {
+    "background": "white",
+    "font": "Helvetica, Arial, Liberation Sans, sans-serif",
+    "view": {"stroke": "black", "strokeWidth": 0.5},
+    "axis": {
+        **{"labelFontSize": 8, "titleFontSize": 8, "titleFontWeight": "normal"},
+        **{"tickColor": "black", "labelColor": "black", "titleColor": "black"},
+        **{"tickWidth": 0.5, "tickSize": 3, "titlePadding": 4, "grid": False, "domain": False},
+    },
+    "legend": {
+        **{"labelFontSize": 8, "titleFontSize": 8, "titleFontWeight": "normal"},
+        **{"orient": "bottom", "direction": "vertical", "columns": 1, "offset": 6},
+        **{"rowPadding": 1, "symbolSize": 30, "symbolStrokeWidth": 0.9},
+        "labelLimit": _WIDTH - 30,
+    },
+}
 
 
 def _work_precision(chosen: Selection, error: str = "q", cost: str = COST) -> Spec:
@@ -99,7 +131,7 @@ def figure(
     for name in more:
         if name not in allowed:
             raise SpecError(f"The figure {kind} has no --{name}; it takes {words(allowed)}.")
-    return on_paper(_KINDS[kind](Selection(folder, scene, integrators, t_end), **more))
+    return _on_paper(_KINDS[kind](Selection(folder, scene, integrators, t_end), **more))
 
 
 def write_figure(kind: str, folder: Path, path: Path, **chosen: Any) -> Path:
@@ -112,7 +144,7 @@ def write_figure(kind: str, folder: Path, path: Path, **chosen: Any) -> Path:
     """
     if path.suffix not in FORMATS:
         raise SpecError(f"{path.name} is no figure; give a name that ends in {', '.join(FORMATS)}.")
-    path.write_bytes(file_content(figure(kind, folder, **chosen), path.suffix))
+    path.write_bytes(_file_content(figure(kind, folder, **chosen), path.suffix))
     return path
 
 
@@ -126,3 +158,64 @@ def _errors(chosen: Selection, series: Sequence[Series], error: str, across: str
             f"{ACROSS[across]}: nothing to draw."
         )
     return chart
+
+
+# ---- on paper ----------------------------------------------------------------------------
+def _on_paper(chart: Spec) -> Spec:
+    """The only panel of a chart, as wide as a column; its lines and points get thinner."""
+    (panel,) = chart["concat"]
+    for layer in panel["layer"]:
+        layer["encoding"].get("y", {}).get("axis", {}).pop("minExtent", None)
+        mark = layer["mark"]
+        # A broad line behind the others stays broader.
+        mark |= {"strokeWidth": 3} if mark.get("strokeWidth", 0) > 3 else _THIN[mark["type"]]
+        for channel in ("color", "strokeDash"):
+            if (layer["encoding"].get(channel, {}).get("legend") or {}).get("symbolSize"):
+                layer["encoding"][channel]["legend"]["symbolSize"] = 160
+    return panel | {
+        "$schema": _SCHEMA,
+        "datasets": chart["datasets"],
+        "width": _WIDTH,
+        "height": _HEIGHT,
+        "autosize": {"type": "fit-x", "contains": "padding"},
+        "padding": 2,
+        "config": _PAPER,
+    }
+
+
+def _file_content(figure: Spec, suffix: str) -> bytes:
+    """Return the content of a figure's file; ``suffix`` is one of `FORMATS`.
+
+    Raises
+    ------
+    SpecError
+        If the figure cannot be drawn.
+    """
+    if suffix == ".json":
+        return f"{chart_json(figure, indent=1)}\n".encode()
+    options = {"ppi": _PNG_PER_INCH} if suffix == ".png" else {}
+    drawn = picture(figure, suffix[1:], **options)
+    if drawn.reason:
+        raise SpecError(drawn.sentence)
+    if suffix != ".svg":
+        return drawn.content
+    # A pixel of the drawing is a point on paper, as it is in the PDF.
+    return re.sub(rb'(?<= )(width|height)="([\d.]+)"', rb'\1="\2pt"', drawn.content, count=2)
+
+
+# ---- in notebooks ------------------------------------------------------------------------
+def solution_chart(label: str, rows: Rows, names: Mapping[str, Sequence[str]]) -> str | None:
+    """Return the first components of each group of a run over time; None if there is no chart."""
+    groups = [group for group in GROUPS if rows.values.get(group) and rows.values[group][0]]
+    return _svg(trajectory_chart([(label, rows)], None, groups, line_styles([label]), names))
+
+
+def orders_chart(records: Sequence[Record]) -> str | None:
+    """Return errors over step sizes with the fitted orders; None if there is no chart."""
+    series = series_of(records)
+    styles = line_styles(label_of(r) for r in records)
+    return _svg(convergence_chart(series, groups_of(ok_runs(series)), styles))
+
+
+def _svg(chart: Spec | None) -> str | None:
+    return picture(chart).svg if chart else None

@@ -241,10 +241,8 @@ def test_long_runs_have_a_page_that_the_side_links(tmp_path):
     site = Site(report, tmp_path)
     linked = [link.address for _, below in site.contents("report.html") for link in below]
     assert linked.count("report/drift.html") == 1
-    (chapter,) = report.chapters
+    (chapter,) = [c for c in report.chapters if c.file == "drift.html"]
     assert site.address(chapter.sections[0].anchor, "report.html") == "report/drift.html#drift-1"
-    report.chapters, bare = [], Site(report, tmp_path)
-    assert "report/drift.html" not in [page.path for page in bare.pages]
 
 
 @pytest.mark.long

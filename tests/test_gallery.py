@@ -121,6 +121,6 @@ def test_a_scene_without_a_picture_is_told_so_and_still_catalogued(stepbench, tm
     for words in ("A free mass that nobody draws", "Active damping of one mass"):
         assert words in page.words
         assert words in paper
-    assert "xdot = f(q, v, a, lam, x, y, t)" in page.words
+    assert "xdot = f(q, v, a, λ, x, y, t)" in page.words
     assert [file.name for file in (out / "catalogue_figures").iterdir()] == ["spring_mass.svg"]
     assert "](catalogue_figures/spring_mass.svg)" in paper

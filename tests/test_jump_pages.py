@@ -64,22 +64,21 @@ def stored():
 def test_policies_of_a_scene_stand_side_by_side_and_ignored_samples_are_wrong(stored):
     first, other, ball = jumps_chapter(stored).sections
     assert (first.title, other.title, ball.title) == ("pd", "pd[kp=3]", "ball")
-    table = first.parts[0]
+    _, verdict, table = first.parts
     assert table.head == ["integrator", "sampling=hit", "sampling=ignore"]
     assert table.rows == [
         ["m", "0.01 at h=0.05", "1 (wrong) at h=0.05"],
         ["other", "0.003 at h=0.05", "not tried"],
     ]
-    assert first.verdict == (
+    assert verdict.words == (
         "The samples are ignored by 2 runs: error in position of 1 to 1.2, however fine the steps; "
         "they give the motion of the continuous controller. Wrong without warning (above 0.1): 2."
     )
-    assert not first.good
-    assert other.good
-    assert not other.verdict
+    assert verdict.kind == "missing"
+    assert len(other.parts) == 2
     for run in stored.series["pd[sampling=ignore]"][0].records:  # they say it themselves
         run.message = "Samples are ignored."
-    assert jumps_chapter(stored).sections[0].verdict.endswith("(above 0.1): 0.")
+    assert jumps_chapter(stored).sections[0].parts[1].words.endswith("(above 0.1): 0.")
 
 
 def test_events_are_counted_beside_those_of_the_reference(stored):
@@ -87,7 +86,7 @@ def test_events_are_counted_beside_those_of_the_reference(stored):
     assert [row[2:4] for row in table.rows] == [["3 of 3", "0.1"], ["3 of 3", "0.3"]]
     assert [row[-1] for row in table.rows] == ["0 of 2", "1 of 2"]
     assert events_table(stored.series["smooth"]) is None
-    assert jumps_chapter(stored).sections[2].sentences == [
+    assert jumps_chapter(stored).sections[2].parts[0] == [
         "Every run of m finds all events; in the finest one, times are off by 0.1 s.",
         "Another number of events than the reference: poor (h=0.1).",
         "Without a result: open (h=0.1).",
@@ -130,5 +129,5 @@ def test_a_report_without_jumps_has_no_chapter_on_them(tmp_path):
 
     with Store(plant(tmp_path / "plain", everything())) as store:
         report = Report(store)
-    assert report.chapters == []
-    assert all(chapter.events is None for chapter in report.scenes)
+    assert "jumps.html" not in [chapter.file for chapter in report.chapters]
+    assert not any(card for chapter in report.scenes for card in chapter.cards[:1])

@@ -194,8 +194,7 @@ def test_only_what_varies_is_drawn_over_time_errors_logarithmically(styles):
 def test_a_scene_s_page_shows_errors_over_time_where_they_are_stored(tmp_path):
     def over_time(name):
         (chapter,) = [c for c in read_report(folder).scenes if c.name == name]
-        figures = [f for study in chapter.studies for f in study.figures if f.topic == "time"]
-        return [name for figure in figures for name in figure.charts]
+        return [name for figure in chapter.tabs[1].figures for name in figure.charts]
 
     folder = plant(tmp_path, everything())
     assert over_time("pendulum") == ["scene-2-1-trajectory"]

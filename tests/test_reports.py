@@ -31,6 +31,7 @@ from bench.results.store import Store
 from reports.formatting import cost_text, milliseconds, number, symbols
 from reports.names import short_names
 from reports.pages import html_report
+from reports.pages.chapter import Text
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import _FIGURES as FIGURES
 from reports.pages.markdown_report import write_markdown_report
@@ -164,13 +165,17 @@ def test_runs_that_a_method_does_not_support_are_no_failures(tmp_path: Path) -> 
         for h in (0.1, 0.05)
     ]
     report = read_report(plant(tmp_path, [good, *refused]))
-    assert (report.failures, report.failed) == (None, 0)
-    assert report.unsupported
-    assert report.unsupported.rows == [["odd", "pendulum", "2", "It takes no rods."]]
+    (chapter,) = [c for c in report.chapters if c.file == "failures.html"]
+    failed, unsupported = chapter.sections
+    assert (report.failed, failed.parts[0].words) == (
+        0,
+        "Every run that its method supports reached the end.",
+    )
+    assert unsupported.parts[0].rows == [["odd", "pendulum", "2", "It takes no rods."]]
     own = {m.label: m for m in report.methods}
-    assert (own["odd"].failures, own["good"].unsupported) == (None, None)
-    assert own["odd"].unsupported
-    assert own["odd"].unsupported.rows == report.unsupported.rows
+    _, refused = own["odd"].others[-1].parts
+    assert refused.rows == unsupported.parts[0].rows
+    assert own["good"].others[-1].parts == [Text("All its runs reached the end.")]
 
 
 def test_failures_are_listed_with_their_reason_and_do_no_harm(

@@ -98,14 +98,14 @@ def order_(o: Given) -> None:
         scene = registry.problem(o.problem, **o.settings)
         suite = _on_scene(registry, scene, o.integrators, o.budget or BUDGET_S, **sizes)
     outcome = run_suite(suite, registry, o.out, o.fresh, o.jobs)
-    from reports.pages.order_tables import markdown_order_tables
+    from reports.pages.templating import markdown_table
     from reports.text.order_table import stored_order_tables
 
     tables = stored_order_tables(o.out)
     if not tables:
         raise click.ClickException(f"No order was measured. {in_common(outcome.records)}")
     if o.markdown:
-        click.echo(markdown_order_tables(o.out))
+        click.echo("\n\n".join(map(markdown_table, tables)))
         return
     show(*tables)
     for sentence in outcome.sentences:

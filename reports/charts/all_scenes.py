@@ -55,6 +55,7 @@ def _grid(data: vl.Dataset, place: vl.Spec, color: vl.Spec, ink: vl.Spec, width:
     box = {"mark": {"type": "rect", "stroke": "#80808060"}, "encoding": place | {"color": color}}
     written = place | {"text": vl.category("text"), "color": ink}
     text = {"mark": {"type": "text", "fontSize": 11}, "encoding": written}
+    text |= {"transform": [{"filter": "datum.text"}]}
     return {
         "datasets": vl.datasets([data]),
         "data": data.source,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from bench.results.experiments import (
     ExperimentResult,
@@ -12,12 +13,10 @@ from bench.results.experiments import (
     experiments_table,
     part_table,
 )
-from bench.results.table import Table
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
 from reports.formatting import file_name
-from reports.pages.captioned_charts import CaptionedCharts, captioned
-from reports.pages.chapter import Chapter, Section, write_chapter
+from reports.pages.chapter import Chapter, Section, Text, captioned, write_chapter
 
 #: Numbers that differ by more than this factor stand on a logarithmic axis.
 _DECADES = 100
@@ -28,9 +27,6 @@ def atlas_chapter(found: Sequence[ExperimentResult]) -> Chapter:
     return Chapter(
         "atlas.html",
         "Failure atlas",
-        "Experiments that show where time integrators fail, and what helps. Each number has an "
-        "interval in which it is expected, from theory, a publication or an earlier measurement; "
-        "the last predicts nothing and shows that nothing has changed.",
         "Where methods fail, and what helps: each experiment shows one failure, with the numbers "
         "that were predicted and found.",
         [_section(f) for f in found],
@@ -44,22 +40,18 @@ def write_atlas_page(found: Sequence[ExperimentResult], folder: Path) -> Path:
 
 
 def _section(f: ExperimentResult) -> Section:
-    parts: list[Table | CaptionedCharts] = []
+    verdict = f"{f.verdict.capitalize()}: {expected_counts(f)}."
+    parts: list[Any] = [
+        Text(" ".join(f.claim.split())),
+        Text(verdict, "state" if f.as_predicted else "missing"),
+    ]
     for k, part in enumerate(f.parts, 1):
         caption = f"{part.text}: {part.quantity}"
         caption += f"; {part.show} in the first run." if part.show else "."
-        figure = captioned(caption, {f"atlas-{file_name(f.name)}-{k}": experiment_chart(part)})
-        parts += [part_table(part), *([figure] if figure else [])]
-    return Section(
-        f"atlas-{f.name}",
-        f.title,
-        parts,
-        f.number,
-        claim=" ".join(f.claim.split()),
-        verdict=f"{f.verdict.capitalize()}: {expected_counts(f)}.",
-        good=f.as_predicted,
-        facts={"What helps": " ".join(f.remedy.split()), "Source": f.source},
-    )
+        chart = {f"atlas-{file_name(f.name)}-{k}": experiment_chart(part)}
+        parts += [part_table(part), captioned(caption, chart)]
+    parts.append({"What helps": " ".join(f.remedy.split()), "Source": f.source})
+    return Section(f.title, parts, f"atlas-{f.name}", f.number)
 
 
 # ---- charts ------------------------------------------------------------------------------
@@ -69,7 +61,7 @@ def experiment_chart(part: PartResult) -> vl.Spec | None:
     None if there are no numbers, either.
     """
     cases = [(f"{k}. {c.label}", c) for k, c in enumerate(part.cases, 1)]
-    options = vl.Lines(line_styles(label for label, _ in cases))
+    lines = vl.Lines(line_styles(label for label, _ in cases))
     sweep = [
         {"series": label, "x": vl.short(x), "value": vl.short(y)}
         for label, case in cases
@@ -84,46 +76,36 @@ def experiment_chart(part: PartResult) -> vl.Spec | None:
         for t, v in zip(*case.history, strict=True)
     ]
     panels, data = [], []
+
+    def draw(name: str, rows: Sequence[vl.Spec], x: vl.Spec, y: vl.Spec, **points: Any) -> None:
+        data.append(vl.Dataset(name, rows))
+        encoding = {"x": x, "y": y, "color": lines.colors(), "strokeDash": lines.dashes()}
+        mark = {"type": "line", "strokeWidth": 1.6, "clip": True} | points
+        panels.append({"data": data[-1].source, "mark": mark, "encoding": encoding})
+
     if sweep:
-        table = vl.Dataset("sweep", sweep)
         axis = next(case.axis for case in part.cases if len(case.x) > 1)
         x = vl.log_quantity("x", title=axis, axis=vl.log_axis([r["x"] for r in sweep], "~g"))
-        values = [row["value"] for row in sweep]
-        y = vl.log_quantity("value", title=part.quantity, axis=vl.log_axis(values, ".0e"))
-        panels.append(_lines(table, options, x, y, points=True))
-        data.append(table)
+        values = vl.log_axis([row["value"] for row in sweep], ".0e")
+        y = vl.log_quantity("value", title=part.quantity, axis=values)
+        draw("sweep", sweep, x, y, point={"size": 40})
     if history:
-        table = vl.Dataset("history", history)
-        x, y = vl.quantity("t", title="t in s"), vl.quantity("value", title=part.show)
-        panels.append(_lines(table, options, x, y | {"scale": {"zero": False}}, points=False))
-        data.append(table)
-    if not panels and (numbers := [c.number for _, c in cases if c.number is not None]):
-        rows = [{"series": k, "value": c.number} for k, c in cases if c.number is not None]
-        table = vl.Dataset("numbers", rows)
-        wide = min(numbers) > 0 and max(numbers) > _DECADES * min(numbers)
-        axis = vl.log_axis(numbers, ".0e") if wide else {"format": "~g"}
-        x = (vl.log_quantity if wide else vl.quantity)("value", title=part.quantity, axis=axis)
-        panels.append(_numbers(table, options, x))
-        data.append(table)
-        return vl.arrange(panels, data, 1, height=24 * len(rows) + 16)
-    return vl.arrange(panels, data, 2, height=210)
-
-
-def _numbers(data: vl.Dataset, options: vl.Lines, x: vl.Spec) -> vl.Spec:
-    """A row per case with a mark at its number."""
-    y = {"field": "series", "type": "nominal", "title": None, "sort": None}
-    y["axis"] = {"labelLimit": 320, "grid": True}
-    return {
-        "data": data.source,
-        "mark": {"type": "point", "filled": True, "size": 90, "opacity": 1},
-        "encoding": {"x": x, "y": y, "color": options.colors() | {"legend": None}},
+        y = vl.quantity("value", title=part.show, scale={"zero": False})
+        draw("history", history, vl.quantity("t", title="t in s"), y)
+    rows = [{"series": label, "value": c.number} for label, c in cases if c.number is not None]
+    if panels or not rows:
+        return vl.arrange(panels, data, 2, height=210)
+    numbers = [row["value"] for row in rows]
+    wide = min(numbers) > 0 and max(numbers) > _DECADES * min(numbers)
+    axis = vl.log_axis(numbers, ".0e") if wide else {"format": "~g"}
+    table = vl.Dataset("numbers", rows)
+    quantity = vl.log_quantity if wide else vl.quantity
+    place = {"labelLimit": 320, "grid": True}
+    encoding = {
+        "x": quantity("value", title=part.quantity, axis=axis),
+        "y": vl.category("series", title=None, sort=None, axis=place),
+        "color": lines.colors() | {"legend": None},
     }
-
-
-def _lines(data: vl.Dataset, options: vl.Lines, x: vl.Spec, y: vl.Spec, points: bool) -> vl.Spec:
-    mark = {"type": "line", "strokeWidth": 1.6, "clip": True}
-    return {
-        "data": data.source,
-        "mark": mark | ({"point": {"size": 40}} if points else {}),
-        "encoding": {"x": x, "y": y, "color": options.colors(), "strokeDash": options.dashes()},
-    }
+    mark = {"type": "point", "filled": True, "size": 90, "opacity": 1}
+    panel = {"data": table.source, "mark": mark, "encoding": encoding}
+    return vl.arrange([panel], [table], 1, height=24 * len(rows) + 16)

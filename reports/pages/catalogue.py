@@ -9,10 +9,10 @@ from bench.results.records import Drawing, SceneRecord
 from problems.spec import SpecError
 from problems.whole_files import put
 from reports.charts.mechanism import mechanism, motion
-from reports.charts.rendering import picture, pictures
+from reports.charts.rendering import draw, picture
 from reports.formatting import file_name, number, paragraphs
 from reports.names import scene_name
-from reports.pages.page import Link, Page, write_page
+from reports.pages.chapter import Chapter, Section, Text, captioned, write_chapter
 from reports.pages.templating import markdown
 from reports.text.scene_tables import parameters_table, scene_facts
 
@@ -56,34 +56,30 @@ def write_animation(title: str, drawings: Sequence[Drawing], path: Path) -> Path
     frames = motion(drawings)
     if frames is None:
         raise NoPicture(f"{title} has no picture: it does not define draw(q).")
-    page = Page(path.name, "animation", title, values={"motion": frames})
-    return write_page(page, path.parent, programs=["motion.js"])
+    chapter = Chapter(path.name, title, "", [Section(title, [frames])])
+    return write_chapter(chapter, path.parent, programs=["motion.js"])
 
 
 def write_catalogue(scenes: Sequence[SceneRecord], folder: Path) -> list[Path]:
     """Write catalogue.html and catalogue.md with a picture of every scene into a folder."""
-    folder.mkdir(parents=True, exist_ok=True)
-    charts = {scene.problem: mechanism(scene.drawings) for scene in scenes}
-    drawn = pictures({name: chart for name, chart in charts.items() if chart})
-    entries = [
-        {
-            "scene": scene,
-            "about": paragraphs(scene.description),
-            "facts": [*_catalogue_facts(scene), *scene_facts(scene)],
-            "parameters": parameters_table(scene),
-            "picture": drawn.get(scene.problem),
-            "file": f"{PICTURES}/{file_name(scene.problem)}.svg",
-        }
-        for scene in scenes
-    ]
-    for entry in entries:
-        if entry["picture"] and entry["picture"].content:
-            (folder / PICTURES).mkdir(exist_ok=True)
-            (folder / entry["file"]).write_bytes(entry["picture"].content)
-    put(folder / "catalogue.md", markdown("catalogue.md.j2", entries=entries))
-    page = Page("catalogue.html", "catalogue", "Catalogue of scenes", values={"entries": entries})
-    links = [Link(f"#{s.problem}", scene_name(s.problem)) for s in scenes]
-    return [write_page(page, folder, links), folder / "catalogue.md"]
+    sections = []
+    for scene in scenes:
+        title = f"{scene.problem}: {scene.title.rstrip('.')}"
+        caption = f"{scene_name(scene.problem)}, from pale to solid."
+        parts = [
+            captioned(caption, {file_name(scene.problem): mechanism(scene.drawings)}),
+            *map(Text, paragraphs(scene.description)),
+            dict([*_catalogue_facts(scene), *scene_facts(scene)]),
+            parameters_table(scene),
+        ]
+        sections.append(Section(title, parts, scene.problem))
+    about = f"{len(scenes)} scenes, with the difficulties that each of them has."
+    chapter = Chapter("catalogue.html", "Catalogue of scenes", about, sections)
+    page = write_chapter(chapter, folder)
+    failed = draw({k: c for f in chapter.figures for k, c in f.charts.items()}, folder / PICTURES)
+    text = markdown("chapter.md.j2", chapter=chapter, figures=PICTURES, failed=failed)
+    put(folder / "catalogue.md", text)
+    return [page, folder / "catalogue.md"]
 
 
 def _catalogue_facts(scene: SceneRecord) -> list[tuple[str, str]]:

@@ -13,8 +13,7 @@ from reports.charts.line_styles import line_styles
 from reports.charts.over_time import TIME, note_lines
 from reports.formatting import number, words
 from reports.names import scene_name, short_names
-from reports.pages.captioned_charts import captioned
-from reports.pages.chapter import Chapter, Section, write_chapter
+from reports.pages.chapter import Chapter, Section, Text, captioned, write_chapter
 
 #: Words on the change of an invariant, by `Invariant.kinetic`.
 _CHANGES = {
@@ -47,21 +46,14 @@ def drift_chapter(runs: Mapping[str, LongRun]) -> Chapter:
     """The chapter on these long runs: a section for each scene with the same steps."""
     sections = []
     for k, own in enumerate(comparable_runs(runs), 1):
-        first, anchor = own[0], f"drift-{k}"
-        figure = captioned(_CAPTION, {f"{anchor}-chart": drift_chart(own)})
-        sections.append(
-            Section(
-                anchor,
-                f"{scene_name(first.problem)}: {first.asked} steps of {first.h:g} s",
-                [*([figure] if figure else []), drift_table(own)],
-                sentences=list(drift_sentences(own)),
-                note=f"Measured at {max(run.rows for run in own)} rows of each run.",
-            )
-        )
+        title = f"{scene_name(own[0].problem)}: {own[0].asked} steps of {own[0].h:g} s"
+        note = f"Measured at {max(run.rows for run in own)} rows of each run."
+        figure = captioned(_CAPTION, {f"drift-{k}-chart": drift_chart(own)})
+        parts = [list(drift_sentences(own)), figure, drift_table(own), Text(note, "note")]
+        sections.append(Section(title, parts, f"drift-{k}"))
     return Chapter(
         "drift.html",
         "Long runs",
-        f"What drifts off over many steps: {', '.join(INVARIANTS)}, constraints and phase.",
         "What drifts off over many steps: symplectic methods let the energy swing and bring it "
         "back, conserving ones hold it, damped ones lose it. Each line is one method.",
         sections,

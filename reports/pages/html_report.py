@@ -13,7 +13,7 @@ import vl_convert
 
 from problems.whole_files import cached, put
 from reports.charts.vega_lite import chart_json
-from reports.pages.page import FOLDER, FRONT, Page
+from reports.pages.chapter import FOLDER, FRONT, Page
 from reports.pages.report import read_report
 from reports.pages.site import SEARCHED, Site
 from reports.pages.site_data import site_data

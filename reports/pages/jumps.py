@@ -9,7 +9,7 @@ from bench.results.quantities import NORM, WRONG, quantity
 from bench.results.records import SceneRecord, counted
 from reports.formatting import file_name, number_range, words
 from reports.names import scene_name
-from reports.pages.chapter import Chapter, Section
+from reports.pages.chapter import Chapter, Section, Text
 from reports.scenes import StoredRuns
 from reports.series import Series, ok_runs
 from reports.text.jump_tables import (
@@ -27,7 +27,6 @@ def jumps_chapter(stored: StoredRuns) -> Chapter:
     return Chapter(
         "jumps.html",
         "Sampled and switched",
-        "Controllers that see samples alone, and events such as impacts.",
         "How methods go through instants at which values jump: what a run does at the samples of "
         "a controller, and how it finds the times of events.",
         [*_sampled(stored), *_with_events(stored)],
@@ -51,14 +50,12 @@ def _sampled(stored: StoredRuns) -> Iterator[Section]:
             f"{quantity(JUDGED)} of {size}, however fine the steps; they give the motion of the "
             f"continuous controller. Wrong without warning (above {WRONG:g}): {len(silent)}."
         )
-        yield Section(
-            f"jumps-sampled-{k}",
-            title,
-            [policies_table({name: own for name, (_, own) in ordered.items()})],
-            claim="A controller sees the motion at samples and holds its values between them.",
-            verdict=verdict if ignored else "",
-            good=not ignored,
-        )
+        parts = [
+            Text("A controller sees the motion at samples and holds its values between them."),
+            Text(verdict, "missing") if ignored else None,
+            policies_table({name: own for name, (_, own) in ordered.items()}),
+        ]
+        yield Section(title, parts, f"jumps-sampled-{k}")
 
 
 def _without_policy(scene: SceneRecord) -> str:
@@ -73,8 +70,7 @@ def _with_events(stored: StoredRuns) -> Iterator[Section]:
         table = events_table(own)
         if table:
             anchor = f"jumps-events-{file_name(title)}"
-            said = list(_found(own, names))
-            yield Section(anchor, scene_name(title), [table], sentences=said)
+            yield Section(scene_name(title), [list(_found(own, names)), table], anchor)
 
 
 def _found(series: Sequence[Series], names: Mapping[str, str]) -> Iterator[str]:

@@ -10,8 +10,7 @@ from problems.whole_files import put
 from reports.charts.rendering import draw
 from reports.formatting import file_name
 from reports.names import scene_name
-from reports.pages.captioned_charts import CaptionedCharts
-from reports.pages.page import FOLDER
+from reports.pages.chapter import FOLDER, CaptionedCharts
 from reports.pages.report import Report, read_report
 from reports.pages.templating import escape_markdown, markdown
 from reports.questions.verdict import DIFFER, headlines
@@ -103,9 +102,5 @@ def _escaped(text: str) -> str:
 
 def _figures(report: Report) -> Iterator[CaptionedCharts]:
     yield from report.overview
-    yield from report.sizes
-    for scene in report.scenes:
-        yield from [scene.picture] if scene.picture else []
-        yield from (figure for study in scene.studies for figure in study.figures)
-    for chapter in report.chapters:
+    for chapter in (*report.scenes, *report.chapters):
         yield from chapter.figures

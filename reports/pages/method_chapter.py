@@ -14,7 +14,7 @@ from bench.results.table import Table
 from reports.charts.all_scenes import method_strip
 from reports.formatting import file_name, milliseconds, number
 from reports.names import form_name
-from reports.pages.captioned_charts import captioned
+from reports.pages.chapter import Section, Text, captioned
 from reports.questions.method_card import stored_card
 from reports.ranking import Answer
 from reports.scenes import StoredRuns
@@ -29,9 +29,10 @@ _STATES = {"far": "not reached", "failed": "no run reached the end"}
 
 
 class MethodChapter:
-    """One integrator, with one step pattern, over all scenes.
+    """One integrator, with one step pattern, over all scenes, in sections.
 
-    ``plugins`` is the option that a command needs to know it.
+    ``said`` stand beside ``facts``, ``scenes`` and ``others`` below. ``plugins`` is the option that
+    a command needs to know it.
 
     Parameters
     ----------
@@ -43,8 +44,6 @@ class MethodChapter:
         What is known of the damping of integrators, by printed name.
     answer
         The answer to the first question.
-    experiments
-        Results of the failure atlas.
     over
         The answers to that question for all accuracies.
     """
@@ -55,7 +54,6 @@ class MethodChapter:
         stored: StoredRuns,
         damping: Mapping[str, Damping],
         answer: Answer,
-        experiments: Sequence[ExperimentResult],
         over: Sequence[Answer],
     ) -> None:
         by_scene = {k: s for k, own in stored.series.items() for s in own if s.label == label}
@@ -66,51 +64,72 @@ class MethodChapter:
         files = facts.files if facts else []
         self.label = label
         self.plugins = "".join(f" --plugins {shlex.quote(file)}" for file in files)
-        stability = f'stepbench stability "{name}"{self.plugins}'
-        self.command = stability if first.controls == "step" else ""
         self.title = facts.title.rstrip(".") if facts else ""
-        self.card = stored_card(label, answer, stored)
-        self.wrong = any(r.wrong(group) for r in runs for group in GROUPS)
-        self.facts = _facts(name, first, facts)
-        self.scenes = _scenes_table(label, by_scene, answer)
-        title = "Its orders, scene by scene"
-        self.orders = order_table([*by_scene.values()], title, [*by_scene])
-        self.failures = _own(failures_table(runs), "Its runs that did not reach the end")
-        self.noted = _own(notes_table(runs), "Its runs that reached the end with a note")
-        self.unsupported = _own(unsupported_table(runs), "Scenes that it does not support")
-        anchor, quantity = f"chart-{file_name(label)}", answer.question.quantity
+        stability = [
+            Text("Spectral radius, damping and period error over the step:"),
+            Text(f'stepbench stability "{name}"{self.plugins}', "code"),
+        ]
+        self.said = [
+            Section(
+                "Where it wins, loses and fails", [*map(Text, stored_card(label, answer, stored))]
+            ),
+            Section("Its stability", stability if first.controls == "step" else []),
+        ]
+        self.facts = Section("What it is", [_facts(name, first, facts)])
         by = COSTS[answer.question.cost].words
-        self.strip = captioned(
-            f"Error in {quantity} ({NORMS[NORM]}) at most so large, by {by}; numbers are multiples "
-            "of the least cost. A column 'wrong' counts runs that reach the end with an error "
-            f"above {WRONG:g} and say nothing.",
-            {f"{anchor}-strip": method_strip(label, over, by_scene)},
+        strip = captioned(
+            f"Error in {answer.question.quantity} ({NORMS[NORM]}) at most so large, by {by}; "
+            "numbers are multiples of the least cost. A column 'wrong' counts runs that reach the "
+            f"end with an error above {WRONG:g} and say nothing.",
+            {f"chart-{file_name(label)}-strip": method_strip(label, over, by_scene)},
         )
+        self.scenes = Section("On all scenes", [strip, _scenes_table(label, by_scene, answer)])
         own = {name: damping[name]} if name in damping else {}
-        tables = damping_table(own, list(stored.scenes.items())), atlas_table(name, experiments)
-        self.studies = [table for table in tables if table]
+        atlas = atlas_table(name, list(stored.atlas.values()))
+        unsupported = _own(unsupported_table(runs), "Scenes that it does not support")
+        wrong = "; some are wrong" * any(r.wrong(group) for r in runs for group in GROUPS)
+        fine = f"All its runs{' on scenes that it supports' * bool(unsupported)} reached the end"
+        self.others = [
+            Section(
+                "Orders",
+                [order_table([*by_scene.values()], "Its orders, scene by scene", [*by_scene])],
+            ),
+            Section(
+                "Damping and failures", [damping_table(own, list(stored.scenes.items())), atlas]
+            ),
+            Section(
+                "Where it fails",
+                [
+                    _own(failures_table(runs), "Its runs that did not reach the end")
+                    or Text(f"{fine}{wrong}."),
+                    _own(notes_table(runs), "Its runs that reached the end with a note"),
+                    unsupported,
+                ],
+            ),
+        ]
 
 
 def _own(table: Table | None, caption: str) -> Table | None:
     return replace(table, caption=caption) if table else None
 
 
-def _facts(name: str, series: Series, facts: IntegratorFacts | None) -> list[tuple[str, str]]:
-    """Pairs (name, text): options, formulation, claimed orders, choice of steps, source."""
+def _facts(name: str, series: Series, facts: IntegratorFacts | None) -> dict[str, str]:
+    """Texts by name: options, formulation, claimed orders, choice of steps, source."""
     options = re.search(r"\[(.*)\]$", name)
     steps = "at constant steps" if series.controls == "step" else "chosen by the method"
     pattern = series.records[0].pattern
     if len(pattern) > 1:
         steps = f"in the pattern {'/'.join(f'{f:g}' for f in pattern)}"
-    pairs = [
-        ("Full name", series.label),
-        ("Options", options.group(1).replace(",", ", ").replace("=", " = ") if options else "none"),
-        ("Formulation", form_name(series.ok) or (facts.formulation if facts else "")),
-        ("Orders claimed", claims_text(facts)),
-        ("Steps", steps),
-        ("Source", facts.source if facts else ""),
-    ]
-    return [(name, text) for name, text in pairs if text]
+    own = options.group(1).replace(",", ", ").replace("=", " = ") if options else "none"
+    texts = {
+        "Full name": series.label,
+        "Options": own,
+        "Formulation": form_name(series.ok) or (facts.formulation if facts else ""),
+        "Orders claimed": claims_text(facts),
+        "Steps": steps,
+        "Source": facts.source if facts else "",
+    }
+    return {name: text for name, text in texts.items() if text}
 
 
 def _scenes_table(label: str, series: Mapping[str, Series], answer: Answer) -> Table:

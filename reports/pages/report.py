@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from bench.results.demands import overviews
 from bench.results.quantities import COSTS
-from bench.results.records import NOT_TRIED
+from bench.results.records import NOT_TRIED, Record
 from bench.results.store import Store
+from bench.results.table import Table
 from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.cost_by_size import size_charts
 from reports.charts.errors import error_against_cost
 from reports.charts.line_styles import line_styles
 from reports.formatting import file_name
 from reports.pages.atlas import atlas_chapter
-from reports.pages.captioned_charts import CaptionedCharts, captioned
+from reports.pages.chapter import CaptionedCharts, Chapter, Section, Text, captioned
 from reports.pages.drift import drift_chapter
 from reports.pages.jumps import jumps_chapter
 from reports.pages.method_chapter import MethodChapter
@@ -67,32 +68,111 @@ class Report:
         self.answer = self.answered.get(first, Answer(first, {}, {}))
         wrong = stored.wrong(first.group)
         self.wrong = wrong_sentences(first.group, wrong, self.names)
-        self.silent = silent_tables(first.group, wrong, stored.scenes)
         silent = sum(w.silent for own in wrong.values() for w in own)
-        self.bad = f"{self.failed} · silent {silent}" if silent else self.failed
+        bad = f"{self.failed} · silent {silent}" if silent else self.failed
         self.winners = winners_table(self.answered, self.names)
-        self.sizes = self._cost_by_size()
         self.scenes = list(self._scenes(store))
-        self.integrators = integrators_table([*self.names], facts)
-        damping, experiments = store.damping(), list(stored.atlas.values())
+        damping = store.damping()
+        self.times, self.differ = times_sentence(stored.times), DIFFER
+        tables = silent_tables(first.group, wrong, stored.scenes)
         own = {name: damping[name] for name in facts if name in damping}
-        self.damping = damping_table(own, list(stored.scenes.items()))
-        self.failures, self.unsupported = failures_table(runs), unsupported_table(runs)
-        self.noted = notes_table(runs)
-        self.lost_orders = lost_orders_table(series, stored.atlas, stored.scenes)
-        self.orders = order_tables(plan, stored.records)
-        self.ratings = overviews(plan, stored.records)
-        drifts = drift_chapter(store.long_runs())
-        found = jumps_chapter(stored), drifts, atlas_chapter(experiments)
-        self.chapters = [chapter for chapter in found if chapter.sections]
-        self.times = times_sentence(stored.times)
-        self.differ = DIFFER
-        self.method = method_of_measurement(plan)
-        self.references = references_table(stored.scenes)
         self.methods = [
-            MethodChapter(label, stored, damping, self.answer, experiments, over)
-            for label in self.names
+            MethodChapter(label, stored, damping, self.answer, over) for label in self.names
         ]
+        chapters = [
+            Chapter(
+                "methods.html",
+                "Methods",
+                "What the methods claim, what was measured, and their damping.",
+                [
+                    Section("Rating", overviews(plan, stored.records)),
+                    Section(
+                        "Claims and results",
+                        [integrators_table([*self.names], facts)],
+                        "integrators",
+                    ),
+                    Section("Damping", [damping_table(own, list(stored.scenes.items()))]),
+                    Section("Over all scenes", self._cost_by_size()),
+                ],
+                heading="Answer",
+                count=len(self.methods),
+            ),
+            self._failures(runs, tables, bad),
+            Chapter(
+                "orders.html",
+                "Orders",
+                "The order says how much smaller steps help: with order 2, half the step leaves a "
+                "quarter of the error. Each method is shown with the order that it claims and "
+                "those that its runs have, for each group of variables.",
+                [Section(t.caption, [t]) for t in order_tables(plan, stored.records)],
+            ),
+            jumps_chapter(stored),
+            drift_chapter(store.long_runs()),
+            atlas_chapter(list(stored.atlas.values())),
+            self._measured(),
+        ]
+        self.chapters = [chapter for chapter in chapters if chapter.sections]
+
+    def _failures(self, runs: Sequence[Record], silent: Sequence[Table], bad: int | str) -> Chapter:
+        unsupported = unsupported_table(runs)
+        fine = f"Every run{' that its method supports' * bool(unsupported)} reached the end."
+        why = (
+            "A cause is named where its experiment of the failure atlas hit the same method; else "
+            "stands what is hard in the scene."
+        )
+        lead = [Text([*self.wrong[0], f" {why}"])] if self.wrong else []
+        stored = self.stored
+        lost = lost_orders_table(self.series, stored.atlas, stored.scenes)
+        return Chapter(
+            "failures.html",
+            "Failures",
+            "Runs that did not reach the end, with the message of the method; runs that did, and "
+            "are wrong; and errors that fall with a lower order than the method claims.",
+            [
+                Section("Runs that failed", [failures_table(runs) or Text(fine)]),
+                Section("Runs that are wrong without warning", [*lead, *silent]),
+                Section("Runs that reached the end with a note", [notes_table(runs)]),
+                Section("Runs that are not supported", [unsupported]),
+                Section("Orders that were lost", [lost]),
+            ],
+            heading="Answer",
+            count=bad,
+        )
+
+    def _measured(self) -> Chapter:
+        known = references_table(self.stored.scenes)
+        how = (
+            "A reference is a closed form, or Gauss collocation of order 24 with steps as short as "
+            "round-off allows; its error is the distance from Radau IIA of order 23 with other "
+            "steps. Published digits stand on the pages of scenes."
+        )
+        machines = [
+            Section(
+                f"Environment {number}",
+                [
+                    {
+                        "Date": e.date.replace("T", " "),
+                        "Command": f"``{e.command}``",
+                        "Machine": f"{e.cpu}, {e.cores} cores, {e.memory_gib} GiB, {e.platform}",
+                        "Seconds": e.clock,
+                        "Versions": ", ".join(f"{k} {v}" for k, v in e.versions.items()),
+                    }
+                ],
+            )
+            for number, e in self.stored.environments.items()
+        ]
+        return Chapter(
+            "measured.html",
+            "How it was measured",
+            "What the times, counts and errors mean, how far they can be trusted, and on which "
+            "machine they were taken.",
+            [
+                Section("Rules", [method_of_measurement(self.stored.plan)]),
+                Section("Times", [Text(self.times)]),
+                Section("References", [Text(how), known] if known else []),
+                Section("Environments", machines or [Text("No environment is stored.")]),
+            ],
+        )
 
     def _scenes(self, store: Store) -> Iterator[SceneChapter]:
         stored = self.stored

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from bench.results.published import published_table
-from bench.results.records import SceneRecord, Study
+from bench.results.records import Study
 from reports.charts.mechanism import mechanism
 from reports.formatting import number, paragraphs
-from reports.pages.captioned_charts import CaptionedCharts, captioned
+from reports.pages.chapter import Fold, Section, Text, captioned
 from reports.pages.study_section import ALL_FIGURES, StudySections
 from reports.series import Series
 from reports.text.jump_tables import events_table
@@ -16,9 +17,34 @@ from reports.text.ranking_tables import targets_table
 from reports.text.run_tables import invariants_table, runs_table, summary_table
 from reports.text.scene_tables import parameters_table, scene_facts
 
+#: Tabs of a scene's page: anchor, title, and what a reader learns there.
+_TABS = {
+    "cost": (
+        "Orders and cost",
+        "How fast the errors fall with the step, and what an accuracy costs.",
+    ),
+    "time": (
+        "Errors over time",
+        "How far the methods are from the reference at each time, and the motion itself.",
+    ),
+    "drift": (
+        "Constraints and energy",
+        "How well the methods keep what should stay constant: constraints, and the energy of a "
+        "system that conserves it.",
+    ),
+    "steps": (
+        "Steps and γ",
+        "The steps that methods with a tolerance choose, and the weights of the recurrence at "
+        "each.",
+    ),
+    "runs": ("All runs", ""),
+}
+
 
 class SceneChapter:
     """One scene over one interval.
+
+    ``about`` are paragraphs, ``facts`` texts by name, ``tabs`` and ``cards`` sections.
 
     Parameters
     ----------
@@ -58,22 +84,44 @@ class SceneChapter:
         self.about = paragraphs(new.description) if new else []
         if same_as:
             self.about = [f"The same scene as {same_as}, over another interval."]
-        self.facts = scene_facts(self.scene) if self.scene else []
-        self.picture = _picture(new, f"{anchor}-scene") if new else None
-        self.parameters = parameters_table(new) if new else None
-        self.published = published_table(self.scene.published) if self.scene else None
+        self.facts = dict(scene_facts(self.scene)) if self.scene else {}
+        self.picture = None
+        if new and new.drawings:
+            ends = [number(drawing["t"]) for drawing in (new.drawings[0], new.drawings[-1])]
+            caption = f"The scene from t={ends[0]} s to {ends[1]} s (solid)."
+            self.picture = captioned(caption, {f"{anchor}-scene": mechanism(new.drawings)})
+        self.cards = [
+            Section("Events", [events_table(series)]),
+            Section(
+                "Published digits", [published_table(self.scene.published) if self.scene else None]
+            ),
+            Section("Parameters", [parameters_table(new) if new else None]),
+        ]
         names = {label: style.name for label, style in sections.styles.items()}
-        self.targets = targets_table(series, names) if series else None
-        self.summary = summary_table(series) if series else None
-        self.studies = [sections.make(s, f"{anchor}-{n}") for n, s in enumerate(studies, 1)]
-        self.drift = invariants_table(series)
-        self.events = events_table(series)
-        self.runs = runs_table(series, sections.ids, sections.component_names)
+        runs = runs_table(series, sections.ids, sections.component_names)
+        tables: dict[str, list[Any]] = {
+            "cost": [summary_table(series), targets_table(series, names)] if series else [],
+            "drift": [invariants_table(series)],
+            "runs": [Fold(f"All {len(runs.rows)} runs on this scene", runs)] if runs else [],
+        }
+        made = [sections.make(s, f"{anchor}-{n}") for n, s in enumerate(studies, 1)]
+        self.tabs = []
+        for topic, (title, learn) in _TABS.items():
+            own = [
+                Section(
+                    study.title if len(studies) > 1 or topic == "cost" else "",
+                    study.parts[topic],
+                    study.anchor if topic == "cost" else "",
+                )
+                for study in made
+            ]
+            parts = [*filter(None, tables.get(topic, ())), *filter(None, own)]
+            parts = parts or [Text("Nothing of this is stored for this scene.")]
+            lead = [Text(learn, "learn")] if learn else []
+            self.tabs.append(Section(title, [*lead, *parts], f"{anchor}-{topic}"))
 
-
-def _picture(scene: SceneRecord, name: str) -> CaptionedCharts | None:
-    if not scene.drawings:
-        return None
-    times = [drawing["t"] for drawing in scene.drawings]
-    caption = f"The scene from t={number(times[0])} s to {number(times[-1])} s (solid)."
-    return captioned(caption, {name: mechanism(scene.drawings)})
+    @property
+    def figures(self) -> list[Any]:
+        """The figures of the scene and its studies."""
+        tabs = [figure for tab in self.tabs for figure in tab.figures]
+        return [self.picture, *tabs] if self.picture else tabs

@@ -13,7 +13,7 @@ from bench.results.records import Record
 from reports.charts.mechanism import motion
 from reports.formatting import file_name
 from reports.names import scene_name
-from reports.pages.page import FOLDER, FRONT, Link, Page
+from reports.pages.chapter import FOLDER, FRONT, Link, Page, Section, chapter_page
 from reports.pages.report import Report
 from reports.pages.scene_chapter import SceneChapter
 from reports.questions.question import FIRST, Question
@@ -30,14 +30,6 @@ _BESIDE = {
 }
 #: Parts of the contents that show what is searched for, and nothing before.
 SEARCHED = ("Methods by name", "Words")
-#: Tabs of a scene's page: anchor and title.
-TABS = {
-    "cost": "Orders and cost",
-    "time": "Errors over time",
-    "drift": "Constraints and energy",
-    "steps": "Steps and γ",
-    "runs": "All runs",
-}
 
 
 def scene_page(name: str) -> str:
@@ -129,15 +121,7 @@ def _pages(report: Report) -> Iterator[Page]:
         yield _scene(report, chapter)
     for m in report.methods:
         yield Page(method_page(m.label), "method", report.names[m.label], values={"method": m})
-    yield Page("methods.html", "methods", "Methods", "Answer", len(report.methods))
-    yield Page("failures.html", "failures", "Failures", "Answer", report.bad)
-    if report.orders:
-        yield Page("orders.html", "orders", "Orders", "Why")
-    for chapter in report.chapters:
-        anchors = [section.anchor for section in chapter.sections]
-        values = {"chapter": chapter, "pictures": None}
-        yield Page(chapter.file, "chapter", chapter.title, "Why", values=values, anchors=anchors)
-    yield Page("measured.html", "measured", "How it was measured", "Why")
+    yield from map(chapter_page, report.chapters)
     terms, anchors = {"terms": TERMS}, [term.anchor for term in TERMS]
     yield Page("glossary.html", "glossary", "Glossary", "Why", values=terms, anchors=anchors)
 
@@ -149,7 +133,6 @@ def _scene(report: Report, chapter: SceneChapter) -> Page:
     values = {
         "scene": chapter,
         "place": list(report.measured).index(chapter.name) if runs else None,
-        "tabs": TABS,
         "motion": motion(scene.drawings) if scene else None,
         "equations": equations(scene) if scene else [],
         "unknowns": unknowns(scene) if scene else "",
@@ -158,7 +141,7 @@ def _scene(report: Report, chapter: SceneChapter) -> Page:
         "plugins": {label: option for label, option in plugins.items() if option},
     }
     anchors = [chapter.anchor, *(report.run_ids[r.key] for r in runs)]
-    anchors += [f"{chapter.anchor}-study-{i}" for i, _ in enumerate(chapter.studies, 1)]
+    anchors += [part.anchor for part in chapter.tabs[0].parts if isinstance(part, Section)]
     name = chapter.name
     heading = "Scenes" if runs else "Not measured yet"
     return Page(

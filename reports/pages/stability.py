@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from bench.stability.tables import stability_tables, step_name
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
-from reports.charts.rendering import Picture, pictures
-from reports.pages.page import Link, Page, write_page
+from reports.charts.tiles import Side, tile_chart
+from reports.pages.chapter import Chapter, Section, captioned, write_chapter
 
 #: Quantities over omega h: field, title of the axis, whether the axis is logarithmic.
 _CURVES = (
@@ -24,47 +24,53 @@ _CURVES = (
 )
 #: Radii above this are drawn at it.
 _TOP = 1.6
-#: Limits of the colours of maps: green radii are stable, red ones grow.
+#: Colours of maps up to these radii, and above: green ones are stable, red ones grow.
 _BORDERS = (0.25, 0.5, 0.75, 0.9, 0.99, 1 + 1e-9, 1.001, 1.1, 2.0)
 _COLORS = ("#0b3d2e", "#14603f", "#2b8a57", "#62b37d", "#a5d6ae", "#dcefe0", "#fde0d2",
            "#f9a582", "#e5553f", "#8f1020")  # fmt: skip
+_STATES = [
+    f"to {_BORDERS[0]:g}",
+    *(f"{low:.4g} to {high:.4g}" for low, high in pairwise(_BORDERS)),
+    f"above {_BORDERS[-1]:g}",
+]
 
 
 def write_stability_page(found: Sequence[dict[str, Any]], folder: Path) -> Path:
     """Write stability.html into a folder, from the plain values of each integrator's analysis."""
-    name, macro = step_name(found), len(found[0]["pattern"]) > 1
-    pattern = "/".join(f"{f:.4g}" for f in found[0]["pattern"])
-    maps = {
-        f"{f['integrator']}: spectral radius over {across} and {m['over']}": chart
-        for f in found
-        for m in f["maps"]
-        for across in ["omega H" if m["over"] == "step ratio" else name]
-        if (chart := radius_map(m, across))
-    }
-    curves = {str(k): chart for k, chart in enumerate(stability_curves(found, name))}
-    values = {
-        "system": found[0]["system"],
-        "pattern": pattern if macro else "",
-        "tables": stability_tables(found),
-        "charts": [drawn.svg for drawn in pictures(curves).values()],
-        # Thousands of tiles make a small PNG and a large SVG.
-        "maps": [(n, png_url(drawn)) for n, drawn in pictures(maps, "png", scale=1.5).items()],
-        "steps": found[0]["first_steps"],
-    }
-    parts = {"found": "What was found", "frequency": "Over frequency"}
-    parts |= {"maps": "Maps"} if maps else {}
-    parts |= {"theory": "Ratios and theory"} if len(values["tables"]) > 2 else {}
-    links = [Link(f"#{anchor}", title) for anchor, title in parts.items()]
-    page = Page("stability.html", "stability", "Stability of integrators", values=values)
-    return write_page(page, folder, links)
+    name, pattern = step_name(found), found[0]["pattern"]
+    about = (
+        "The amplification matrix of each method was found by taking its step, with all that the "
+        "method hands on from step to step. Time is measured in the test system's own unit: a step "
+        f"is omega h. Test system: {found[0]['system']}."
+    )
+    if len(pattern) > 1:
+        said = "/".join(f"{f:.4g}" for f in pattern)
+        about += f" Pattern of steps: {said} of the macro step H; radii are over the whole of it."
+    curves = {f"curve-{k}": chart for k, chart in enumerate(stability_curves(found, name))}
+    caption = (
+        "Damping ratio and period error are those beyond the exact solution's. Overshoot: the "
+        f"largest value of the first {found[0]['first_steps']} steps from a start of amplitude 1; "
+        "the exact one stays below 1."
+    )
+    maps = []
+    for f in found:
+        for k, m in enumerate(f["maps"]):
+            turns = m["over"] == "step ratio"
+            said = f"{f['integrator']}: spectral radius over {'omega H' if turns else name} and "
+            said += f"{m['over']}{'; two steps take turns, omega H is that of both' * turns}"
+            chart = {f"map-{len(maps)}-{k}": radius_map(m, "omega H" if turns else name)}
+            maps.append(captioned(said, chart))
+    facts, numbers, *theory = stability_tables(found)
+    sections = [
+        Section("What was found", [facts], "found"),
+        Section("Over frequency", [captioned(caption, curves), numbers], "frequency"),
+        Section("Maps", maps, "maps"),
+        Section("Ratios and theory", theory, "theory"),
+    ]
+    chapter = Chapter("stability.html", "Stability of integrators", about, sections)
+    return write_chapter(chapter, folder)
 
 
-def png_url(drawn: Picture) -> str:
-    """A picture as a data URL; empty if there is none."""
-    return f"data:image/png;base64,{base64.b64encode(drawn.content).decode()}" * bool(drawn.content)
-
-
-# ---- charts ------------------------------------------------------------------------------
 def stability_curves(found: Sequence[dict[str, Any]], omega_h: str) -> list[vl.Spec]:
     """A chart per quantity over omega h (the title of the axis), a line per integrator."""
     charts = (_curve(found, *curve, omega_h) for curve in _CURVES)
@@ -88,20 +94,18 @@ def _curve(
                 rows.append({"series": f["integrator"], **row})
     if not rows:
         return None
-    data = vl.Dataset(field, rows)
-    options = vl.Lines(line_styles(f["integrator"] for f in found))
-    values = [row["value"] for row in rows]
+    data, lines = vl.Dataset(field, rows), vl.Lines(line_styles(f["integrator"] for f in found))
     x_axis = vl.log_axis([row["omega_h"] for row in rows], "~g")
     y = vl.quantity("value", title=title, scale={"zero": True})
     if logarithmic:
-        y |= {"scale": vl.log_scale(), "axis": vl.log_axis(values, ".0e")}
+        y |= {"scale": vl.log_scale(), "axis": vl.log_axis([r["value"] for r in rows], ".0e")}
     line: vl.Spec = {
         "mark": {"type": "line", "strokeWidth": 1.8, "clip": True},
         "encoding": {
             "x": vl.log_quantity("omega_h", title=name, axis=x_axis),
             "y": y,
-            "color": options.colors(),
-            "strokeDash": options.dashes(),
+            "color": lines.colors(),
+            "strokeDash": lines.dashes(),
         },
     }
     one: vl.Spec = {
@@ -114,42 +118,17 @@ def _curve(
 
 
 def radius_map(m: dict[str, Any], name: str) -> vl.Spec | None:
-    """Spectral radii over omega h and another number, as tiles."""
-    rows, values, across = [], [row["value"] for row in m["rows"]], m["omega_h"]
+    """Spectral radii over omega h and another number, as tiles; None of a single row."""
+    values = [row["value"] for row in m["rows"]]
     if len(values) < 2:
         return None
+
+    def state(k: int, i: int) -> str:
+        radius = m["rows"][k]["radii"][i]
+        above = sum(radius > border for border in _BORDERS) if radius is not None else -1
+        return _STATES[above]
+
     # Ratios are spaced evenly in their logarithm, options in themselves.
-    logarithmic, wide = m["over"] == "step ratio", math.sqrt(across[1] / across[0])
-    step = math.sqrt(values[1] / values[0]) if logarithmic else (values[1] - values[0]) / 2
-    for row in m["rows"]:
-        v = row["value"]
-        low, high = (v / step, v * step) if logarithmic else (v - step, v + step)
-        for omega_h, radius in zip(across, row["radii"], strict=True):
-            rows.append(
-                {
-                    "left": vl.short(omega_h / wide),
-                    "right": vl.short(omega_h * wide),
-                    "low": low,
-                    "high": high,
-                    "radius": 1e9 if radius is None else radius,
-                }
-            )
-    data = vl.Dataset("map", rows)
-    scale = {"type": "log" if logarithmic else "linear", "nice": False, "zero": False}
-    colors = {"type": "threshold", "domain": list(_BORDERS), "range": list(_COLORS)}
-    x_axis = vl.log_axis(across, "~g")
-    legend = {"title": "spectral radius", "orient": "right", "format": ".4~g"}
-    tile: vl.Spec = {
-        "data": data.source,
-        "mark": {"type": "rect", "clip": True},
-        "encoding": {
-            "x": vl.quantity(
-                "left", title=name, scale=vl.log_scale() | {"padding": 0}, axis=x_axis
-            ),
-            "x2": {"field": "right"},
-            "y": vl.quantity("low", title=m["over"], scale=scale),
-            "y2": {"field": "high"},
-            "color": vl.quantity("radius", scale=colors, legend=legend),
-        },
-    }
-    return vl.arrange([tile], [data], 2)
+    x, y = Side(name, m["omega_h"], log=True), Side(m["over"], values, m["over"] == "step ratio")
+    looks = dict(zip(_STATES, _COLORS, strict=True))
+    return tile_chart(x, y, state, looks, "spectral radius") | {"width": 410, "height": 250}

@@ -11,7 +11,6 @@ from typing import Any
 from bench.results.quantities import ERROR_MEANING, NORM, NORMS, VIOLATIONS
 from bench.results.records import UNSUPPORTED, Record, Rows, SceneRecord, Study
 from bench.results.store import StoreError
-from bench.results.table import Table
 from reports.charts.bills import bills
 from reports.charts.errors import convergence_chart, error_charts
 from reports.charts.line_styles import LineStyle, line_styles
@@ -25,7 +24,7 @@ from reports.charts.over_time import (
     trajectory_chart,
 )
 from reports.formatting import number, words
-from reports.pages.captioned_charts import PAPER, CaptionedCharts, captioned
+from reports.pages.chapter import CaptionedCharts, Fold, Text, captioned
 from reports.series import (
     Series,
     groups_of,
@@ -62,16 +61,20 @@ _BILLS = (
 ALL_FIGURES = ("trajectory", "convergence", "work_precision")
 
 
+#: How charts with a legend are used.
+_USE = (
+    "A click on a name in a legend isolates it (Shift: several); Ctrl and the wheel zoom, dragging "
+    "pans, a double click resets."
+)
+
+
 @dataclass
 class StudySection:
-    """One study: figures and tables."""
+    """The parts of one study by the tab of its scene's page that they belong to."""
 
     title: str
-    note: str
-    state: str
-    figures: list[CaptionedCharts]
-    orders: Table | None = None
-    runs: Table | None = None
+    anchor: str
+    parts: dict[str, list[Any]]
 
 
 @dataclass
@@ -99,10 +102,12 @@ class StudySections:
         by_key = {r.key: r for r in self.records}
         records = [by_key[key] for key in study.cells if key in by_key]
         series = series_of(records)
+        over_time = "trajectory" in study.figures
+        histories = {
+            topic: self._histories(series, f"{anchor}-{name}", topic) if over_time else None
+            for topic, name in (("time", "errors"), ("drift", "drift"), ("steps", "steps"))
+        }
         figures: list[CaptionedCharts | None] = []
-        if "trajectory" in study.figures:
-            figures.append(self._histories(series, f"{anchor}-errors", "time"))
-            figures.append(self._trajectory(series, f"{anchor}-trajectory", _components(study)))
         if "convergence" in study.figures:
             figures.append(self._convergence(series, f"{anchor}-convergence"))
         if "work_precision" in study.figures:
@@ -110,20 +115,30 @@ class StudySections:
             operations = {f"{anchor}-operations": bills(series, self.styles)}
             figures.append(captioned(_BILLS, operations))
             figures.append(self._accuracy(series, f"{anchor}-accuracy"))
-        if "trajectory" in study.figures:
-            figures.append(self._histories(series, f"{anchor}-drift", "drift"))
-            figures.append(self._histories(series, f"{anchor}-steps", "steps"))
-        return StudySection(
-            # A study without a title has the scene's name, which is the heading above it.
-            title="Accuracy and cost" if study.title in ("", self.name) else study.title,
-            note=study.note,
-            state=_study_state(study, records),
-            figures=[figure for figure in figures if figure],
-            orders=order_table(series, "Orders"),
-            runs=runs_table(series, components=self.component_names)
-            if "runs" in study.figures
-            else None,
-        )
+        path = None
+        if over_time:
+            path = self._trajectory(series, f"{anchor}-trajectory", _components(study))
+        orders = order_table(series, "Orders")
+        runs = runs_table(series, components=self.component_names)
+        parts = {
+            "cost": [
+                Text(study.note) if study.note else None,
+                Text(state, "state") if (state := _study_state(study, records)) else None,
+                *figures,
+                Text(_USE, "note") if any(figures) else None,
+                Fold("Fitted orders", orders) if orders else None,
+            ],
+            "time": [histories["time"], path],
+            "drift": [histories["drift"]],
+            "steps": [histories["steps"]],
+            "runs": [Fold(f"{len(runs.rows)} runs of this study", runs)]
+            if runs and "runs" in study.figures and records != list(self.records)
+            else [],
+        }
+        # A study without a title has the scene's name, which is the heading above it.
+        title = "Accuracy and cost" if study.title in ("", self.name) else study.title
+        scene, _, number = anchor.rpartition("-")
+        return StudySection(title, f"{scene}-study-{number}", parts)
 
     def _convergence(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
         groups = groups_of(ok_runs(series))
@@ -146,7 +161,7 @@ class StudySections:
             f"joins the resolutions of one integrator. {ERROR_MEANING} "
             f"{self._reference_error(groups)}{left_out}"
         )
-        return captioned(caption, {name: chart}, PAPER)
+        return captioned(caption, {name: chart}, on_paper=True)
 
     def _accuracy(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
         shown, left_out = _most_accurate(series, MOST_ERRORS)
@@ -163,7 +178,7 @@ class StudySections:
         runs = [(s.label, rows) for s in few if (rows := self._rows(s.finest)) and rows.notes]
         chart = histories(runs, self.styles, notes)
         caption = f"Over time, for the finest run of each: {said}.{left_out}"
-        return captioned(caption, {name: chart}, topic)
+        return captioned(caption, {name: chart})
 
     def _reference_error(self, groups: Iterable[str]) -> str:
         errors = {g: reference_error(self.records, g, NORM) for g in groups}
@@ -200,7 +215,7 @@ class StudySections:
         sizes = self.scene.sizes if self.scene else {}
         if not components and any(size > COMPONENTS_SHOWN for size in sizes.values()):
             caption += f" Of each group the first {COMPONENTS_SHOWN} components are shown."
-        return captioned(caption, {name: chart}, "time")
+        return captioned(caption, {name: chart})
 
     def _rows(self, record: Record) -> Rows | None:
         """The rows of a run that can be drawn; None of a run without any."""

@@ -18,6 +18,7 @@ from bench.results.table import Table, whole
 from problems.plain_text import clean
 from reports.charts.vega_lite import chart_json
 from reports.formatting import file_name, symbols
+from reports.questions.words import plain
 from reports.text.glossary import terms_in
 
 #: Stands in the head of a page for its content-security policy, until all scripts are known.
@@ -178,7 +179,7 @@ def _environment(autoescape: bool) -> jinja2.Environment:
         "doi": _doi,
         "file_name": file_name,
         "whole": whole,
-        "md": escape_markdown,
+        "md": lambda text: escape_markdown(plain(text) if isinstance(text, list) else text),
         "code": code,
         # These differ between pages.
         "prose": jinja2.pass_context(lambda page, text: page["prose"](text)),

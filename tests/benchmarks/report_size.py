@@ -15,8 +15,8 @@ from planted import curves, planted
 
 from bench.results.records import Plan, SceneRecord
 from bench.results.store import Store
+from reports.pages.chapter import FOLDER
 from reports.pages.html_report import write_html_report
-from reports.pages.page import FOLDER
 
 SCENES, METHODS, RUNS = 18, 50, 20
 TAGS = ("constrained", "mechatronic", "stiff", "smooth", "conservative")
