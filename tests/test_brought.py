@@ -14,10 +14,9 @@ from helpers import errors_at, local_slopes, reference
 from bench.check.blocks import check_parameters
 from bench.plugins.registry import Registry
 from integrators import Reading, StepMethod, Steps, Tolerances
-from problems import MechatronicSystem, SampledSystem, State, held, jax, jnp, lagrange, parameter
+from problems import MechatronicSystem, SampledSystem, State, held, jax, jnp, parameter
 from problems.formulations import complete, ode_rate
 from problems.scenes.oscillator import Oscillator
-from problems.scenes.pendulum import Pendulum
 
 
 # ---- scenes --------------------------------------------------------------------------------
@@ -147,115 +146,6 @@ def test_a_parameter_that_acts_in_a_later_phase_is_used():
     assert "Acting when traced: play, k, side" in check_parameters(Registry([]), Gears())
 
 
-AXES = np.array([0.2, 0.03, 0.02])
-BELOW = 0.01
-PRINCIPAL = np.array([[2e-4, -2e-5, 0], [-2e-5, 1.6e-3, 0], [0, 0, 1.7e-3]])
-
-
-def turned(p):
-    w, u = p[0], p[1:]
-    cross = jnp.cross(u, jnp.eye(3), axisb=0, axisc=0)
-    return (jnp.eye(3) + 2 * w * cross + 2 * cross @ cross) / (p @ p)
-
-
-@dataclass(frozen=True)
-class Rattleback(MechatronicSystem):
-    """A half ellipsoid that rolls; its axes of inertia are turned against its shape."""
-
-    interval = (0.0, 4.0)
-    g: float = parameter(9.81, "m/s^2", "gravity")
-
-    def _arm(self, up, xp=jnp):
-        """From the centre of mass to the contact, for the vertical in body axes."""
-        reach = AXES**2 * up
-        return xp.array([0.0, 0.0, BELOW]) - reach / xp.sqrt(up @ reach)
-
-    def mass(self, q):
-        return jax.scipy.linalg.block_diag(jnp.eye(3), jnp.asarray(PRINCIPAL))
-
-    def force(self, q, v, t):
-        spin = -jnp.cross(v[3:], PRINCIPAL @ v[3:])
-        return jnp.concatenate([jnp.array([0.0, 0.0, -self.g]), spin])
-
-    def kinematics(self, q, v):
-        p, w = q[3:], v[3:]
-        rate = jnp.concatenate([-p[1:] @ w[:, None], p[0] * w + jnp.cross(p[1:], w)]) / 2
-        return jnp.concatenate([v[:3], rate])
-
-    def constraint(self, q, t):
-        up = turned(q[3:])[2]
-        return (q[2] + up @ self._arm(up))[None]
-
-    def velocity_constraint(self, q, v, t):
-        axes = turned(q[3:])
-        return v[:2] + (axes @ jnp.cross(v[3:], self._arm(axes[2])))[:2]
-
-    def initial_state(self):
-        w = np.array([0.1, 0.0, -5.0])
-        v = np.cross(np.array([0.0, 0.0, BELOW - AXES[2]]), w)
-        return State(np.array([0, 0, AXES[2] - BELOW, 1.0, 0, 0, 0]), np.concatenate([v, w]))
-
-
-@pytest.mark.long
-def test_a_rattleback_follows_its_own_reduced_equations():
-    """Angular momentum about the contact, in body axes: w and the vertical alone."""
-    scene = Rattleback()
-
-    def rate(t, y):
-        w, up = y[:3], y[3:]
-        s, climb = scene._arm(up, np), np.cross(up, w)
-        root = np.sqrt(up @ (AXES**2 * up))
-        moved = -(AXES**2) * (climb - up * (up @ (AXES**2 * climb)) / root**2) / root
-        known = 9.81 * up - np.cross(w, np.cross(w, s)) - np.cross(w, moved)
-        about = PRINCIPAL + s @ s * np.eye(3) - np.outer(s, s)
-        torque = np.cross(s, known) - np.cross(w, PRINCIPAL @ w)
-        return np.concatenate([np.linalg.solve(about, torque), climb])
-
-    start = np.array([0.1, 0, -5, 0, 0, 1.0])
-    own = scipy.integrate.solve_ivp(rate, (0, 4), start, method="DOP853", rtol=1e-12, atol=1e-13)
-    end = {group: values[0] for group, values in reference(scene, 4.0)(np.array([4.0])).items()}
-    assert np.abs(end["v"][3:] - [0.1, 0, -5]).max() > 1
-    assert end["v"][3:] == pytest.approx(own.y[:3, -1], abs=1e-7)
-    assert end["q"][2] == pytest.approx(-own.y[3:, -1] @ scene._arm(own.y[3:, -1], np), abs=1e-9)
-
-
-@pytest.mark.long
-def test_a_plate_that_turns_on_its_rod_has_the_equations_of_its_energies():
-    import sympy as sm
-    import sympy.physics.mechanics as me
-    from sympy_scenes import scene_of
-
-    g, m, d, w, h = sm.symbols("g m d w h")
-    swing, twist, p, r = me.dynamicsymbols("swing twist p r")
-    frame, rod, plate = (me.ReferenceFrame(name) for name in "NAB")
-    rod.orient_axis(frame, frame.y, swing)
-    plate.orient_axis(rod, rod.z, twist)
-    rod.set_ang_vel(frame, p * frame.y)
-    plate.set_ang_vel(rod, r * rod.z)
-    hinge, centre = me.Point("O"), me.Point("C")
-    hinge.set_vel(frame, 0)
-    centre.set_pos(hinge, d * rod.z)
-    centre.v2pt_theory(hinge, frame, rod)
-    inertia = me.inertia(plate, m * h**2 / 12, m * (w**2 + h**2) / 12, m * w**2 / 12)
-    ways = [p - swing.diff(), r - twist.diff()]
-    method = me.KanesMethod(frame, [swing, twist], [p, r], kd_eqs=ways)
-    body = me.RigidBody("plate", centre, plate, m, (inertia, centre))
-    method.kanes_equations([body], [(centre, m * g * frame.z)])
-    constants = {g: 9.81, m: 0.1, d: 0.2, w: 0.3, h: 0.1}
-    scene = scene_of(method, constants=constants, initial={})()
-    q, v = np.array([0.7, 0.4]), np.array([2.0, 3.0])
-
-    def kinetic(q, v):
-        wide, tall = v[0] * jnp.sin(q[1]) * 0.1, v[0] * jnp.cos(q[1])
-        spins = wide**2 + tall**2 * (0.3**2 + 0.1**2) + (v[1] * 0.3) ** 2
-        return 0.1 * ((0.2 * v[0]) ** 2 + spins / 12) / 2
-
-    weight = lambda q: -0.1 * 9.81 * 0.2 * jnp.cos(q[0])  # noqa: E731
-    assert np.asarray(scene.mass(q)) == pytest.approx(np.asarray(lagrange.mass(kinetic, q)))
-    force = np.asarray(lagrange.force(kinetic, weight, q, v))
-    assert np.asarray(scene.force(q, v, 0.0)) == pytest.approx(force, rel=1e-12)
-
-
 # ---- step methods --------------------------------------------------------------------------
 @dataclass(frozen=True)
 class OwnMethod(StepMethod):
@@ -352,39 +242,3 @@ def test_a_nystroem_method_has_its_order():
     errors = [errors_at(Nystroem(), Oscillator(), 1.0, h) for h in steps]
     for group in "qva":
         assert local_slopes(steps, [e[group][-1] for e in errors]) == pytest.approx([4, 4], abs=0.1)
-
-
-@dataclass(frozen=True)
-class OntoPositions(StepMethod):
-    """A free step, moved onto the constraints; velocities from positions (Mueller et al. 2007)."""
-
-    formulation = "index3"
-
-    def begin(self, scene, start, h):
-        z = start.z
-        return Reading(z.q, z.v, z.a, z.lam, z.x, start.xdot, z.y)
-
-    def step(self, scene, state, t, h, work):
-        mass = scene.mass(state.q)
-        free = state.v + h * jnp.linalg.solve(mass, scene.force(state.q, state.v, t - h))
-        q, lam = state.q + h * free, jnp.zeros(scene.sizes.nl)
-        for _ in range(4):
-            rows = jax.jacfwd(scene.constraint)(q, t)
-            moves = jnp.linalg.solve(mass, rows.T)
-            change = jnp.linalg.solve(rows @ moves, scene.constraint(q, t))
-            q, lam = q - moves @ change, lam + change / h**2
-        v = (q - state.q) / h
-        work.count(residuals=5)
-        return state._replace(q=q, v=v, a=(v - state.v) / h, lam=lam)
-
-    def read(self, scene, state):
-        return state
-
-
-def test_steps_onto_positions_hold_them_and_have_order_one():
-    steps = [0.004, 0.002, 0.001]
-    errors = [errors_at(OntoPositions(), Pendulum(), 0.4, h) for h in steps]
-    for group in ("q", "v"):
-        assert local_slopes(steps, [e[group][-1] for e in errors]) == pytest.approx([1, 1], abs=0.1)
-    run = OntoPositions().prepare(Pendulum(), 0.4, Steps(0.004)).measure()
-    assert np.abs(np.hypot(*run.q.T) - 1).max() < 1e-14
