@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import json
 import subprocess
 import sys
 import webbrowser
 
 import numpy as np
-import pandas as pd
 import pytest
 from small_stores import a_record
 
@@ -118,30 +116,6 @@ def test_failed_runs_exit_with_their_reason_and_still_answer(stepbench):
     assert answer["status"] != "ok"
     assert "stabilised_index2" in answer["message"]
     assert answer["message"] in result.stderr
-
-
-@pytest.mark.long
-def test_records_open_in_pandas(stepbench, tmp_path):
-    out = tmp_path / "out"
-    profile = tmp_path / "small.toml"
-    profile.write_text(
-        "samples = 2\n[[study]]\nproblems = ['pendulum']\nintegrators = ['newmark', 'ida']\n"
-        "steps = [0.02, 0.01, 0.005]\nrtol = [1e-4]\n"
-    )
-    result = stepbench("run", profile, "--out", out, "--jobs", 2)
-    assert result.exit_code == 0, result.output
-    text = stepbench("report", out, "--csv").stdout
-    frame = pd.read_csv(io.StringIO(text), float_precision="round_trip")
-    assert len(frame) == 4
-    steps = frame[frame.integrator.str.startswith("newmark")]
-    assert (steps.error_q_max.diff().dropna() < 0).all()
-    stepbench("report", out, "--json", "-o", tmp_path / "records.json")
-    again = pd.DataFrame(json.loads((tmp_path / "records.json").read_text()))
-    assert again.error_q_max.tolist() == frame.error_q_max.tolist()
-    # The store alone is enough to make the pages again.
-    (out / "report.html").unlink()
-    assert stepbench("report", out).exit_code == 0
-    assert (out / "report" / "vega.js").stat().st_size > 100_000
 
 
 def test_select_and_add_on_the_command_line():

@@ -6,35 +6,32 @@ import json
 import re
 import time
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import long
 from test_contributing import EXAMPLES
 
 from bench.plugins.registry import Registry
 from bench.sweeps import batch
 from bench.sweeps.batch import Batch, BatchRun
-from bench.sweeps.ensemble import ensemble
-from bench.sweeps.members import member_rows
+from bench.sweeps.ensemble import ensemble, member_rows
 from bench.sweeps.variation import find_quantity, runs_with
 from integrators import Steps, Tolerances
 from integrators.native.kernel import Kernel
 from problems import parameter
 from problems.initial_values import consistent_start, consistent_starts
 from problems.runtime import SPARE_THREADS
-from problems.spec import SpecError
+from problems.spec import SpecError, split_spec
 
 REGISTRY = Registry()
-GROUPS = ("q", "v", "a", "lam", "x", "xdot", "y")
+ADAPTIVE = "generalized_alpha_adaptive"
 
 
-def alone(problem, integrator, h, t_end=None, registry=REGISTRY, pattern=(1.0,)):
-    scene, method = registry.problem(problem), registry.integrator(integrator)
-    end = t_end or scene.interval[1]
-    return method.prepare(scene, end, Steps(h, pattern)).measure()
+def alone(problem, integrator, h, t_end=None):
+    scene, method = REGISTRY.problem(problem), REGISTRY.integrator(integrator)
+    return method.prepare(scene, t_end or scene.interval[1], Steps(h)).measure()
 
 
 def ends_of(found):
@@ -62,53 +59,58 @@ def check_member(found, k, run, rtol):
             assert table[k] == pytest.approx(end, rel=0, abs=rtol * scale), name
 
 
+PATTERN = Steps(0.1, (0.3, 0.7))
+
+
 @pytest.mark.long
-def test_members_are_single_runs_whatever_varies():
-    vary = {"k": [20000.0, 24453.1, 31000.0], "h": [5e-3, 4e-3, 1e-2], "rho_inf": [0.2, 0.8, 0.5]}
-    scene = REGISTRY.problem("quarter_car")
-    found = ensemble(scene, REGISTRY.integrator("generalized_alpha"), vary, t_end=0.5)
-    assert (found.problem, found.integrator) == ("quarter_car", "generalized_alpha")
-    for k, (stiffness, h, rho) in enumerate(zip(*vary.values(), strict=True)):
-        run = alone(f"quarter_car[k={stiffness}]", f"generalized_alpha[rho_inf={rho}]", h, 0.5)
-        assert run.status == "ok"
-        check_member(found, k, run, 1e-11)
-    assert set(ends_of(found)) == {"q", "v", "a", "x", "xdot", "y"}
-
-
 @pytest.mark.parametrize(
-    ("problem", "integrator", "name", "values"),
+    ("problem", "integrator", "vary", "fixed", "within"),
     [
-        *long(("pendulum", "generalized_alpha[newton=modified,gamma=guarded]", "th0", [0.5, 2.0])),
-        *long(("pendulum", "hht[formulation=stabilised_index2]", "newton_tol", [1e-12, 1e-4])),
-        *long(("spring_mass", "kvaerno5[steps=constant]", "b", [0.0, 1.4])),
-        *long(("pendulum", "dopri8[steps=constant]", "g", [5.0, 9.81])),
+        (
+            "quarter_car", "generalized_alpha",
+            {"k": [2e4, 24453.1], "h": [5e-3, 1e-2], "rho_inf": [0.2, 0.5]}, Steps(0.01), 1e-11,
+        ),
+        (
+            "pendulum", "generalized_alpha[newton=modified,gamma=guarded]", {"th0": [0.5, 2.0]},
+            PATTERN, 1e-9,
+        ),
+        (
+            "pendulum", "hht[formulation=stabilised_index2]", {"newton_tol": [1e-12, 1e-4]},
+            PATTERN, 1e-9,
+        ),
+        ("spring_mass", "kvaerno5[steps=constant]", {"b": [0.0, 1.4]}, PATTERN, 1e-9),
+        ("pendulum", "dopri8[steps=constant]", {"g": [5.0, 9.81]}, PATTERN, 1e-9),
+        ("ramp_oscillator", "bathe_ode", {"k": [1.0, 2.0, 4.0]}, PATTERN, 1e-12),
+        ("pendulum", ADAPTIVE, {"rtol": [1e-5, 1e-2], "th0": [2.0, 0.5]}, None, 1e-8),
+        ("quarter_car", ADAPTIVE, {"rtol": [1e-2, 1e-4], "rho_inf": [0.4, 0.0]}, None, 1e-8),
+        ("spring_mass", ADAPTIVE, {"k": [1.0, 4.0], "atol": [1e-4, 1e-6]}, None, 1e-8),
     ],
-)
-def test_every_kind_of_method_and_patterns(problem, integrator, name, values):
-    scene, method = REGISTRY.problem(problem), REGISTRY.integrator(integrator)
-    end, pattern = scene.interval[0] + 0.5, (0.3, 0.7)
-    h = scene.nominal_step
-    found = ensemble(scene, method, {name: values}, Steps(h, pattern), end)
-    owner = find_quantity(name, scene, method).owner
-    for k, value in enumerate(values):
-        specs = {"scene": scene.spec, "integrator": method.spec}
-        base = specs[owner].rstrip("]")
-        specs[owner] = f"{base}{',' if '[' in base else '['}{name}={value}]"
-        run = alone(*specs.values(), h, end, pattern=pattern)
-        check_member(found, k, run, 1e-9)
-
-
-@pytest.mark.long
-def test_a_plugin_runs_in_numbers_and_follows_a_pattern(tmp_path):
-    for name, code in EXAMPLES.items():
+)  # fmt: skip
+def test_members_are_single_runs_whatever_varies(
+    tmp_path, problem, integrator, vary, fixed, within
+):
+    for name, code in EXAMPLES.items():  # plugins run in numbers, too
         (tmp_path / name).write_text(code)
-    plugins = Registry([tmp_path])
-    scene, method = plugins.problem("ramp_oscillator"), plugins.integrator("bathe_ode")
-    pattern = (0.3, 0.7)
-    found = ensemble(scene, method, {"k": [1.0, 2.0, 4.0]}, Steps(0.1, pattern), 2.0)
-    for k, stiffness in enumerate((1, 2, 4)):
-        run = alone(f"ramp_oscillator[k={stiffness}]", "bathe_ode", 0.1, 2.0, plugins, pattern)
-        check_member(found, k, run, 1e-12)
+    registry = Registry([tmp_path])
+    scene, method = registry.problem(problem), registry.integrator(integrator)
+    end = scene.interval[0] + 0.5
+    found = ensemble(scene, method, vary, fixed, end)
+    for k, values in enumerate(zip(*vary.values(), strict=True)):
+        bases, size = {"scene": split_spec(problem), "integrator": split_spec(integrator)}, {}
+        for name, value in zip(vary, values, strict=True):
+            owner = find_quantity(name, scene, method).owner
+            (bases[owner][1] if owner in bases else size)[name] = value
+        one, alone = (
+            f"{name}[{','.join(f'{key}={value}' for key, value in own.items())}]"
+            for name, own in bases.values()
+        )
+        one, alone = registry.problem(one), registry.integrator(alone)
+        tolerances = Tolerances(size.get("rtol", 1e-6), size.get("atol"))
+        resolution = replace(fixed, **size) if fixed else tolerances
+        run = alone.prepare(one, end, resolution).measure()
+        assert run.status == "ok"
+        check_member(found, k, run, within)
+    assert "work_rejected" in found.values or fixed
 
 
 def test_a_diverging_member_neither_spoils_nor_slows_the_others():
@@ -127,30 +129,6 @@ def test_a_diverging_member_neither_spoils_nor_slows_the_others():
     blown = alone("spring_mass[b=0]", "newmark[beta=0,newton_max=1000]", 2.5, 200.0)
     assert blown.status == "diverged"
     assert blown.work.newton <= 3 * blown.work.steps
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("problem", "vary"),
-    [
-        *long(("pendulum", {"rtol": [1e-5, 1e-2, 1e-3], "th0": [2.0, 0.5, 1.0]})),
-        *long(("quarter_car", {"rtol": [1e-2, 1e-4], "rho_inf": [0.4, 0.0]})),
-        ("spring_mass", {"k": [1.0, 4.0], "atol": [1e-4, 1e-6]}),
-    ],
-)
-def test_members_that_choose_their_steps_are_single_runs(problem, vary):
-    scene, method = REGISTRY.problem(problem), REGISTRY.integrator("generalized_alpha_adaptive")
-    found = ensemble(scene, method, vary, t_end=0.5)
-    assert set(found.values) >= {"work_steps", "work_rejected", "work_newton"}
-    for k, values in enumerate(zip(*vary.values(), strict=True)):
-        settings = dict(zip(vary, values, strict=True))
-        tolerances = Tolerances(settings.pop("rtol", 1e-6), settings.pop("atol", None))
-        specs = {"scene": scene.spec, "integrator": method.name}
-        for name, value in settings.items():
-            specs[find_quantity(name, scene, method).owner] += f"[{name}={value}]"
-        single = REGISTRY.integrator(specs["integrator"])
-        run = single.prepare(REGISTRY.problem(specs["scene"]), 0.5, tolerances).measure()
-        check_member(found, k, run, 1e-8)
 
 
 def test_a_member_that_ends_early_leaves_the_others_as_they_are():

@@ -108,49 +108,26 @@ def offered(*words: str) -> dict[str, str | None]:
     }
 
 
-def test_scenes_are_offered():
+def test_names_are_offered():
     for line in [("solve",), ("order",), ("map",), ("show",), ("run", "-p"), ("list",)]:
         assert set(offered(*line, "slider")) == {
             name for name in Registry().problems if name.startswith("slider")
         }
-
-
-def test_integrators_are_offered():
     for line in [
         *(("solve", "pendulum"), ("order", "pendulum"), ("map", "pendulum"), ("stability",)),
         *(("run", "-i"), ("run", "--mine"), ("atlas", "-i"), ("report", "x", "-i")),
         *(("check",), ("list", "pendulum")),
     ]:
         assert set(offered(*line, "hht")) == {"hht", "hht_classical", "hht_i3"}
-
-
-def test_options_are_offered_in_brackets():
-    found = offered("solve", "pendulum", "generalized_alpha[rho_inf=0.5,sta")
-    assert list(found) == ["generalized_alpha[rho_inf=0.5,start="]
-    assert "aux shifted in time" in str(*found.values())
-    chosen = offered("solve", "pendulum", "generalized_alpha[start=")
-    assert set(chosen) == {f"generalized_alpha[start={x}" for x in ("consistent", "corrected")}
-    assert "pendulum[th0=" in offered("show", "pendulum[")
-    assert offered("show", "nothing[") == {}
-
-
-def test_suites_experiments_and_parameters_are_offered():
     assert offered("run", "") == suite_titles()
     completer = ShellComplete(main, {}, "stepbench", "_STEPBENCH_COMPLETE")
     assert [item.type for item in completer.get_completions(["run"], "my_")] == ["file"]
     assert list(offered("atlas", "undamped")) == ["undamped_index3"]
-    assert offered("show", "pendulum", "--set", "th") == {"th0=": "amplitude: angle at rest at t=0"}
     assert set(offered("report", "x", "--figure", "conv")) == {"convergence"}
     assert "--mine" in offered("run", "--m")
 
 
-def test_each_shell_can_be_told_to_complete(stepbench):
-    for shell in ["bash", "zsh", "fish"]:
-        text = stepbench("--help").stdout
-        assert f"_STEPBENCH_COMPLETE={shell}_source stepbench" in text
-
-
-def test_a_completion_loads_no_heavy_library():
+def test_a_completion_loads_no_heavy_library_and_each_shell_can_be_told(stepbench):
     code = (
         "import sys; from bench.__main__ import main\n"
         "try: main()\nexcept SystemExit: pass\n"
@@ -165,3 +142,6 @@ def test_a_completion_loads_no_heavy_library():
         text=True,
     )
     assert (done.stdout, done.stderr) == ("plain,pendulum\n", "")
+    text = stepbench("--help").stdout
+    for shell in ("bash", "zsh", "fish"):
+        assert f"_STEPBENCH_COMPLETE={shell}_source stepbench" in text

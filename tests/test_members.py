@@ -20,10 +20,16 @@ from bench.plugins.registry import Registry, Sources
 from bench.running.cluster import ClusterRunner
 from bench.running.progress import Progress
 from bench.running.worker import Worker
-from bench.sweeps import batch, jobs, members
-from bench.sweeps.ensemble import ensemble
-from bench.sweeps.jobs import EnsembleRequest
-from bench.sweeps.members import member_rows, parts_of, run_members, write_members
+from bench.sweeps import batch, variation
+from bench.sweeps import ensemble as members
+from bench.sweeps.ensemble import (
+    EnsembleRequest,
+    ensemble,
+    member_rows,
+    parts_of,
+    run_members,
+    write_members,
+)
 from bench.sweeps.variation import Quantity, Range, find_range
 from integrators import Steps
 from problems.runtime import jax
@@ -176,7 +182,7 @@ def test_jax_computes_with_64_bits_or_the_ensemble_is_refused(asked, monkeypatch
         raise RuntimeError
 
     monkeypatch.setattr(jax, "default_backend", fails)
-    monkeypatch.setattr(jobs, "check_runtime", lambda: "")
+    monkeypatch.setattr(variation, "check_runtime", lambda: "")
     with pytest.raises(SpecError, match="JAX does not start"):
         run_all(asked)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import io
 import json
 import math
 import subprocess
@@ -10,6 +11,7 @@ import sys
 from xml.etree import ElementTree
 
 import numpy as np
+import pandas
 import pytest
 from planted import curves, everything, plant, planted
 
@@ -177,13 +179,25 @@ def test_bench_is_imported_without_what_notebooks_need():
 
 
 @pytest.mark.long
-def test_a_suite_is_run_reported_and_loaded(tmp_path, capsys):
-    suite = tmp_path / "small.toml"
+def test_a_suite_is_run_reported_and_loaded_and_its_rows_open_in_pandas(
+    tmp_path, capsys, stepbench
+):
+    suite, out = tmp_path / "small.toml", tmp_path / "out"
     suite.write_text(
         "samples = 2\n[[study]]\nproblems = ['pendulum']\nintegrators = ['newmark']\n"
         "steps = [0.02, 0.01]\n"
     )
-    results = run(suite, tmp_path / "out", integrators=["newmark", "wbz"])
+    results = run(suite, out, integrators=["newmark", "wbz"])
     assert results.runs.integrator.nunique() == 2
-    assert (tmp_path / "out" / "report.html").is_file()
+    assert (out / "report.html").is_file()
     assert "4 cells: 4 ok, 0 failed with a reason; 4 measured now" in capsys.readouterr().out
+    text = stepbench("report", out, "--csv").stdout
+    frame = pandas.read_csv(io.StringIO(text), float_precision="round_trip")
+    assert frame.error_q_max.tolist() == results.runs.error_q_max.tolist()
+    stepbench("report", out, "--json", "-o", tmp_path / "records.json")
+    again = pandas.DataFrame(json.loads((tmp_path / "records.json").read_text()))
+    assert again.error_q_max.tolist() == frame.error_q_max.tolist()
+    # The store alone is enough to make the pages again.
+    (out / "report.html").unlink()
+    assert stepbench("report", out).exit_code == 0
+    assert (out / "report" / "vega.js").stat().st_size > 100_000

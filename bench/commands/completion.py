@@ -1,6 +1,6 @@
-"""Completion of names in the shell: scenes, integrators and their options, suites, experiments.
+"""Completion of names in the shell: scenes, integrators, suites, experiments.
 
-Names come from entry points and files; plugins of others are named, but never loaded here.
+Names come from entry points and files; no plugin is loaded for them.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import partial
 from importlib.metadata import entry_points
-from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
@@ -44,38 +43,12 @@ def everything(ctx: click.Context, parameter: click.Parameter, text: str) -> Ite
     return [item for item in found if item.type == "plain"]
 
 
-def settings(ctx: click.Context, parameter: click.Parameter, text: str) -> Items:
-    """Complete the name of a parameter of the scene that the line names."""
-    given = ctx.params.get("problem") or next(iter(ctx.args), "")  # a line cut short has no params
-    return _names("", "problems", str(given).partition("[")[0], text)
-
-
 def _plugins(kind: str, ctx: click.Context, parameter: click.Parameter, text: str) -> Items:
-    """Complete the name of a scene or an integrator, and options in brackets."""
-    name, bracket, inside = text.partition("[")
-    if not bracket:
-        return _items(((e.name, "") for e in entry_points(group=f"stepbench.{kind}")), text)
-    before, comma, last = inside.rpartition(",")
-    head, (option, equals, _) = f"{name}[{before}{comma}", last.partition("=")
-    if not equals:
-        return _names(head, kind, name, text)
-    choices = (c for o in _options(kind, name) if o["name"] == option for c in o.get("choices", ()))
-    return _items(((f"{head}{option}={choice}", "") for choice in choices), text)
+    """Complete the name of a scene or an integrator."""
+    return _items(((e.name, "") for e in entry_points(group=f"stepbench.{kind}")), text)
 
 
 scenes, integrators = partial(_plugins, "problems"), partial(_plugins, "integrators")
-
-
-def _names(head: str, kind: str, name: str, text: str) -> Items:
-    """The names of the options of a plugin of this project."""
-    return _items(((f"{head}{o['name']}=", str(o["doc"])) for o in _options(kind, name)), text)
-
-
-def _options(kind: str, name: str) -> list[dict[str, Any]]:
-    from bench.plugins.registry import Registry
-
-    plugin = getattr(Registry(), kind).get(name)
-    return plugin.options if plugin else []
 
 
 def _items(words: Iterable[tuple[str, str]], text: str) -> Items:

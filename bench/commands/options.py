@@ -172,7 +172,6 @@ SET = (
     option(
         "--set settings", "Set a parameter of the scene, or start.NAME, a coordinate at its start; "
         "repeatable.", multiple=True, callback=_settings, metavar="NAME=VALUE",
-        shell_complete=completion.settings,
     ),
     option(  # it is read before the settings, of which it is one
         "--keyframe", "Keyframe at which a model of MuJoCo starts.", metavar="NAME",

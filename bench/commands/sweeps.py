@@ -82,7 +82,8 @@ def map_(o: Given) -> None:
     scene, method = options.asked_for(o)
 
     from bench.commands.terminal import show
-    from bench.sweeps.jobs import SweepRequest, map_job
+    from bench.sweeps.outcome_map import map_job
+    from bench.sweeps.variation import SweepRequest
     from reports.pages.outcome_map import write_map_page
 
     request = SweepRequest(scene.spec, method.spec, options.sizes(o), o.t_end, o.budget)
@@ -141,24 +142,22 @@ def solve_ensemble(o: Given) -> None:
     from bench.guard.process import Limits
     from bench.running.cluster import ClusterRunner
     from bench.running.runner import Runner
-    from bench.sweeps.ensemble import OUT_OF_TIME
-    from bench.sweeps.jobs import EnsembleRequest
-    from bench.sweeps.members import check_file_name, run_members, write_members
+    from bench.sweeps import ensemble
     from problems.usage import cores
 
     scene, method = options.asked_for(o)
     common = scene.spec, method.spec, options.sizes(o), o.t_end, o.budget
-    request = EnsembleRequest(*common, o.ensemble, o.vary, o.seed)
+    request = ensemble.EnsembleRequest(*common, o.ensemble, o.vary, o.seed)
     if not o.vary:
         raise SpecError("An ensemble needs something in which its members differ; give --vary.")
     if o.out:
-        check_file_name(o.out)
+        ensemble.check_file_name(o.out)
     began = time.perf_counter()
     # A part watches its budget itself, and has half as much again to end by it.
     limits = Limits(1.5 * o.budget, processors=1 if o.cluster else cores())
     make = partial(ClusterRunner, o.cluster) if o.cluster else partial(Runner, 1)
     with RunProgress() as progress, make(limits, progress) as runner:
-        found, fault = run_members(runner, request, scene.sources | method.sources)
+        found, fault = ensemble.run_members(runner, request, scene.sources | method.sources)
     if o.as_json:
         facts = ("problem", "integrator", "t_end", "work", "compile_s", "run_s")
         counts = {"statuses": Counter(found.status), "summary": found.summary()}
@@ -166,14 +165,15 @@ def solve_ensemble(o: Given) -> None:
     else:
         show(*_shown(found, time.perf_counter() - began))
     if o.out:
-        write_members(o.out, found.columns())
+        ensemble.write_members(o.out, found.columns())
         click.echo(f"{len(found.status)} members in {o.out}", err=o.as_json)
     if "ok" not in found.status:
         raise click.ClickException(f"No member succeeded. The first: {found.message[0]}")
     lost = o.ensemble - len(found.status) + found.not_run
     if lost:
+        why = fault or ensemble.OUT_OF_TIME
         raise click.ClickException(
-            f"Not complete: {lost} of {o.ensemble} members are missing. {fault or OUT_OF_TIME}"
+            f"Not complete: {lost} of {o.ensemble} members are missing. {why}"
         )
 
 

@@ -32,13 +32,9 @@ class Bracket(NamedTuple):
 def bracket(tried: Mapping[float, float], limit: float) -> Bracket:
     """Return the bracket of a limit.
 
-    A size whose error is small by accident, as a finer one has a larger error than the limit, is
-    not good. A finer one that did not reach the end, as near a singular position, says nothing.
-
-    Parameters
-    ----------
-    tried
-        Errors by sizes, infinite where a run failed.
+    ``tried`` has errors by sizes, infinite where a run failed. A size whose error is small by
+    accident, as a finer one has a larger error than the limit, is not good. A finer one that did
+    not reach the end, as near a singular position, says nothing.
     """
     wrong = min((s for s, e in tried.items() if limit < e < math.inf), default=math.inf)
     good = max((s for s, e in tried.items() if e <= limit and s < wrong), default=None)

@@ -31,15 +31,9 @@ class ClusterRunner(Runner):
     """A runner whose tasks of ``run`` are done by a cluster; times are taken on this machine.
 
     A group goes to one worker of the cluster, which guards its budgets by a process of its own. A
-    worker that dies costs its group nothing but time: the scheduler gives it to another one.
-
-    Parameters
-    ----------
-    address
-        Of the scheduler, such as tcp://host:8786. Its workers must find plugin files under the
-        same names.
-    limits, progress
-        As in Runner.
+    worker that dies costs its group nothing but time: the scheduler gives it to another one. The
+    ``address`` is that of the scheduler, such as tcp://host:8786, whose workers must find plugin
+    files under the same names.
 
     Raises
     ------
@@ -137,39 +131,22 @@ def _require_certificates(address: str) -> None:
         )
 
 
-class _Printed(Progress):
-    """Output of tasks, kept by their labels."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.texts: dict[str, str] = {}
-
-    def printed(self, label: str, text: str) -> None:
-        self.texts[label] = text
-
-
 def _run_group(group: list[Task], limits: Limits) -> list[tuple[str, Any]]:
     """Answer a group of tasks, in order, in a worker of the cluster; with what each printed."""
     for task in group:
         plugin_files(sorted(task.sources))  # says what is missing; a child would die of it
-    kept = _Printed()
-    with Runner(1, limits, kept, _wanted()) as runner:
+    texts, progress = dict[str, str](), Progress()
+    progress.printed = lambda label, text: texts.update({label: text})
+    with Runner(1, limits, progress, _wanted()) as runner:
         answers = dict(runner.run([group]))
-    return [(kept.texts.get(t.label, ""), answers[t]) for t in group if t in answers]
+    return [(texts.get(t.label, ""), answers[t]) for t in group if t in answers]
 
 
 def _wanted() -> Callable[[], bool]:
-    """Return a function that tells, in a worker of the cluster, whether its task is wanted still.
-
-    The scheduler takes it back when the client has ended.
-    """
+    """Return a function that tells, in a worker of the cluster, whether its task is wanted still:
+    the scheduler takes it back when the client has ended."""
     from distributed import get_worker
 
     worker = get_worker()
-    key = worker.get_current_task()
-
-    def wanted() -> bool:
-        task = worker.state.tasks.get(key)
-        return task is not None and task.state != "cancelled"
-
-    return wanted
+    key, tasks = worker.get_current_task(), worker.state.tasks
+    return lambda: key in tasks and tasks[key].state != "cancelled"

@@ -16,19 +16,10 @@ from bench.running.search import multiple, power_of
 class Race:
     """A search for the cheapest of many candidates in a limited time.
 
-    A candidate is dropped if a run of it that is too coarse takes more operations, by a margin,
-    than a good run of another one, or if its own convergence promises far more.
-
-    Parameters
-    ----------
-    candidates
-        Candidates of one scene, with the same first demand, in the order of their beginning.
-    margin
-        Quotient of operations up to which a dearer candidate stays; infinite: all stay.
-    end
-        Time of `time.monotonic` in s at which no further run begins.
-    asked
-        Their demand that counts; by default the first.
+    A candidate is dropped if a run of it that is too coarse takes more operations, by a ``margin``
+    (infinite: all stay), than a good run of another one, or if its own convergence promises far
+    more. Candidates are those of one scene, in the order of their beginning; at the ``end`` (s, of
+    `time.monotonic`) no further run begins; ``asked`` is the demand, by default their first.
     """
 
     #: Runs that are asked for together, and of these first runs of candidates.

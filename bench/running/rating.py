@@ -91,14 +91,8 @@ class Candidate:
 class Search:
     """Searches of candidates for the coarsest resolution that meets each of their demands.
 
-    Runs are stored as they end; those that the store has are not made again.
-
-    Parameters
-    ----------
-    candidates
-        Candidates, whose cells the store's plan lists.
-    suite
-        Limits and number of timings; its cells are those of the candidates.
+    Runs are stored as they end; those that the store has are not made again. The plan of the store
+    lists the cells of the candidates, the ``suite`` has limits and the number of timings.
     """
 
     candidates: Sequence[Candidate]
@@ -110,13 +104,8 @@ class Search:
     def run(self, choose: Callable[[], list[Cell]], after_run: Callable[[], None]) -> None:
         """Search until no cells are left to run.
 
-        Parameters
-        ----------
-        choose
-            Chooses the cells that are worth a run now, the best first (see
-            `bench.running.race.Race`).
-        after_run
-            Called when candidates have got new runs.
+        ``choose`` gives the cells that are worth a run now, the best first (`Race`); ``after_run``
+        is called when candidates have got new runs.
 
         Raises
         ------

@@ -62,13 +62,9 @@ class Sizes:
     def next(self, tried: Mapping[float, float], limit: float) -> float | None:
         """Return the size to try next; None if the search is at its end.
 
-        Between a good and a bad size it is found on the line through both errors in logarithmic
-        scales, beyond them by the order that the nearest two errors show.
-
-        Parameters
-        ----------
-        tried
-            Errors by sizes, infinite where a run failed.
+        ``tried`` has errors by sizes, infinite where a run failed. Between a good and a bad size
+        the next one is on the line through both errors in logarithmic scales, beyond them it
+        follows the order that the nearest two errors show.
         """
         if not tried:
             return self.allowed(self.start)

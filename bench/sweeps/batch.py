@@ -46,19 +46,9 @@ _ROWS = 256
 class Block:
     """Results of k runs with at most r rows each.
 
-    Attributes
-    ----------
-    members
-        Places of the runs among all runs.
-    status, message, t_last
-        Ending of each run, and its last time in s.
-    counts
-        Work counts in the order of `Batch.counts`.
-    t, values
-        Times of the rows in s, and values q, v, a, lam, x, xdot, y of n columns each; NaN in rows
-        that a run did not reach.
-    rows
-        Number of rows of each run if it is complete.
+    ``members`` are their places among all runs, ``t_last`` (s) is the last time of each; ``counts``
+    are in the order of `Batch.counts`. ``t`` (s) and ``values`` of q, v, a, lam, x, xdot and y with
+    n columns each are NaN in rows that a run did not reach, of ``rows`` if it is complete.
     """
 
     members: Int[np.ndarray, " k"]
@@ -93,21 +83,11 @@ def refuse(method: Integrator, scene: MechatronicSystem) -> None:
 class Batch:
     """Runs of one kind of scene by one kind of integrator, as tables of numbers.
 
-    Parameters
-    ----------
-    runs
-        Float parameters, numeric options and steps or tolerances may differ between them.
-    t_end
-        End of all runs in s.
-    every_row
-        Keep the start, the first rows and some 200 more instead of the last row alone.
-    lanes
-        Runs side by side, a power of two. By default the machine and the memory decide.
-
-    Attributes
-    ----------
-    compiled_at
-        Time in s of `time.perf_counter` at which `blocks` had compiled the program.
+    Float parameters, numeric options and steps or tolerances may differ between the ``runs``; all
+    end at ``t_end`` (s). With ``every_row`` the start, the first rows and some 200 more are kept
+    instead of the last one alone. ``lanes`` runs, a power of two, are side by side; by default the
+    machine and the memory decide. ``compiled_at`` is the time in s of `time.perf_counter` at which
+    `blocks` had compiled the program.
 
     Raises
     ------
@@ -179,17 +159,9 @@ class Batch:
     ) -> Iterator[Block]:
         """Compile the program, and run all in threads, a block at a time in each.
 
-        The longest runs come first, so that the last blocks are short.
-
-        Parameters
-        ----------
-        jobs
-            Most threads that call the program; there are never more than `most_callers`.
-        budget
-            Seconds after which no further blocks are given, but the first one always is; compiling
-            is not counted.
-        begun
-            Called when the program is compiled.
+        The longest runs come first, so that the last blocks are short. No more than ``jobs``
+        threads, and `most_callers`, call the program; ``begun`` is called when it is compiled.
+        ``budget`` seconds after that no further blocks are given, but the first one always is.
         """
         nobody = np.zeros(self._lanes, dtype=np.int64)
         jax.block_until_ready(self._called(nobody, nobody == 0))

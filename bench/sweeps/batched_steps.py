@@ -1,8 +1,7 @@
 """The times of many runs: constant steps, or steps that follow a tolerance.
 
-Both kinds give a compiled time loop its last arguments, and read the rows and endings that it
-returns. ``places`` are indices of runs among all of them, ``counts`` names of the work counts,
-``numbers`` the different last arguments of the loop.
+Both kinds give a compiled time loop its last arguments, of which ``numbers`` are the different
+ones, and read what it returns. ``places`` are indices of runs among all.
 """
 
 from __future__ import annotations

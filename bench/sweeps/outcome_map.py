@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from bench.guard.serve import RUNNING
 from bench.results.quantities import GROUPS, group_and_norm
 from bench.running.errors import Scales, component_errors, finite, scales, whole_error
 from bench.running.plan import resolution_of
+from bench.running.worker import Worker
 from bench.sweeps.batch import Batch, BatchRun, Block
-from bench.sweeps.variation import Range, runs_with, spec_without
+from bench.sweeps.variation import Range, SweepRequest, read_ranges, runs_with, spec_without
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances, check_end
 from problems.plain_text import said
@@ -26,6 +28,45 @@ OUTCOMES = (
     "ok", "inaccurate", "newton_failed", "step_too_small", "budget_exceeded", "diverged", "not_run",
     "no_reference",
 )  # fmt: skip
+
+
+#: Points of a range; fewer along a parameter each value of which needs a reference of its own.
+POINTS, POINTS_INTEGRATED = 100, 25
+
+
+def map_job(
+    worker: Worker,
+    request: SweepRequest,
+    over: tuple[str, str],
+    ranges: tuple[str, ...],
+    grid: tuple[int, int] | None,
+    error: str,
+    threshold: float,
+) -> dict[str, Any]:
+    """Make a map of outcomes as plain values; ``ranges`` and ``over`` are texts of the user."""
+    spans = read_ranges(ranges, "--range")
+    stray = next((name for name in spans if name not in over), None)
+    if stray:
+        raise SpecError(f"--range {stray} is of no axis; the axes are {over[0]} and {over[1]}.")
+    of_axes = {name: spans.get(name) for name in over}
+    scene, method, found, fixed = request.prepared(worker, of_axes)
+    x, y = found.values()
+    points = [
+        POINTS_INTEGRATED if r.quantity.owner == "scene" and not scene.has_closed_form else POINTS
+        for r in (x, y)
+    ]
+    return outcome_map(
+        scene,
+        method,
+        (x, y),
+        grid or (points[0], points[1]),
+        fixed,
+        request.t_end,
+        error,
+        threshold,
+        request.budget,
+        begun=lambda: worker.notify(RUNNING, "running the points"),
+    )
 
 
 def outcome_map(

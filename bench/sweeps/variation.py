@@ -1,4 +1,7 @@
-"""Quantities that vary between many runs: step, tolerances, parameters and options."""
+"""Quantities that vary between many runs: step, tolerances, parameters and options.
+
+A sweep comes to a guarded process as a request in text and numbers, as the user wrote them.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.guard.serve import PREPARING
 from bench.running.plan import resolution_of
-from bench.sweeps.batch import BatchRun
+from bench.running.worker import Worker
+from bench.sweeps.batch import BatchRun, refuse
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances, check_end
-from problems.runtime import Float
+from problems.runtime import Float, check_runtime, jax, jnp
 from problems.spec import SpecError, build, numbers_of, options_of, split_spec, suggest
 from problems.system import MechatronicSystem
 
@@ -253,3 +258,45 @@ def unvaried_resolution(
             for h in (varied.low, varied.high):
                 Steps(h).count(scene.interval[0], end)  # refuses a step that does not fit
     return resolution_of(scene, method, **given)
+
+
+@dataclass(frozen=True, eq=False)  # tasks have a hash, and so must what is in them
+class SweepRequest:
+    """The runs of a sweep as far as they are all alike.
+
+    Names are printed names; ``given`` are the values of --step, --pattern, --rtol and --atol, None
+    where not given; ``t_end`` is in s, the scene's own if None; no further runs are begun after
+    ``budget`` seconds.
+    """
+
+    problem: str
+    integrator: str
+    given: dict[str, Any]
+    t_end: float | None
+    budget: float
+
+    def prepared(
+        self, worker: Worker, spans: Mapping[str, tuple[float, float] | None]
+    ) -> tuple[MechatronicSystem, Integrator, dict[str, Range], Steps | Tolerances]:
+        """Make scene, integrator, ranges and the step or tolerances of all runs; compiling begins.
+
+        ``spans`` are the ends of each range by name; None for those of `find_range`.
+
+        Raises
+        ------
+        SpecError
+            If they cannot be run side by side, or JAX does not compute with 64 bits.
+        """
+        try:
+            jax.default_backend()
+        except Exception:  # of whatever kind: JAX has none for a platform that is missing
+            raise SpecError(check_runtime() or "JAX does not start.") from None
+        scene = worker.registry.problem(self.problem)
+        method = worker.registry.integrator(self.integrator)
+        if jnp.zeros(1).dtype.itemsize != 8:  # a plugin may have changed it
+            raise SpecError("JAX computes with 32-bit floats; unset JAX_ENABLE_X64.")
+        refuse(method, scene)
+        worker.notify(PREPARING, "tracing and compiling")
+        ranges = {name: find_range(name, scene, method, ends) for name, ends in spans.items()}
+        fixed = unvaried_resolution(scene, method, self.given, self.t_end, ranges.values())
+        return scene, method, ranges, fixed
