@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench.guard.process import Limits, NoAnswer
+from bench.guard.serve import PREPARING
 from bench.plugins.registry import Sources, plugin_files
 from bench.running.inventory import MethodFacts, SceneFacts
 from bench.running.plan import Cell, resolution_of
@@ -107,7 +108,8 @@ def solve(
 
 # ---- in the process of the run -----------------------------------------------------------
 def plan_run(worker: Worker, request: Request) -> PlannedRun:
-    """Plan a run with the plugins that this process has loaded."""
+    """Plan a run with the plugins that this process has loaded, in a budget beside that of it."""
+    worker.notify(PREPARING, "planning")
     registry = worker.inventory
     registry.require_files()
     scene = registry.problem(request.problem, **request.parameters)
