@@ -190,7 +190,7 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
         q, v, x = jnp.split(after.error, [len(now.q), len(now.q) + len(now.v)])
         if self.formulation == "index3" and now.lam.size:
             v, x = 0 * v, 0 * x
-        return Errors(q, v, x, 0 * now.a, 0 * now.lam)
+        return Errors(q, v, x)
 
     def order_of(self, after: BDFState) -> Scalar:
         return after.order_before

@@ -44,15 +44,14 @@ _GROWTH = (2.0, 2.0, 1.75, 1.4, 1.15, 1.03, 1.01)
 
 
 class AdaptiveScheme(NamedTuple):
-    """A scheme, the choice to test a and lam, too, and the largest ratio of steps."""
+    """A scheme, and the largest ratio of steps."""
 
     scheme: Scheme
-    all_tested: bool
     growth: float
 
 
 class AdaptiveAlphaState(NamedTuple):
-    """A state of the method with the bends, and the last divided differences of a, xdot and lam.
+    """A state of the method with the bends, and the last divided differences of a and xdot.
 
     The differences are over a step of size ``gap`` in s. At t0 they are exact derivatives, and gap
     is zero.
@@ -63,7 +62,6 @@ class AdaptiveAlphaState(NamedTuple):
     bend_x: Scalar
     rate_a: Float[Array, " nv"]
     rate_xdot: Float[Array, " nx"]
-    rate_lam: Float[Array, " nl"]
     gap: Scalar
 
 
@@ -82,9 +80,7 @@ class AdaptiveAlphaStep(StepFunctions):
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> AdaptiveAlphaState:
         zero = 0.0 * h
         alpha = self.step_of.begin(scene, start, h)
-        return AdaptiveAlphaState(
-            alpha, zero, zero, start.jerk, start.xddot, 0.0 * start.z.lam, zero
-        )
+        return AdaptiveAlphaState(alpha, zero, zero, start.jerk, start.xddot, zero)
 
     def step(
         self, scene: MechatronicSystem, state: AdaptiveAlphaState, t: Time, h: Time, work: StepWork
@@ -98,7 +94,6 @@ class AdaptiveAlphaStep(StepFunctions):
             bend_after(s.delta_m, s.delta_f, bend_x, alpha.shift_x, h),
             (alpha.a - before.a) / h,
             (alpha.xdot - before.xdot) / h,
-            (alpha.lam - before.lam) / h,
             h,
         )
 
@@ -106,7 +101,7 @@ class AdaptiveAlphaStep(StepFunctions):
         return self.step_of.read(scene, state.alpha)
 
     def estimate(self, before: AdaptiveAlphaState, after: AdaptiveAlphaState, h: Time) -> Errors:
-        """Local errors of q, v and x; for a and lam errors of linear interpolation."""
+        """Local errors of q, v and x."""
         s, w = self.own.scheme, weights(self.own.scheme, before.alpha, h)
         bend, bend_x = bends_before(s, before, h)
 
@@ -120,17 +115,12 @@ class AdaptiveAlphaStep(StepFunctions):
         def second(now: Any, old: Any) -> Any:
             return 2 * (now - old) / (h + before.gap)
 
-        curve_a = second(after.rate_a, before.rate_a)
-        curve_lam = second(after.rate_lam, before.rate_lam) * (before.gap > 0)
-        tested = jnp.where(self.own.all_tested, h**2 / 8, 0.0)
         c_q = (0.5 - s.beta) * w.shift + s.beta * (h + w.shift_end) - h / 6
         shifts, shifts_x = (w.shift, w.shift_end), (w.shift_x, w.shift_x_end)
         return Errors(
             q=h**2 * c_q * after.rate_a,
             v=of_rate(w.gamma, shifts, (bend, after.bend), after.rate_a, before.rate_a),
             x=of_rate(w.theta, shifts_x, (bend_x, after.bend_x), after.rate_xdot, before.rate_xdot),
-            a=tested * curve_a,
-            lam=tested * curve_lam,
         )
 
     def ratios(self) -> tuple[Scalar, Scalar]:
@@ -187,15 +177,10 @@ class GeneralizedAlphaAdaptive(ErrorControl, GeneralizedAlpha):
         "corrected: aux shifted in time at t0; consistent: aux = a, with a transient",
         choices=("corrected", "consistent"),
     )
-    error_test: str = option(
-        "states",
-        "states: q, v and x are tested; all: a and lam, too",
-        choices=("states", "all"),
-    )
 
     def numbers(self) -> AdaptiveScheme:
         growth = float(np.interp(self.radius_at_infinity(), _RHO, _GROWTH))
-        return AdaptiveScheme(self.scheme(), self.error_test == "all", growth)
+        return AdaptiveScheme(self.scheme(), growth)
 
     def functions(self) -> StepFunctions:
         return AdaptiveAlphaStep(AlphaStep(self.formulation == "stabilised_index2"))

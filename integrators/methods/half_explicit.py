@@ -22,7 +22,7 @@ from integrators.native.step_method import (
     StepMethod,
     linear_solver_option,
 )
-from integrators.native.step_records import Scalar, Time
+from integrators.native.step_records import Errors, Scalar, Time
 from integrators.native.step_work import StepWork
 from problems import formulations
 from problems.block_structure import output_takes
@@ -264,5 +264,5 @@ class PHEM56(FreeSteps, HalfExplicit):
             e_q, e_v, e_x = groups.split(h * error)
             if scene.sizes.nl:
                 e_v = _projected(scene, z, e_v, work)
-            errors = e_q, e_v, e_x
+            errors = Errors(e_q, e_v, e_x)
         return EndState(self.reported(scene, z, xdot, work), z, xdot, errors)

@@ -37,7 +37,6 @@ import numpy as np
 from integrators.contract import option
 from integrators.native.own_values import (
     Formulated,
-    Needs,
     OwnValues,
     formulation_option,
 )
@@ -132,17 +131,10 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         "doi:10.1016/S0377-0427(99)00134-X"
     )
 
-    needs: ClassVar[Needs] = {"error_test": ("steps", "adaptive")}
-
     stages: int = option(3, "number of stages", choices=(2, 3), always=True)
-    # On index 3 errors of a and lam are some thousand times the tolerance and more.
+    # On index 3 errors of a and lam are some thousand times the tolerance and more; those of v are
+    # tested times h in s, as in RADAU5.
     formulation: str = formulation_option("stabilised_index2", always=True)
-    error_test: str = option(
-        "states",
-        "states: q, v and x are tested, v of index 3 times h in s, as in RADAU5; all: a and lam, "
-        "too, times h in s, of index 3 times its square",
-        choices=("states", "all"),
-    )
 
     @property
     def order(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -169,7 +161,7 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         at_mu = stage_layout(scene.sizes, self.formulation).mu
         no_mu = jnp.zeros(at_mu.stop - at_mu.start)
         last = jnp.concatenate([z.a, z.lam, no_mu, start.xdot, z.y])
-        nothing = Errors(*map(jnp.zeros_like, (z.q, z.v, z.x, z.a, z.lam)))
+        nothing = Errors(*map(jnp.zeros_like, (z.q, z.v, z.x)))
         return RadauState(
             self.reported(scene, z, start.xdot),
             Base(z.v, z.a, start.xdot),
@@ -264,10 +256,8 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         assert errors is not None
         # What the constraints decide has no history: after a cut it moves by the error of the step
         # before, however small the next is.
-        index3 = self.formulation == "index3" and errors.lam.size
-        of_v, of_lam = (h, h**2) if index3 else (1.0, h)
-        of_lam = of_lam if self.error_test == "all" else 0.0
-        return errors._replace(v=of_v * errors.v, a=of_lam * errors.a, lam=of_lam * errors.lam)
+        index3 = self.formulation == "index3" and after.shown.lam.size
+        return errors._replace(v=(h if index3 else 1.0) * errors.v)
 
     def _rows(self, scene: MechatronicSystem, z: Variables, xdot: Array, h: Time) -> list[Array]:
         """Residuals of a stage."""
@@ -295,4 +285,4 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         )  # fmt: skip
         here = jnp.concatenate([a, z.lam, xdot, z.y])
         other, _ = e.solve(work, here, here)
-        return Errors(*(getattr(other, k) - getattr(z, k) for k in ("q", "v", "x", "a", "lam")))
+        return Errors(*(getattr(other, k) - getattr(z, k) for k in Errors._fields))

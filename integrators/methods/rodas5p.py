@@ -35,7 +35,7 @@ from integrators.native.step_method import (
     StepMethod,
     linear_solver_option,
 )
-from integrators.native.step_records import Time
+from integrators.native.step_records import Errors, Time
 from integrators.native.step_work import StepWork
 from problems import formulations
 from problems.block_structure import output_takes
@@ -210,7 +210,7 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
             end = moved_onto_constraints(scene, end, work)
         xdot = scene.state_rate(end) if scene.sizes.nx else still
         shown = self.reported(scene, end, xdot, work)
-        return EndState(shown, end, xdot, (last.q, last.v, last.x))
+        return EndState(shown, end, xdot, Errors(last.q, last.v, last.x))
 
     def _constraint(self, scene: MechatronicSystem, z: Variables, g: Time) -> Array:
         """The constraint that holds, scaled so that its tangent does not depend on the step."""

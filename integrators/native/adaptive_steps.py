@@ -10,12 +10,10 @@ error at ``rtol^(1/p)`` times the tolerance makes h go with tol^(1/p), and the g
 of lower order e, the same argument allows ``rtol^((e+1)/p - 1)`` times the tolerance. Equal local
 errors in all steps are the mesh with the fewest steps for a given sum of local errors.
 
-An error is measured as the bench measures it: the Euclidean norm of a group (q, v, x, a, lam)
-relative to the norm of the group's values, at the larger end of the step, with atol added. This
-scale follows a motion that slows down. The largest value so far would not, and costs up to a
-thousand times the error where small errors grow. Only a and lam, if they are tested, are relative
-to their largest values: they have no history of their own, and after a cut they move by the error
-of the step before, however small the next is.
+An error is measured as the bench measures it: the Euclidean norm of a group (q, v, x) relative to
+the norm of the group's values, at the larger end of the step, with atol added. This scale follows a
+motion that slows down. The largest value so far would not, and costs up to a thousand times the
+error where small errors grow.
 
 The controller is proportional-integral (Gustafsson 1991, doi:10.1145/210232.210242)::
 
@@ -26,7 +24,7 @@ A method with a published control of its own states it by ``choose`` instead.
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -91,31 +89,17 @@ class StepControl:
         #: States may err by the tolerance times this power of rtol.
         self._sharper = (self._estimated + 1) / functions.order - 1
 
-    def error(
-        self, errors: Errors, old: Reading, new: Reading, peaks: tuple[Scalar, ...], span: Span
-    ) -> Scalar:
-        """Largest error relative to the allowed error; 1 is just accepted.
-
-        Parameters
-        ----------
-        old, new
-            Values at both ends of the step.
-        peaks
-            Largest norms of a and lam so far.
-        """
+    def error(self, errors: Errors, old: Reading, new: Reading, span: Span) -> Scalar:
+        """Largest error relative to the allowed error, between values at both ends of a step; 1 is
+        just accepted."""
         norm = jnp.linalg.norm
 
-        def relative(group: str, scale: Scalar) -> Scalar:
+        def relative(group: str) -> Scalar:
+            scale = jnp.maximum(norm(getattr(old, group)), norm(getattr(new, group)))
             return norm(getattr(errors, group)) / (span.atol + span.rtol * scale)
 
-        def larger_end(group: str) -> Scalar:
-            return jnp.maximum(norm(getattr(old, group)), norm(getattr(new, group)))
-
-        states = jnp.max(jnp.stack([relative(g, larger_end(g)) for g in ("q", "v", "x")]))
-        algebraic = jnp.maximum(relative("a", peaks[0]), relative("lam", peaks[1]))
-        # Estimates go with h^(e+1), those of a and lam with h^e.
-        power = (self._estimated + 1) / self._estimated
-        return jnp.maximum(states / span.rtol**self._sharper, algebraic**power)
+        largest_of_all = jnp.max(jnp.stack([relative(group) for group in errors._fields]))
+        return largest_of_all / span.rtol**self._sharper
 
     def ratio(
         self,
@@ -223,17 +207,11 @@ class _Progress(NamedTuple):
     h: Time
     #: Relative size of the last accepted step's error; 1 is just allowed.
     error: Scalar
-    #: Largest norms of a and lam so far.
-    peaks: tuple[Scalar, ...]
     ending: Int[Array, ""]
     counts: tuple[Int[Array, ""], ...]
     table: Float[Array, "k n"]
     #: Number of rows so far, those before the first of the table included.
     number: Int[Array, ""]
-
-
-def _sizes_of(reading: Reading) -> tuple[Scalar, Scalar]:
-    return jnp.linalg.norm(reading.a), jnp.linalg.norm(reading.lam)
 
 
 @cache
@@ -263,7 +241,7 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
             return left & (m.counts[0] + m.counts[1] < span.max_steps)
 
         def judged(
-            m: _Progress, h: Time, after: Carried, now: Reading, converged: Any, peaks: tuple
+            m: _Progress, h: Time, after: Carried, now: Reading, converged: Any
         ) -> tuple[Array, Array, Scalar, Array]:
             """Whether a tried step counts, the next one, its error, and how the run ends by it."""
             finite, states = jnp.isfinite(largest(*now[:-1])), (m.state.state, after.state)
@@ -271,7 +249,7 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
             choice, error = method.choose(Attempt(*states, h, solved, span.rtol)), m.error
             if choice is None:
                 errors, before = method.estimate(*states, h), program.read(scene, m.state)
-                error = control.error(errors, before, now, peaks, span)
+                error = control.error(errors, before, now, span)
                 finite = finite & jnp.isfinite(error)
                 solved = finite & converged
                 error = jnp.maximum(error, 1e-4)
@@ -293,8 +271,7 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
             t = jnp.where(h == left, span.t_end, m.t + h)
             state, report = step(p, numbers, m.state, t, h)
             now = program.read(scene, state)
-            peaks = tuple(map(jnp.maximum, m.peaks, _sizes_of(now)))
-            accepted, h_next, error, ending = judged(m, h, state, now, report.converged, peaks)
+            accepted, h_next, error, ending = judged(m, h, state, now, report.converged)
             counts = (accepted, ~accepted, *report.counts)
             counts = tuple(c + more for c, more in zip(m.counts, counts, strict=True))
             table, number = m.table, m.number
@@ -305,17 +282,16 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
                 number = number + kept
                 place = jnp.where(kept & (number >= first), number - first, len(table))
                 table = table.at[place].set(row, mode="drop")
-            after, before = (t, error, peaks), (m.t, m.error, m.peaks)
-            t, error, peaks = jax.tree.map(partial(jnp.where, accepted), after, before)
+            t, error = jnp.where(accepted, t, m.t), jnp.where(accepted, error, m.error)
             short = (counts[0] + counts[1] >= span.max_steps) & (t < span.t_end)
             ending = jnp.where((ending == _OK) & short, _MOST_STEPS, ending)
             state = program.chosen(accepted, state, m.state)
-            return _Progress(t, state, h_next, error, peaks, ending, counts, table, number)
+            return _Progress(t, state, h_next, error, ending, counts, table, number)
 
         width, slots = 2 + flat_row(first).size, 0 if wanted is None else wanted.size
         counts = no_counts(2, step, p, numbers, begun)
         m = _Progress(
-            span.t0, begun, h0, jnp.asarray(1.0), _sizes_of(first), jnp.asarray(_OK), counts,
+            span.t0, begun, h0, jnp.asarray(1.0), jnp.asarray(_OK), counts,
             jnp.zeros((slots, width)), jnp.asarray(0),
         )  # fmt: skip
         with turns(STEPS):

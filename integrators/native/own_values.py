@@ -112,7 +112,7 @@ class EndState(NamedTuple):
     shown: Reading
     z: Variables
     xdot: Array
-    errors: tuple[Array, Array, Array]
+    errors: Errors
 
 
 @dataclass(frozen=True)
@@ -121,11 +121,11 @@ class EndMethod(OwnValues):
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> EndState:
         z, xdot = start.z, start.xdot
-        nothing = 0.0 * z.q, 0.0 * z.v, 0.0 * z.x
+        nothing = Errors(0.0 * z.q, 0.0 * z.v, 0.0 * z.x)
         return EndState(self.reported(scene, z, xdot), z, xdot, nothing)
 
     def estimate(self, before: EndState, after: EndState, h: Time) -> Errors:
-        return Errors(*after.errors, 0.0 * after.z.a, 0.0 * after.z.lam)
+        return after.errors
 
 
 def formulation_option(default: str, *, always: bool = False) -> Any:

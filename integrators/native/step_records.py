@@ -66,17 +66,11 @@ COUNTS = StepReport._fields[1:-2]
 
 
 class Errors(NamedTuple):
-    """Estimated errors of a step, per entry of q, v, x, a and lam.
-
-    Errors of q, v and x are of order p + 1 in the step, errors of a and lam of order p. Errors of a
-    and lam may be zero: they are not tested then.
-    """
+    """Estimated errors of a step, per entry of q, v and x; of order p + 1 in the step."""
 
     q: Float[Array, " nq"]
     v: Float[Array, " nv"]
     x: Float[Array, " nx"]
-    a: Float[Array, " nv"]
-    lam: Float[Array, " nl"]
 
 
 class Attempt(NamedTuple):

@@ -161,16 +161,6 @@ def test_the_default_holds_accelerations_far_better_than_index_3_at_the_same_tol
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_multipliers_can_be_tested_too(formulation):
-    states = RadauIIA(formulation=formulation)
-    every = replace(states, error_test="all")
-    one, two = (m.prepare(Pendulum(), 1.35, Tolerances(1e-6)).measure() for m in (states, every))
-    assert two.status == "ok"
-    assert two.work.steps >= one.work.steps
-
-
-@pytest.mark.long
 def test_the_stabilised_form_keeps_its_tangents_at_small_steps():
     # b follows positions: an iteration that asks for less than their rounding never contracts.
     method = RadauIIA(formulation="stabilised_index2", steps="constant", newton="modified")
