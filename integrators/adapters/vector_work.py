@@ -17,17 +17,10 @@ from typing import NamedTuple
 class VectorWork(NamedTuple):
     """Operations of a solver of n unknowns at order k, or with k stages.
 
-    Attributes
-    ----------
-    attempt
-        Of an attempt of a step over n, as coefficients of 1, k and k^2: prediction, error test,
-        history, tests of other orders, error weights.
-    iteration
-        Of an iteration over n.
-    matrix
-        Of making a matrix that is factorised, over n^2.
-    renewal
-        Of what goes with it, over n (k + 1)^2.
+    ``attempt`` is that of an attempt of a step over n, as coefficients of 1, k and k^2: prediction,
+    error test, history, tests of other orders, error weights. ``iteration`` is over n, ``matrix``
+    that of making a matrix that is factorised, over n^2, and ``renewal`` what goes with it, over
+    n (k + 1)^2.
     """
 
     attempt: tuple[float, float, float]
