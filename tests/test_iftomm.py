@@ -49,13 +49,13 @@ def test_the_four_bars_energy_falls_with_order_two_as_exudyns_does():
 
 
 #: The first two singular positions are passed at t = 0.714 and 1.228 s.
-@pytest.mark.parametrize("method", ["rattle", "energy_momentum", "lobatto_iiia_iiib"])
-def test_singular_positions_are_passed_on_the_same_branch(method):
+def test_singular_positions_are_passed_on_the_same_branch():
     scene = NFourBar(loops=2)
-    run = run_of(method, scene, 1.5)
-    assert run.status == "ok", run.message
-    assert spread(scene, run).max() < 1e-9
-    assert np.abs(run.q - scene.exact(run.t)["q"]).max() < 0.02
+    for method in ("rattle", "energy_momentum", "lobatto_iiia_iiib"):
+        run = run_of(method, scene, 1.5)
+        assert run.status == "ok", run.message
+        assert spread(scene, run).max() < 1e-9
+        assert np.abs(run.q - scene.exact(run.t)["q"]).max() < 0.02
 
 
 @pytest.mark.long
@@ -66,31 +66,22 @@ def test_rounding_of_multipliers_stops_newtons_method_close_to_a_singular_positi
     assert abs(np.arctan2(run.q[-1, 0], run.q[-1, 1]) % np.pi - np.pi / 2) < 10 * h
 
 
+#: Ends of runs with 40 loops, with the largest distance of uprights in m: some take another branch
+#: without a word. With dopri8 rounding, which other processors have otherwise, decides.
+FORTY = {
+    **dict.fromkeys(("rattle", "energy_momentum", "lobatto_iiia_iiib", "bdf_adaptive",
+                     "generalized_alpha", "ida"), ("ok", 0.0, 1e-5)),
+    "phem56": ("ok", 1.0, np.inf),
+    **dict.fromkeys(("ali3p", "generalized_alpha_adaptive"), ("newton_failed", 0.0, np.inf)),
+}  # fmt: skip
+
+
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "method",
-    ["rattle", "energy_momentum", "lobatto_iiia_iiib", "bdf_adaptive", "generalized_alpha", "ida"],
-)
-def test_forty_loops_pass_all_singular_positions(method):
-    scene = NFourBar(loops=40)
+@pytest.mark.parametrize("method", FORTY)
+def test_forty_loops_pass_singular_positions_fail_there_or_take_another_branch(method):
+    scene, (status, least, most) = NFourBar(loops=40), FORTY[method]
     run = run_of(method, scene, 10.0)
-    assert run.status == "ok", run.message
-    assert spread(scene, run).max() < 1e-5
-
-
-@pytest.mark.long
-def test_forty_loops_may_take_another_branch_without_a_word():
-    # With dopri8 rounding, which other processors have otherwise, decides between that, a failed
-    # run and one of minutes.
-    scene = NFourBar(loops=40)
-    run = run_of("phem56", scene, 10.0)
-    assert run.status == "ok", run.message
-    assert spread(scene, run).max() > 1.0
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("method", ["ali3p", "generalized_alpha_adaptive"])
-def test_newtons_method_may_fail_in_a_singular_position(method):
-    run = run_of(method, NFourBar(loops=40), 10.0)
-    assert run.status == "newton_failed"
-    assert abs(run.q[-1][1]) < 0.1
+    assert run.status == status, run.message
+    assert least <= spread(scene, run).max() < most
+    if status != "ok":
+        assert abs(run.q[-1][1]) < 0.1
