@@ -93,16 +93,10 @@ def paragraphs(text: str) -> list[str]:
     return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
 
 
-def component_name(group: str, i: int, components: Mapping[str, Sequence[str]]) -> str:
-    """A component by name or number: q[X], lam[1]; ``i`` counts from 0."""
-    return f"{group}[{component_text(group, i, components).partition(' [')[0]}]"
-
-
 def component_title(group: str, i: int, components: Mapping[str, Sequence[str]]) -> str:
-    """A component with its unit, if it is known: q[X] in m."""
-    _, bracket, unit = component_text(group, i, components).partition(" [")
-    name = component_name(group, i, components)
-    return f"{name} in {unit.rstrip(']')}" if bracket else name
+    """A component with its unit, if it is known: q[X] in m, lam[1]; ``i`` counts from 0."""
+    name, bracket, unit = component_text(group, i, components).partition(" [")
+    return f"{group}[{name}]" + (f" in {unit.rstrip(']')}" if bracket else "")
 
 
 def component_text(group: str, i: int, components: Mapping[str, Sequence[str]]) -> str:

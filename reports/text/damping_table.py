@@ -17,22 +17,18 @@ def damping_table(
 ) -> Table | None:
     """Numerical damping ratio and period error of each method at each scene's frequency.
 
-    The longer of the two lists, scenes or methods, makes the rows. None if nothing was analysed.
+    None if nothing was analysed.
     """
-    places = [(name, at) for name, scene in scenes if (at := scene.omega_h)]
-    cells = [[_cell(damping, at) for damping in methods.values()] for _, at in places]
-    if not any(any(row) for row in cells):
+    rows = [
+        [f"{name}, omega h = {number(at)}", *(_cell(damping, at) for damping in methods.values())]
+        for name, scene in scenes
+        if (at := scene.omega_h)
+    ]
+    if not any(any(row[1:]) for row in rows):
         return None
-    names = [f"{name}, omega h = {number(at)}" for name, at in places]
-    down, across = ["scene"], list(methods)
-    rows = [[name, *row] for name, row in zip(names, cells, strict=True)]
-    if len(across) > len(names):
-        down, across = ["integrator"], names
-        turned = zip(*cells, strict=True)
-        rows = [[method, *column] for method, column in zip(methods, turned, strict=True)]
     return Table(
         "Damping and period error of the method itself",
-        [*down, *across],
+        ["scene", *methods],
         rows,
         note="Damping ratio, and in brackets the relative error of the period, of the undamped "
         "oscillator with the frequency omega at the scene's nominal step h. omega is the largest "
