@@ -315,26 +315,3 @@ def test_tables_sort_and_filter(browser, site):
     )
     assert browser.execute_script(visible) == 2
     assert browser.get_log("browser") == []
-
-
-def test_what_is_in_sight_is_drawn_first_and_nothing_is_left_out(browser, site):
-    visit(browser, site)
-    drawn = browser.execute_script("""
-        window.drawn = [];
-        const place = document.createElement("div"), slow = document.createElement("div");
-        place.style.marginTop = "30000px";
-        document.body.append(slow, place);
-        let now = 0;  // the time of any machine
-        performance.now = () => now;
-        stepbench.onChange(() => drawn.push("far"), place);
-        stepbench.onChange(() => { drawn.push("near"); now += 120; });
-        drawn.length = 0;
-        stepbench.ask({ target: "1e-2" });
-        const first = [...drawn];
-        stepbench.ask({ target: "1e-3" });
-        window.dispatchEvent(new Event("beforeprint"));
-        return [first, [...drawn]];
-    """)
-    assert drawn == [["near"], ["near", "near", "far"]]
-    browser.execute_script("drawn.length = 0; stepbench.ask({ target: '1e-2' });")
-    waited(lambda: browser.execute_script("return drawn.length") == 2)

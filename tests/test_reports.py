@@ -189,7 +189,7 @@ def test_failures_are_listed_with_their_reason_and_do_no_harm(
     # Linked scripts of the report and data of charts: no script of the store.
     own = {file.name for file in (resources.files("reports.pages") / "assets").iterdir()}
     programs = {name.removeprefix("report/") for name in page.scripts} - {"application/json"}
-    assert "tabs.js" in programs <= {*own, "vega.js", "data.js"}
+    assert "page.js" in programs <= {*own, "vega.js", "data.js"}
     assert page.scripts.count("application/json") >= len(page.charts)
     assert "<script>" not in paper
     (line, _) = [x for x in paper.splitlines() if "Newton stopped" in x]

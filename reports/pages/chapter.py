@@ -152,7 +152,7 @@ def chapter_page(chapter: Chapter, drawn: Mapping[str, str] | None = None) -> Pa
     return Page(chapter.file, "chapter", chapter.title, *at, values=values, anchors=anchors)
 
 
-def write_chapter(chapter: Chapter, folder: Path, programs: Sequence[str] = ("tables.js",)) -> Path:
+def write_chapter(chapter: Chapter, folder: Path, programs: Sequence[str] = ("page.js",)) -> Path:
     """Write a chapter with still charts as a page that needs no other.
 
     A report in the same folder is in its contents.

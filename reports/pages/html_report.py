@@ -26,7 +26,7 @@ LIBRARY, DATA = "vega.js", "data.js"
 _QUESTION_SCRIPTS = (DATA, "question.js", "answers.js", "marks.js", "plots.js", "verdict.js")
 _FRONT_SCRIPTS = (*_QUESTION_SCRIPTS, "words.js", "panels.js", "heat.js", "profile.js")
 #: Scripts of all pages but the front page.
-_DRAWING_SCRIPTS = (LIBRARY, "tabs.js", "charts.js", "motion.js")
+_DRAWING_SCRIPTS = (LIBRARY, "charts.js", "motion.js")
 
 
 def write_html_report(folder: Path, single_file: bool = False) -> Path:
@@ -96,7 +96,7 @@ def _written(site: Site, pages: Sequence[Page], made: Mapping[str, str]) -> str:
         programs=(
             "kept.js",
             *(asking if DATA in made else ()),
-            "tables.js",
+            "page.js",
             *(_DRAWING_SCRIPTS if site.single or kind != "front" else ()),
         ),
     )

@@ -84,7 +84,7 @@
     table.replaceChildren(
       html("caption", {}, `Cost in ${stepbench.costName(question)} to an error of ${question.target} in ${data.group_names[question.group]} (${stepbench.norm()}), as a multiple of the cheapest on the scene`),
       html("thead", {}, tags, names), html("tbody", {}, ...body));
-  }, table);
+  });
 
   const legend = document.getElementById("heat-legend");
   legend.append(...["reached", "far", "failed", "unknown", "unjudged", "untried"].map((state) => {

@@ -52,7 +52,7 @@
   panels.after(legend);
 
   stepbench.onChange(choose);
-  for (const own of cards) stepbench.onChange(() => draw(own), own.card);
+  for (const own of cards) stepbench.onChange(() => draw(own));
   let wide = innerWidth;
   window.addEventListener("resize", () => {
     if (Math.abs(innerWidth - wide) < 20) return;

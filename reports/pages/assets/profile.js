@@ -86,6 +86,6 @@
     place.replaceChildren(chart, html("p", { class: "note" }, said));
   };
   menu.addEventListener("change", () => draw(stepbench.question));
-  stepbench.onChange(draw, place);
+  stepbench.onChange(draw);
   window.addEventListener("resize", () => draw(stepbench.question));
 })();

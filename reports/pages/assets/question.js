@@ -57,10 +57,9 @@
   const stepbench = {
     data, columnOf, endingOf, resolutionOf, address,
     question: asked(),
-    // Call a function with the question, now and whenever it changes: soon if it draws in a place
-    // that is out of sight.
-    onChange(draw, place) {
-      followers.push({ draw, place });
+    // Call a function with the question, now and whenever it changes.
+    onChange(draw) {
+      followers.push(draw);
       draw(stepbench.question);
     },
     ask(change) {
@@ -86,29 +85,11 @@
   };
   window.stepbench = stepbench;
 
-  // Milliseconds that a reader may wait, and those that later pieces of work may take.
-  const PATIENCE = 80, PIECE = 30;
-  let waiting = [], soon = 0;
-  const work = (milliseconds) => {
-    const end = performance.now() + milliseconds;
-    while (waiting.length && performance.now() < end) waiting.shift().draw(stepbench.question);
-    clearTimeout(soon);
-    if (waiting.length) soon = setTimeout(work, 0, PIECE);
-  };
-  // How far a place is out of sight.
-  const far = (place) => {
-    const box = place?.getBoundingClientRect();
-    return box ? Math.max(0, box.top - innerHeight, -box.bottom) : 0;
-  };
-  window.addEventListener("beforeprint", () => work(Infinity));
-
   const follow = () => {
     stepbench.question = asked();
     for (const name of NAMES) if (bar?.elements[name]) bar.elements[name].value = stepbench.question[name];
     keptQuestion.keep(address().slice(1));
-    waiting = followers.map((follower) => [far(follower.place), follower])
-      .sort(([one], [two]) => one - two).map(([, follower]) => follower);
-    work(PATIENCE);
+    for (const draw of followers) draw(stepbench.question);
   };
 
   const fill = (select, values, texts) => {

@@ -1,7 +1,9 @@
-// Tables that sort, filter and begin folded; contents that filter, and their menu on narrow screens.
+// Tables that sort, filter and begin folded; tabs; contents that filter, and their menu on narrow
+// screens. Without this script all rows and sections stand one below the other.
 "use strict";
 (() => {
   const FOLDED = 12, FILTERED = 8, FEW = 5;
+  const reveals = [];  // each shows a place that it has; null: everything
   const make = (name, attributes, ...children) => {
     const node = document.createElement(name);
     for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
@@ -71,26 +73,60 @@
       });
       frame.before(input);
     }
-    // A link to a row opens its table.
-    const reveal = () => {
-      const target = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1)));
-      if (!target || !table.contains(target)) return;
-      open = true;
-      show();
-      for (let node = target; node; node = node.parentElement) if (node.tagName === "DETAILS") node.open = true;
-      target.scrollIntoView({ block: "center" });
-    };
-    window.addEventListener("hashchange", reveal);
-    window.addEventListener("beforeprint", () => {
-      open = true;
+    reveals.push((target) => {
+      open ||= !target || table.contains(target);
       show();
     });
     show();
-    reveal();
   }
 
-  // Paper has no folds.
+  for (const box of document.querySelectorAll("[data-tabs]")) {
+    const sections = [...box.querySelectorAll(":scope > .tab")];
+    const buttons = sections.map((section) => {
+      const button = make("button", { type: "button", id: `${section.id}-tab`, role: "tab", "aria-controls": section.id }, section.dataset.title);
+      section.setAttribute("role", "tabpanel");
+      section.setAttribute("aria-labelledby", button.id);
+      return button;
+    });
+    const bar = make("div", { class: "tabbar", role: "tablist", "aria-label": "Details" }, ...buttons);
+    const show = (k) => {
+      sections.forEach((section, i) => { section.hidden = i !== k; });
+      buttons.forEach((button, i) => {
+        button.setAttribute("aria-selected", i === k);
+        button.tabIndex = i === k ? 0 : -1;
+      });
+    };
+    buttons.forEach((button, k) => button.addEventListener("click", () => show(k)));
+    bar.addEventListener("keydown", (event) => {
+      const now = buttons.indexOf(document.activeElement), last = buttons.length - 1;
+      const next = { ArrowRight: now < last ? now + 1 : 0, ArrowLeft: now ? now - 1 : last, Home: 0, End: last }[event.key];
+      if (next === undefined) return;
+      event.preventDefault();
+      show(next);
+      buttons[next].focus();
+    });
+    box.prepend(bar);
+    show(0);
+    reveals.push((target) => {
+      const k = sections.findIndex((section) => section.contains(target));
+      if (k >= 0) show(k);
+      else if (!target) for (const section of sections) section.hidden = false;
+    });
+    window.addEventListener("afterprint", () => show(buttons.findIndex((button) => !button.tabIndex)));
+  }
+
+  // A link to a place opens its tab, table and fold; paper has no folds.
+  const reveal = () => {
+    const target = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    if (!target) return;
+    for (const own of reveals) own(target);
+    for (let fold = target.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true;
+    target.scrollIntoView({ block: target.tagName === "TR" ? "center" : "start" });
+  };
+  window.addEventListener("hashchange", reveal);
+  reveal();
   window.addEventListener("beforeprint", () => {
+    for (const own of reveals) own(null);
     for (const fold of document.querySelectorAll("main details:not(.chart *)")) fold.open = true;
   });
 
