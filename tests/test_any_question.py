@@ -52,6 +52,7 @@ def odd_runs():
         run("won", "two", 900, 1e-8, h=0.001),
         *(run("tied", name, cost) for name, cost in (("one", 100), ("two", 100), ("three", 300))),
         *(run("near", name, cost) for name, cost in (("one", 100), ("two", 105), ("three", 120))),
+        *(run("behind", name, cost) for name, cost in (("one", 105), ("two", 100))),
         *(run("dark", name, cost) for name, cost in (("one", 100), ("two", 50), ("unseen", None))),
         run("darkest", "unseen", None),
         run("darkest", "one", 10, 1e-2),
@@ -207,7 +208,7 @@ def test_a_table_that_says_otherwise_is_found(browser, folder):
         return [before, stepbench.headline({ ...stepbench.question, target: "2e-4" })];
         """
     )
-    assert "each cheapest on 5 of 13 scenes" in str(first)
+    assert "each cheapest on 6 of 14 scenes" in str(first)
     assert after == ["It is reached, but no costs can be compared."]
 
 
@@ -293,6 +294,16 @@ def test_the_command_of_a_scene_follows_the_question(browser, folder):
     assert "verdict" in found[0][1]
     assert "No method reaches 1e-9" in found[2][1]
     assert "1.0e-8" in found[2][1] or "1e-8" in found[2][1]
+
+
+def test_the_command_of_a_tie_repeats_the_run_whose_number_stands_first(browser, folder):
+    file = folder / "report" / "scene-behind.html"
+    visit(browser, file, "#group=a&target=1e-4&cost=operations")
+    said, command = browser.execute_script(
+        "return ['[data-verdict] p', '[data-try]'].map((k) => document.querySelector(k).innerText)"
+    )
+    assert "one (1050 operations at h=0.01) and two (1000 operations at h=0.01) tie" in said
+    assert command.startswith("stepbench solve behind one --step 0.01")
 
 
 def test_a_highlighted_method_is_compared_with_each(browser, folder):
