@@ -34,9 +34,9 @@ _MODULES = (
 _FIRST = """\
 stepbench compares time integrators for mechanical and mechatronic systems. First:
 
-  stepbench run                                    a small suite, in a minute; ends with its page
+  stepbench run                                    a small suite, in a minute; it says where its page is
   stepbench list                                   scenes, integrators and suites
-  stepbench recommend pendulum --error a:1e-3      the integrator that is accurate for the least
+  stepbench recommend pendulum --error a:1e-3      the cheapest integrator for this accuracy
   stepbench new integrator my_method               a method of your own; then: check, run --mine
   stepbench order pendulum newmark bdf2            orders, beside those that are claimed
 
