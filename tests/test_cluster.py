@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -68,37 +67,6 @@ def test_an_encrypted_address_needs_certificates_that_can_be_read(tmp_path):
     missing = {TLS + name: str(tmp_path / "none") for name in ("ca-file", "client.cert")}
     with dask.config.set(missing), pytest.raises(SpecError, match=r"cannot be read: .*No such"):
         ClusterRunner("tls://127.0.0.1:9", Limits(1.0, 1.0))
-
-
-@pytest.mark.long
-@pytest.mark.skipif(not shutil.which("openssl"), reason="no program to make certificates")
-def test_the_client_takes_its_certificates_from_the_configuration_of_dask(tmp_path):
-    import dask
-
-    file = str(tmp_path / "both.pem")
-    made = subprocess.run(
-        f"openssl req -x509 -newkey rsa:2048 -nodes -keyout {file} -out {tmp_path}/cert.pem "
-        f"-days 2 -subj /CN=localhost -addext subjectAltName=IP:127.0.0.1".split(),
-        capture_output=True,
-    )
-    assert made.returncode == 0, made.stderr
-    (tmp_path / "both.pem").open("a").write((tmp_path / "cert.pem").read_text())
-    security = distributed.Security(
-        tls_ca_file=file,
-        require_encryption=True,
-        **{f"tls_{role}_cert": file for role in ("client", "scheduler", "worker")},
-    )
-    cell = cells("newmark", 0.1)[0]
-    with (
-        distributed.LocalCluster(
-            n_workers=1, protocol="tls", security=security, dashboard_address=None
-        ) as encrypted,
-        dask.config.set({TLS + "ca-file": file, TLS + "client.cert": file}),
-        ClusterRunner(encrypted.scheduler_address, Limits(60.0, 4.0)) as runner,
-    ):
-        assert encrypted.scheduler_address.startswith("tls://")
-        ((_, answer),) = runner.run([[measure_task(cell, Sources())]])
-    assert answer[0].status == "ok", answer
 
 
 def cells(integrator, *steps):

@@ -222,6 +222,9 @@ def test_constant_steps_win_where_they_are_cheapest(stepbench, tmp_path):
         "Constant steps and other Newton's methods were tried for "
     )
     assert {"phem56", "rattle"} < {*tried.partition(" alone")[0].split(", ")}
+    shown = stepbench(*ASKED[:-1], "--budget", "600", "--out", tmp_path).stdout
+    line = 'In a program: bench.solve("pendulum", "phem56[steps=constant]", step='
+    assert line in " ".join(shown.split())
 
 
 @pytest.mark.usefixtures("without_processes")

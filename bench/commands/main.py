@@ -34,7 +34,7 @@ _MODULES = (
 _FIRST = """\
 stepbench compares time integrators for mechanical and mechatronic systems. First:
 
-  stepbench run                                    a small suite, in a minute; it says where its page is
+  stepbench run                                    a small suite, in a minute; it names its page
   stepbench list                                   scenes, integrators and suites
   stepbench recommend pendulum --error a:1e-3      the cheapest integrator for this accuracy
   stepbench new integrator my_method               a method of your own; then: check, run --mine

@@ -48,10 +48,7 @@ def command(
     """Make a command of a function, whose docstring is its help."""
 
     def made(function: Callable[[Given], None]) -> click.Command:
-        @wraps(function)
-        def call(**values: Any) -> None:
-            function(Given(**values))
-
+        call = wraps(function)(lambda **values: function(Given(**values)))
         return click.command(name, params=[*parameters], **more)(call)
 
     return made

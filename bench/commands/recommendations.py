@@ -204,7 +204,7 @@ def recommend_(o: Given) -> None:
                     options.print_json(found)
                 else:
                     for verdict in verdicts:
-                        show(verdict.table(), *verdict.sentences())
+                        show(verdict.table(), *verdict.sentences(), *_in_a_program(verdict))
                     several = len({race.candidates[0].place for race in races}) > 1
                     show(*(overviews(store.plan(), store.records()) if several else []))
     if not runs:
@@ -215,6 +215,15 @@ def recommend_(o: Given) -> None:
         write_reports(o.out)
     if not any(verdict.order for verdict in verdicts):
         raise click.ClickException(f"No integrator reaches {title} on {name}.")
+
+
+def _in_a_program(verdict: Verdict) -> list[str]:
+    """The line that runs the winner in a program, if there is one."""
+    if not verdict.order:
+        return []
+    run = verdict.best(verdict.order[0])
+    size = f"step={run.h}" if run.h else f"rtol={run.rtol}"
+    return [f'In a program: bench.solve("{run.problem}", "{run.integrator}", {size})']
 
 
 def _scene_in(registry: Inventory, file: str) -> str:
