@@ -8,9 +8,6 @@ from typing import Any, NamedTuple
 
 from integrators.lowering.operators import ELEMENTARY
 from integrators.program_costs import INNER, Cost, costs_of, dense
-from problems import jax, jnp
-from problems.scenes.pendulum import Pendulum
-from problems.scenes.slider_crank import SliderCrank
 from problems.system import MechatronicSystem
 
 
@@ -32,12 +29,6 @@ def sorted_out(costs: Iterable[Cost]) -> Operations:
 
 def operations(function, *arguments) -> Operations:
     return sorted_out(costs_of(function, *arguments))
-
-
-def joining(n: int) -> float:
-    """Additions by which this JAX makes a vector of the changes of its entries, taken apart."""
-    apart = jax.vjp(lambda q: [*q], jnp.zeros(n))[1]
-    return operations(lambda *entries: apart([*entries]), *[0.0] * n).arithmetic
 
 
 # ---- hand counts -----------------------------------------------------------------------
@@ -65,37 +56,6 @@ class PendulumByHand:
     rate_jacobian = rate + 4 * (3 * 5 + 3 * 5 - 1)
     inner = dense(3).factorisation + dense(3).solve
     inner_of_jacobian = dense(3).factorisation + 5 * dense(3).solve
-
-
-class SliderCrankByHand:
-    """nq = 7, nl = 6: M diagonal but formed as a full matrix, four elementary functions."""
-
-    dae_size, ode_size = 26, 14
-    mass, product, force = 6, 7 * 13, 14
-    sines = 4 * ELEMENTARY
-    rows = 2 + 2 + 3 + 3 + 2 + 1  # of Phi, or of its derivative, from x, y, u, w
-    constraint = sines + 4 + rows
-    padded = joining(7)  # a sum of seven vectors of seven, or none
-    pull = 10 + 10 + padded  # forces at x, y, u, w; moments about both angles
-    pull_column = 18 + padded
-    dynamics = mass + product + force + 7 + pull + 7
-    velocity = 4 + 4 + rows
-    alpha_residual = 14 + dynamics + constraint + 6
-    shared = 14 + sines + 10 + 10  # q, sines, and the pull's factors
-    alpha_column = 7 + product + pull_column + 7 + velocity + 6
-    dae_residual = (7 + pull + 7) + dynamics + (constraint + velocity)
-    dae_column = 26 + 7 + 7 + 2 * pull_column + product + 7 + velocity + (velocity + 8)
-    dae_jacobian = 52 + 26 + sines + 26 * dae_column
-    #: Index 1: M a - g + pull at zero, Phi'' of four angles' functions, thirteen columns.
-    rate = (mass + product + force + 7 + 7 + padded + 10) + (sines + 4 * 4 + 3 * rows)
-    rate += 13 * (product + 7 + padded + 10 + velocity)
-    #: Per state and column: changes of the pull and of Phi'', and their product with (a, lam).
-    rate_jacobian = rate + 14 * 13 * (padded + 8 + velocity + 4 + 25)
-    inner = dense(13).factorisation + dense(13).solve
-    inner_of_jacobian = dense(13).factorisation + 15 * dense(13).solve
-
-
-SCENES = [(Pendulum(), PendulumByHand), (SliderCrank(), SliderCrankByHand)]
 
 
 # ---- native methods --------------------------------------------------------------------

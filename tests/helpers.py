@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
+from typing import Any
 
 import jax
 import numpy as np
@@ -15,7 +17,7 @@ import pytest
 
 from bench.plugins.registry import Registry
 from integrators import Integrator, Steps
-from problems import MechatronicSystem
+from problems import MechatronicSystem, State, jnp
 from problems.reference import Reference
 
 
@@ -39,6 +41,25 @@ def scene_or_skip(name: str) -> MechatronicSystem:
     if "pip install" in (reason := registry.problems[name].reason):
         pytest.skip(reason)
     return registry.problem(name)
+
+
+def toy(
+    name: str = "Toy",
+    q: Sequence[float] = (1.0,),
+    v: Sequence[float] | None = None,
+    x: Sequence[float] = (),
+    base: type = MechatronicSystem,
+    **stated: Any,
+) -> Any:
+    """A class of a scene of unit masses, which starts at these values: parameters become fields,
+    functions blocks, all else attributes."""
+    start = State(*(np.array(part, dtype=float) for part in (q, [0 * u for u in q], x)))
+    start = start if v is None else start._replace(v=np.array(v, dtype=float))
+    known = {"mass": lambda self, q: jnp.eye(len(start.v)), "initial_state": lambda self: start}
+    stated = (known if base is MechatronicSystem else {}) | stated
+    fields = [(n, float, f) for n, f in stated.items() if isinstance(f, dataclasses.Field)]
+    rest = {n: f for n, f in stated.items() if not isinstance(f, dataclasses.Field)}
+    return dataclasses.make_dataclass(name, fields, bases=(base,), namespace=rest, frozen=True)
 
 
 def forget_programs() -> None:

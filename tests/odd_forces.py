@@ -1,6 +1,4 @@
-"""Scenes whose force goes wrong at half the time; used by test_sundials_endings.py as plugins."""
-
-from __future__ import annotations
+"""Scenes whose force goes wrong at half the time; used by test_sundials.py as plugins."""
 
 from dataclasses import dataclass
 
@@ -12,21 +10,20 @@ from problems.runtime import jax
 
 
 @dataclass(frozen=True)
-class Odd(Probe):
-    """A probe whose force is that of a spring until it breaks."""
+class CeasingForce(Probe):
+    """A spring whose force turns NaN."""
 
     interval = (0.0, 1.0)
-
     breaks_at: float = parameter(0.5, "s", "time after which the force is another one")
 
+    def _turns(self, t, most):
+        """The spring's force in three turns of a loop, and in ``most`` after the time."""
+        turns = jnp.where(t > self.breaks_at, most, 3.0)
+        return jax.lax.while_loop(lambda k: k < turns, lambda k: k + 1.0, 0.0) / 3
+
 
 @dataclass(frozen=True)
-class CeasingForce(Odd):
-    """The force turns NaN."""
-
-
-@dataclass(frozen=True)
-class CeasingSearch(Odd):
+class CeasingSearch(CeasingForce):
     """The force turns NaN within a loop."""
 
     def force(self, q, v, t):
@@ -38,27 +35,23 @@ class CeasingSearch(Odd):
 
 
 @dataclass(frozen=True)
-class EndlessForce(Odd):
+class EndlessForce(CeasingForce):
     """The force goes round for ever."""
 
     def force(self, q, v, t):
-        turns = jnp.where(t > self.breaks_at, jnp.inf, 3.0)
-        last = jax.lax.while_loop(lambda k: k < turns, lambda k: k + 1.0, 0.0)
-        return -self.k * q * (last / 3)
+        return -self.k * q * self._turns(t, jnp.inf)
 
 
 @dataclass(frozen=True)
-class LongForce(Odd):
+class LongForce(CeasingForce):
     """The force takes a minute."""
 
     def force(self, q, v, t):
-        turns = jnp.where(t > self.breaks_at, 1e11, 3.0)
-        last = jax.lax.while_loop(lambda k: k < turns, lambda k: k + 1.0, 0.0)
-        return -self.k * q * jnp.minimum(last / 3, 1.0)
+        return -self.k * q * jnp.minimum(self._turns(t, 1e11), 1.0)
 
 
 @dataclass(frozen=True)
-class RaisingForce(Odd):
+class RaisingForce(CeasingForce):
     """The force is a function of Python that raises."""
 
     def force(self, q, v, t):

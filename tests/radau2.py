@@ -1,7 +1,5 @@
 """Radau IIA with two stages, order 3; tests use it as a plugin file."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from integrators import ImplicitStepMethod, Reading

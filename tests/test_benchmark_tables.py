@@ -1,7 +1,5 @@
 """The benchmarks race every native method and make their tables; times are not checked."""
 
-from __future__ import annotations
-
 import sys
 from functools import partial
 from pathlib import Path

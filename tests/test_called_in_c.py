@@ -1,38 +1,102 @@
-"""scipy's solvers with equations in C: the runs that they make with those of JAX, or a sentence."""
+"""Equations in C: packed calls, the runs that they make with those of JAX, and the way back."""
 
-from __future__ import annotations
-
+import ctypes
+import os
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import long
+from helpers import long, nothing_compiled
 from probe import Probe
 
 from bench.plugins.registry import Registry
 from integrators import Tolerances
-from integrators.adapters.packed_functions import PackedFunction, in_c, same_to_rounding
+from integrators.adapters import packed_functions, sundials
+from integrators.adapters.cvode import CVODE
+from integrators.adapters.ida import IDA
+from integrators.adapters.library_runs import all_finite
+from integrators.adapters.packed_functions import PackedFunction, same_to_rounding
 from integrators.adapters.scipy_ode import BDF, Radau
 from integrators.adapters.solve_dae import RadauDAE
 from integrators.lowering import native, operators
+from integrators.lowering.graph import NotLowered
 from problems import jnp
-from problems.runtime import slower
+from problems.runtime import jax, slower
 from problems.scenes.pendulum import Pendulum
 
 
-@pytest.fixture
-def forgotten(caplog):
-    """Functions in C and sentences are made anew, and forgotten after the test."""
-
-    def forget():
-        for kept in (in_c, native.load_c, slower):
-            kept.cache_clear()
-
-    forget()
-    yield caplog
-    forget()
+# ---- packed functions ------------------------------------------------------------------
+def weighted(p, t, s, r):
+    return p[0] * s + p[1] * t + jnp.array([[0.0, 1.0], [1.0, 0.0]]) @ r
 
 
+FUNCTION = PackedFunction(weighted, 2, None, 2, 2)
+
+
+def test_a_packed_function_gives_what_the_function_gives_for_its_own_numbers():
+    rng = np.random.default_rng(0)
+    (p, other), s, r = rng.normal(size=(2, 2)), *rng.normal(size=(2, 2))
+    for bind in (FUNCTION.bind, FUNCTION.bind_c):
+        one, two, t = bind(p), bind(other), float(rng.normal())
+        first, given = one(t, s, r), s.copy()
+        second = two(0.3, s, r)
+        assert first == pytest.approx(p[0] * s + p[1] * t + r[::-1], rel=1e-14)
+        assert second == pytest.approx(other[0] * s + other[1] * 0.3 + r[::-1], rel=1e-14)
+        assert s.tolist() == given.tolist()
+
+
+def test_results_are_independent_of_later_calls_and_of_the_arguments():
+    for function, lengths in [
+        (lambda s: s, (3,)),  # the arguments themselves
+        (lambda t, s: s, (None, 3)),  # a part of them
+        (lambda t, s: (s, t * s), (None, 3)),  # several results
+    ]:
+        call, s = PackedFunction(function, *lengths).bind(), np.array([1.0, 2.0, 3.0])
+        scalars = [2.0] * (len(lengths) - 1)
+        first = call(*scalars, s)
+        before = [np.array(part) for part in jax.tree.leaves(first)]
+        s[:] = 7.0
+        call(*scalars, s)
+        for part, old in zip(jax.tree.leaves(first), before, strict=True):
+            assert np.asarray(part).tolist() == old.tolist()
+        assert s.tolist() == [7.0] * 3
+
+
+def test_programs_have_run_when_their_call_returns_and_see_the_arguments_of_this_call():
+    packed, given = PackedFunction(lambda t, s: t * s, None, 2), []
+    packed.program = given.append
+    later = packed.bind()
+    later(2.0, np.ones(2))
+    later(3.0, np.ones(2))
+    assert [numbers[0] for numbers in given] == [2.0, 3.0]
+    long, many = jax.jit(lambda x: jnp.sin(x).sum()), jnp.ones(10**7)
+    long(many).block_until_ready()
+    assert long(many).is_ready()
+
+
+def test_no_kind_of_number_compiles_it_again():
+    call, s = PackedFunction(weighted, 2, None, 2, 2).bind(np.ones(2)), np.ones(2)
+    readonly = np.ones(4)[::2]
+    readonly.flags.writeable = False
+    first = call(1.0, s, readonly).tolist()
+    with nothing_compiled():
+        for t in (np.float64(1.0), 1, np.array(1.0)):
+            assert call(t, s, readonly).tolist() == first
+
+
+def test_what_is_not_finite_is_found_wherever_it_is_and_large_numbers_are_finite():
+    values = np.full(9, 1e308)  # their sum is not finite
+    assert all_finite(values)
+    assert all_finite(np.zeros(0))
+    for k in range(9):
+        for bad in (np.nan, np.inf, -np.inf):
+            spoiled = values.copy()
+            spoiled[k] = bad
+            with np.errstate(invalid="ignore"):
+                assert not all_finite(spoiled)
+
+
+# ---- the same runs ---------------------------------------------------------------------
 def run(method, scene, length=1.0):
     return method.prepare(scene, scene.interval[0] + length, Tolerances(1e-6))
 
@@ -45,8 +109,6 @@ def run(method, scene, length=1.0):
     ],
 )
 def test_both_ways_make_the_same_steps(cls, name):
-    if cls is RadauDAE:
-        pytest.importorskip("solve_dae")
     scene = Registry([]).problem(name)
     ours, other = (run(cls(callbacks=kind), scene, 0.3) for kind in ("compiled", "python"))
     assert all(of.__name__ == "call_c" for of in ours.functions)
@@ -58,63 +120,60 @@ def test_both_ways_make_the_same_steps(cls, name):
     # Steps follow rounding: runs differ by less than the tolerance.
     assert first.t == pytest.approx(second.t, rel=1e-3)
     assert first.q[-1] == pytest.approx(second.q[-1], abs=1e-6)
-    bills = [each.bill(z) for each, z in ((ours, first), (other, second))]
-    assert bills[0] == bills[1]
-
-
-def test_results_are_independent_of_later_calls_and_of_each_other():
-    packed = PackedFunction(lambda p, t, u: p * jnp.sin(u + t), 1, None, 2)
-    once, twice = (packed.bind_c(np.array([k])) for k in (1.0, 2.0))
-    first, u = once(0.0, np.array([0.1, 0.2])), np.array([0.5, 0.7])
-    second = twice(0.3, u)
-    assert first == pytest.approx(np.sin([0.1, 0.2]), rel=1e-15)
-    assert second == pytest.approx(2 * np.sin(u + 0.3), rel=1e-15)
-    assert u.tolist() == [0.5, 0.7]
+    assert ours.bill(first) == other.bill(second)
 
 
 @pytest.mark.parametrize(
-    ("found", "same"),
+    ("name", "constraints"),
     [
+        ("pendulum", "baumgarte"),
+        *long(
+            *((name, "index1") for name in ("quarter_car", "full_car", "heavy_top")),
+            ("chain[links=3]", "baumgarte"),
+        ),
+    ],
+)
+def test_equations_of_cvode_in_c_are_those_of_jax_to_rounding(name, constraints):
+    scene = Registry([]).problem(name)
+    started = run(CVODE(constraints=constraints), scene)
+    given, start = started.given, started.given.start[1]
+    assert len(given.p) == len(scene.parameters()) + 2 * (constraints == "baumgarte")
+    for shift in np.random.default_rng(5).normal(size=(5, len(start))):
+        s = start + shift * (1 + abs(start))
+        for ours, theirs in zip(started.functions, given.bound(), strict=True):
+            right = np.asarray(theirs(0.3, s))
+            assert np.abs(ours(0.3, s) - right).max() <= 1e-12 * np.abs(right).max()
+
+
+def test_values_that_differ_by_more_than_rounding_are_seen_in_each_equation():
+    right, rows = np.array([[1.0, 2.0]]), np.arange(2)
+    for found, same in [
         ([1.0, 2.0], True),
         ([1.0 + 1e-13, 2.0], True),
         ([1.0 + 1e-11, 2.0], False),
         ([np.nan, 2.0], False),
         ([1.0, np.inf], False),
-    ],
-)
-def test_values_that_differ_by_more_than_rounding_are_seen(found, same):
-    rows = np.arange(2)
-    assert same_to_rounding(np.array([found]), np.array([[1.0, 2.0]]), rows) is same
+    ]:
+        assert same_to_rounding(np.array([found]), right, rows) is same
     unknown = np.array([[np.nan, np.inf]])
     assert same_to_rounding(unknown, unknown, rows)
-
-
-@pytest.mark.parametrize(
-    ("found", "same"),
-    [
+    right, rows = np.array([[1e10, 1e10, 2.0], [0.0, 0.0, 0.0]]), np.array([0, 0, 1])
+    for found, same in [
         ([[1e10, 1e10 + 1e-3, 2.0], [0.0, 0.0, 1e-14]], True),
         ([[1e10, 1e10, 2.01], [0.0, 0.0, 0.0]], False),  # of a small equation
         ([[1e10, 1e10, 2.0], [0.0, 0.0, 1e-3]], False),  # at a state at which it vanishes
         ([[1e10, 1e10, 2.0], [0.0, 1.0, 0.0]], False),
-    ],
-)
-def test_each_equation_has_a_scale_of_its_own(found, same):
-    right, rows = np.array([[1e10, 1e10, 2.0], [0.0, 0.0, 0.0]]), np.array([0, 0, 1])
-    assert same_to_rounding(np.array(found), right, rows) is same
+    ]:
+        assert same_to_rounding(np.array(found), right, rows) is same
 
 
-def test_a_force_without_a_form_in_c_is_called_through_jax(forgotten):
-    @dataclass(frozen=True)
-    class Sorted(Probe):
-        """Its force needs an order of numbers."""
+# ---- the way back to Python ------------------------------------------------------------
+@dataclass(frozen=True)
+class Sorted(Probe):
+    """Its force needs an order of numbers."""
 
-        def force(self, q, v, t):
-            return super().force(jnp.sort(jnp.stack([q[0], 9.0]))[:1], v, t)
-
-    assert run(BDF(), Sorted()).measure().status == "ok"
-    (sentence,) = [text for text in forgotten.messages if "through Python" in text]
-    assert sentence.startswith("BDF calls sorted through Python")
-    assert "it has the operation 'sort'" in sentence
+    def force(self, q, v, t):
+        return super().force(jnp.sort(jnp.stack([q[0], 9.0]))[:1], v, t)
 
 
 @dataclass(frozen=True)
@@ -125,23 +184,100 @@ class AtAZero(Probe):
         return super().force(q, v, t) + 1e-5 * (v == 0)
 
 
-def test_functions_that_differ_at_the_start_alone_are_not_used(forgotten, monkeypatch):
-    assert not run(BDF(), AtAZero()).why
-    in_c.cache_clear()
-    flipped = operators.OPERATORS["EQ"]._replace(c="{} > {} + 9")
-    monkeypatch.setitem(operators.OPERATORS, "EQ", flipped)
-    assert run(BDF(), AtAZero()).why
-    assert any("in C are not those of JAX" in text for text in forgotten.messages)
+def flip(name, c):
+    return lambda at: at.setitem(operators.OPERATORS, name, operators.OPERATORS[name]._replace(c=c))
 
 
-def test_functions_that_differ_from_those_of_jax_are_not_used(forgotten, monkeypatch):
-    flipped = operators.OPERATORS["add"]._replace(c="{} - {}")
-    monkeypatch.setitem(operators.OPERATORS, "add", flipped)
-    assert run(Radau(), Pendulum()).measure().status == "ok"
-    assert any("in C are not those of JAX" in text for text in forgotten.messages)
+#: What is planted, the reason that is told, a scene, and methods that it concerns.
+REASONS = [
+    (lambda at: at.setattr(native, "_COMPILER", "no-such-compiler"),
+     "there is no C compiler named no-such-compiler", Pendulum(), (IDA, CVODE, BDF)),
+    (lambda at: at.setattr(sundials, "_MAJOR", 6),
+     "is not the release 6 that is known", Pendulum(), (IDA, CVODE)),
+    (lambda at: at.setitem(sundials._SIGNATURES, "CVodeGone", (ctypes.c_int,)),
+     "has no function CVodeGone", Pendulum(), (IDA, CVODE)),
+    (lambda at: at.setattr("integrators.programs._type", None),
+     "programs of this JAX are not as known", Pendulum(), (IDA, CVODE)),
+    (lambda at: None, "it has the operation 'sort'", Sorted(), (IDA, CVODE, BDF)),
+    (flip("add", "{} - {}"), "in C are not those of JAX", Pendulum(), (IDA, CVODE, BDF)),
+    (flip("EQ", "{} > {} + 9"), "in C are not those of JAX", AtAZero(), (BDF,)),  # at the start
+]  # fmt: skip
 
 
-def test_without_a_compiler_equations_are_those_of_jax(forgotten, monkeypatch):
+@pytest.mark.parametrize("method", [IDA, CVODE, BDF])
+def test_what_stands_against_c_is_told_in_a_sentence_and_leads_to_python(method, caplog):
+    for plant, reason, scene, methods in REASONS:
+        if method not in methods:
+            continue
+        for kept in (packed_functions.in_c, sundials.library, native.load_c, slower):
+            kept.cache_clear()
+        caplog.clear()
+        with pytest.MonkeyPatch.context() as at:
+            plant(at)
+            found = run(method(), scene, 0.2)
+            assert reason in found.why
+            (sentence,) = [text for text in caplog.messages if "through Python" in text]
+            assert sentence.startswith(f"{method.__name__} calls")
+            assert reason in sentence
+            assert found.measure().status == "ok"
+    for kept in (packed_functions.in_c, sundials.library, native.load_c, slower):
+        kept.cache_clear()
+    assert not run(method(), AtAZero()).why
+
+
+# ---- the compiler ----------------------------------------------------------------------
+SOURCE = "double twice(double x) { return 2 * x; }\n"
+
+
+@pytest.fixture
+def empty_cache(tmp_path, monkeypatch):
+    monkeypatch.setattr(native, "_CACHE", tmp_path / "native")
+    native.load_c.cache_clear()
+    return tmp_path / "native"
+
+
+def twice():
+    native.load_c.cache_clear()
+    function = native.load_c(SOURCE).twice
+    function.restype, function.argtypes = ctypes.c_double, [ctypes.c_double]
+    return function(1.5)
+
+
+def test_a_library_is_compiled_once_and_kept_and_what_is_no_library_is_made_anew(empty_cache):
+    assert twice() == 3.0
+    (file,) = empty_cache.iterdir()
+    with pytest.MonkeyPatch.context() as at:
+        at.setattr(native, "_compile", None)
+        assert twice() == 3.0
+    assert list(empty_cache.iterdir()) == [file]
+    good = file.read_bytes()
+    middle = len(good) // 2
+    flipped = good[:middle] + bytes([good[middle] ^ 1]) + good[middle + 1 :]
+    for wrong in (b"no library", good[:middle], flipped):
+        file.unlink()  # written over, a library in use would end the process
+        file.write_bytes(wrong)
+        assert twice() == 3.0
+        assert file.read_bytes() == good
+
+
+def test_without_a_compiler_or_a_folder_the_reason_is_told(empty_cache, monkeypatch):
+    with pytest.raises(NotLowered, match="cc failed"):
+        native.load_c("double f(double x) { return y; }\n")
+    empty_cache.write_text("a file in the way")
+    with pytest.raises(NotLowered, match="fails"):
+        native.load_c(SOURCE)
     monkeypatch.setattr(native, "_COMPILER", "no-such-compiler")
-    assert run(Radau(), Pendulum()).measure().status == "ok"
-    assert any("no C compiler" in text for text in forgotten.messages)
+    with pytest.raises(NotLowered, match="no C compiler"):
+        native.load_c(SOURCE)
+
+
+def test_a_compiler_that_hangs_is_given_up(empty_cache, monkeypatch, tmp_path):
+    monkeypatch.setattr(native, "_PATIENCE", 1.0)
+    (tmp_path / "cc").write_text(
+        '#!/bin/sh\n[ "$1" = --version ] && echo cc 1 || exec sleep 1000\n'
+    )
+    (tmp_path / "cc").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    with pytest.raises(NotLowered, match="cc took more than 1 s"):
+        native.load_c(SOURCE)
+    assert not empty_cache.exists()  # no half compilation is left

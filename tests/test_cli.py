@@ -181,3 +181,5 @@ def test_a_table_of_many_components_has_those_with_the_largest_errors():
     assert "9 components of a group" in table.note
     few = Rows(t=[0.0], values={"q": [[0.5] * 9]})
     assert not _end_values(a_record(points={}), few, {"q": [f"q{k}" for k in range(9)]}).note
+    none = _end_values(a_record(points={}), Rows(t=[], values={"q": []}), {"q": ["X [m]"]})
+    assert (none.rows, none.head[2]) == ([], "at the end")  # of a run without a row

@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from helpers import long
+from helpers import long, slope, toy
 
-from bench.commands.main import main
 from bench.plugins.registry import Registry
 from bench.running.errors import event_errors, relative_errors
 from bench.running.measure import end_at_overlap
@@ -20,7 +18,7 @@ from integrators.methods.half_explicit import PHEM56
 from integrators.methods.moreau_jean import MoreauJean
 from integrators.methods.stormer_verlet import StormerVerlet
 from integrators.resolutions import Steps, Tolerances
-from problems import ContactSystem, MechatronicSystem, State, Variables, jax, jnp, parameter
+from problems import ContactSystem, Variables, jax, jnp, parameter
 from problems.compiled import compiled
 from problems.reference import Reference
 from problems.scenes.bouncing_ball import BouncingBall
@@ -38,53 +36,50 @@ def at(q, v):
     return Variables(q, v, 0 * v, none, none, none, jnp.zeros(()))
 
 
+def contact(name, q, **blocks):
+    """A scene of contacts of unit masses that starts at rest, or with the velocity ``fast``."""
+    free = toy(q=q)
+
+    def start(self):
+        v = [getattr(self, "fast", 0.0), *np.zeros(len(q) - 1)]
+        return free().initial_state()._replace(v=np.array(v))
+
+    known = {"initial_state": start, "nominal_step": 0.02, "mass": free.mass}
+    return toy(name, base=ContactSystem, **(known | blocks))
+
+
 # ---- laws of impact ----------------------------------------------------------------------
-@dataclass(frozen=True)
-class _Ball(ContactSystem):
-    """A ball with spin on ground that rises: x, y, angle; radius and mass are 1."""
-
-    interval = (0.0, 2.0)
-    nominal_step = 0.02
-    restitution: float = parameter(0.5, "1", "restitution", low=0.0, high=1.0)
-    friction: float = parameter(0.2, "1", "friction", low=0.0)
-    rises: float = parameter(0.0, "m/s", "velocity of the ground")
-    fast: float = parameter(3.0, "m/s", "velocity along the ground")
-
-    def mass(self, q):
-        return jnp.diag(jnp.array([1.0, 1.0, 0.4]))
-
-    def force(self, q, v, t):
-        return jnp.array([0.0, -9.81, 0.0])
-
-    def gaps(self, q, t):
-        return q[1:2] - 1 - self.rises * t
-
-    def sliding(self, q, v, t):
-        return v[:1] - v[2:]
-
-    def initial_state(self):
-        return State(q=np.array([0.0, 1.5, 0.0]), v=np.array([self.fast, 0.0, 0.0]))
+#: A ball with spin on ground that rises: x, y, angle; radius and mass are 1.
+BALL = {
+    "mass": lambda self, q: jnp.diag(jnp.array([1.0, 1.0, 0.4])),
+    "force": lambda self, q, v, t: jnp.array([0.0, -9.81, 0.0]),
+    "gaps": lambda self, q, t: q[1:2] - 1 - self.rises * t,
+    "sliding": lambda self, q, v, t: v[:1] - v[2:],
+}
+Ball = contact(
+    "Ball", [0.0, 1.5, 0.0], interval=(0.0, 2.0),
+    restitution=parameter(0.5, "1", "restitution", low=0.0, high=1.0),
+    friction=parameter(0.2, "1", "friction", low=0.0),
+    rises=parameter(0.0, "m/s", "velocity of the ground"),
+    fast=parameter(3.0, "m/s", "velocity along the ground"), **BALL,
+)  # fmt: skip
 
 
-def _behind(ball, z):
-    return compiled(ball).jumps[0](ball.parameters(), z)["v"]
+def behind(ball, v):
+    """Velocities after an impact at the ground."""
+    return np.asarray(compiled(ball).jumps[0](ball.parameters(), at([0, 1, 0], v))["v"])
 
 
-def test_an_oblique_impact_slides_or_sticks_by_coulombs_law():
+def test_an_oblique_impact_slides_or_sticks_by_coulombs_law_also_on_ground_that_moves():
     for fast in [3.0, -3.0, 0.1]:
-        down, scene = 2.0, _Ball()
-        v = np.asarray(_behind(scene, at([0, 1, 0], [fast, -down, 0])))
+        v = behind(Ball(), [fast, -2.0, 0])
         # A unit tangential impulse changes the slip by 1 + 1/0.4.
-        needed, most = fast / 3.5, 0.2 * 1.5 * down
+        needed, most = fast / 3.5, 0.2 * 1.5 * 2.0
         p = np.sign(needed) * min(abs(needed), most)
-        assert v == pytest.approx([fast - p, 0.5 * down, p / 0.4], abs=1e-14)
+        assert v == pytest.approx([fast - p, 0.5 * 2.0, p / 0.4], abs=1e-14)
         assert abs(needed) > most or v[0] == pytest.approx(v[2], abs=1e-14)
-
-
-def test_ground_that_moves_gives_its_velocity_to_the_law():
-    scene = _Ball(rises=1.0, friction=0.0)
-    v = np.asarray(_behind(scene, at([0, 1, 0], [0, -2, 0])))
-    assert v == pytest.approx([0, 1 + 0.5 * 3, 0], abs=1e-14)
+    scene = Ball(rises=1.0, friction=0.0)
+    assert behind(scene, [0, -2, 0]) == pytest.approx([0, 1 + 0.5 * 3, 0], abs=1e-14)
     step = run(MoreauJean(theta=1.0), scene, Steps(0.001), 0.4)
     k = int(np.argmax(step.notes["impacts 1"] > 0))
     before = step.v[k - 1, 1] - 1
@@ -92,79 +87,49 @@ def test_ground_that_moves_gives_its_velocity_to_the_law():
     assert step.v[k, 1] - 1 == pytest.approx(-0.5 * before, abs=1e-6)
 
 
-@dataclass(frozen=True)
-class _Bob(ContactSystem):
-    """A pendulum in x and y that swings against a wall at x = 0."""
-
-    interval = (0.0, 2.0)
-    nominal_step = 0.02
-    restitution = 0.6
-
-    def mass(self, q):
-        return 2.0 * jnp.eye(2)
-
-    def force(self, q, v, t):
-        return jnp.array([0.0, -2.0 * 9.81])
-
-    def constraint(self, q, t):
-        return jnp.stack([(q @ q - 1) / 2])
-
-    def gaps(self, q, t):
-        return q[:1] + 0.3
-
-    def initial_state(self):
-        return State(q=np.array([np.sin(1.0), -np.cos(1.0)]), v=np.zeros(2))
+#: A pendulum in x and y that swings against a wall at x = -0.3.
+Bob = contact(
+    "Bob", [np.sin(1.0), -np.cos(1.0)], interval=(0.0, 2.0), restitution=0.6,
+    mass=lambda self, q: 2.0 * jnp.eye(2), gaps=lambda self, q, t: q[:1] + 0.3,
+    force=lambda self, q, v, t: jnp.array([0.0, -2.0 * 9.81]),
+    constraint=lambda self, q, t: jnp.stack([(q @ q - 1) / 2]),
+)  # fmt: skip
 
 
 @pytest.mark.long
 def test_impacts_keep_to_the_constraints():
     exact = np.sqrt(2 * 9.81 * (np.sqrt(1 - 0.09) - np.cos(1.0)))  # speed at the wall, by energy
-    found = run(PHEM56(), _Bob(), Tolerances(1e-10), 1.0)
+    found = run(PHEM56(), Bob(), Tolerances(1e-10), 1.0)
     first = int(np.argmax(found.phase > 0))
     assert np.linalg.norm(found.v[first - 1]) == pytest.approx(exact, rel=1e-8)
-    after = np.linalg.norm(
-        run(PHEM56(), _Bob(), Tolerances(1e-10), found.t[first - 1] + 1e-9).v[-1]
-    )
-    assert after == pytest.approx(0.6 * exact, rel=1e-7)
-    stepped = run(MoreauJean(), _Bob(), Steps(1e-3), 1.0)
+    after = run(PHEM56(), Bob(), Tolerances(1e-10), found.t[first - 1] + 1e-9).v[-1]
+    assert np.linalg.norm(after) == pytest.approx(0.6 * exact, rel=1e-7)
+    stepped = run(MoreauJean(), Bob(), Steps(1e-3), 1.0)
     k = int(np.argmax(stepped.notes["impacts 1"] > 0))
     assert np.linalg.norm(stepped.v[k]) == pytest.approx(0.6 * exact, rel=5e-3)
     assert np.abs(np.sum(stepped.q * stepped.v, axis=1)).max() < 1e-12
 
 
-@dataclass(frozen=True)
-class _Block(ContactSystem):
-    """A block that is dropped on its two lower corners at once; 2 m wide and high, 1 kg."""
+def corners(q):
+    """The lower corners of a block that is 2 m wide and high."""
+    cos, sin = jnp.cos(q[2]), jnp.sin(q[2])
+    return jnp.stack([q[:2] + jnp.stack([s * cos + sin, s * sin - cos]) for s in (-1, 1)])
 
-    interval = (0.0, 1.0)
-    nominal_step = 0.01
-    friction = 0.3
-    fast: float = parameter(1.0, "m/s", "velocity along the ground")
 
-    def mass(self, q):
-        return jnp.diag(jnp.array([1.0, 1.0, 2 / 3]))
-
-    def force(self, q, v, t):
-        return jnp.array([0.0, -9.81, 0.0])
-
-    def _corners(self, q):
-        cos, sin = jnp.cos(q[2]), jnp.sin(q[2])
-        return jnp.stack([q[:2] + jnp.stack([s * cos + sin, s * sin - cos]) for s in (-1, 1)])
-
-    def gaps(self, q, t):
-        return self._corners(q)[:, 1]
-
-    def sliding(self, q, v, t):
-        return jax.jvp(self._corners, (q,), (v,))[1][:, 0]
-
-    def initial_state(self):
-        return State(q=np.array([0.0, 1.0, 0.0]), v=np.array([self.fast, 0.0, 0.0]))
+#: A block that is dropped on its two lower corners at once; 1 kg.
+Block = contact(
+    "Block", [0.0, 1.0, 0.0], friction=0.3,
+    fast=parameter(1.0, "m/s", "velocity along the ground"),
+    mass=lambda self, q: jnp.diag(jnp.array([1.0, 1.0, 2 / 3])), force=BALL["force"],
+    gaps=lambda self, q, t: corners(q)[:, 1],
+    sliding=lambda self, q, v, t: jax.jvp(corners, (q,), (v,))[1][:, 0],
+)  # fmt: skip
 
 
 @pytest.mark.long
 def test_a_block_slides_to_rest_and_its_redundant_contacts_share_the_load():
     # It slides by v0^2/(2 mu g); its corners carry m g/2 -+ mu m g (height over width of centre)/2.
-    found = run(MoreauJean(), _Block(), Steps(0.005))
+    found = run(MoreauJean(), Block(), Steps(0.005))
     way = 1 / (2 * 0.3 * 9.81)
     assert found.status == "ok"
     assert found.q[-1] == pytest.approx([way, 1.0, 0.0], abs=2e-3)
@@ -175,23 +140,6 @@ def test_a_block_slides_to_rest_and_its_redundant_contacts_share_the_load():
 
 
 # ---- time stepping -------------------------------------------------------------------------
-def order(sizes, errors):
-    return np.polyfit(np.log(sizes), np.log(errors), 1)[0]
-
-
-def stepped(scene, t_end, coarse, fine, count, **options):
-    """Step sizes, and errors of q and v in phases and of times of impact."""
-    reference = Reference(scene, t_end)
-    numbers = np.unique(np.round(np.geomspace(t_end / coarse, t_end / fine, count)))
-    errors = []
-    for n in numbers:
-        found = run(MoreauJean(**options), scene, Steps(t_end / n), t_end)
-        of, events = relative_errors(found, reference).errors, event_errors(found, reference)
-        assert events["events"] == events["expected"]
-        errors.append([of["q"]["max"], of["v"]["max"], events["time"]])
-    return t_end / numbers, np.array(errors)
-
-
 def test_impacts_of_a_ball_that_accumulate_are_passed_and_it_rests():
     scene, h = BouncingBall(), 1e-3
     zeno = np.sqrt(2 / 9.81) * 1.8 / 0.2
@@ -214,12 +162,27 @@ def test_impacts_of_a_ball_that_accumulate_are_passed_and_it_rests():
     assert found.a[1:, 0] == pytest.approx(mean, abs=1e-9)
 
 
-@pytest.mark.parametrize("cases", [(0.5,), *long([1.0])])
-def test_the_ball_has_order_one_through_impacts(cases):
-    for theta in cases:
-        sizes, errors = stepped(BouncingBall(), 2.0, 0.01, 1e-4, 24, theta=theta)
-        assert [order(sizes, e) for e in errors.T] == pytest.approx([1, 1, 1], abs=0.2)
-        assert errors[-1].min() > 1e-6
+def order(sizes, errors):
+    return slope([*sizes], [*errors])
+
+
+def stepped(scene, t_end, coarse, fine, count, **options):
+    """Step sizes, and errors of q and v in phases and of times of impact."""
+    reference, errors = Reference(scene, t_end), []
+    numbers = np.unique(np.round(np.geomspace(t_end / coarse, t_end / fine, count)))
+    for n in numbers:
+        found = run(MoreauJean(**options), scene, Steps(t_end / n), t_end)
+        of, events = relative_errors(found, reference).errors, event_errors(found, reference)
+        assert events["events"] == events["expected"]
+        errors.append([of["q"]["max"], of["v"]["max"], events["time"]])
+    return t_end / numbers, np.array(errors)
+
+
+@pytest.mark.parametrize("theta", [0.5, *long(1.0)])
+def test_the_ball_has_order_one_through_impacts(theta):
+    sizes, errors = stepped(BouncingBall(), 2.0, 0.01, 1e-4, 24, theta=theta)
+    assert [order(sizes, e) for e in errors.T] == pytest.approx([1, 1, 1], abs=0.2)
+    assert errors[-1].min() > 1e-6
 
 
 def test_without_contact_it_is_the_theta_method():
@@ -233,55 +196,38 @@ def test_without_contact_it_is_the_theta_method():
 
 
 # ---- what is refused ---------------------------------------------------------------------------
-def _only(name, **blocks):
-    """A scene that states these blocks beside those of a ball, without those of its base."""
-    own = {block: getattr(_Ball, block) for block in ("mass", "force", "initial_state")}
-    numbers = {"fast": 1.0, "__module__": __name__, "interval": (0.0, 1.0), "nominal_step": 0.1}
-    return dataclass(frozen=True)(type(name, (MechatronicSystem,), own | numbers | blocks))()
-
-
-def _sample(self, z):
-    return {}
-
-
 def test_scenes_that_would_be_wrong_are_refused():
+    sampled = {"sample": lambda self, z: {}, "sample_time": 0.1}
     for scene, words in [
-        (_only("Loose", gaps=_Ball.gaps), "states gaps but not events"),
-        (_only("Slippery", sliding=_Ball.sliding), "states sliding but not gaps"),
-        (
-            type("Sampled", (_Ball,), {"sample": _sample, "sample_time": 0.1})(),
-            "ends no step at a sample",
-        ),
-    ]:
+        (toy("Loose", **{"force": Oscillator.force, "gaps": BALL["gaps"]})(),
+         "states gaps but not events"),
+        (toy("Slippery", **{"force": Oscillator.force, "sliding": BALL["sliding"]})(),
+         "states sliding but not gaps"),
+        (toy("Sampled", base=Ball, **sampled)(), "ends no step at a sample"),
+    ]:  # fmt: skip
         with pytest.raises(SpecError, match=words):
             MoreauJean().prepare(scene, 1.0, Steps(0.1))
 
 
-@dataclass(frozen=True)
-class _Soft(BouncingBall):
-    """A ball that stays on the ground, which events cannot tell."""
-
-    e: float = parameter(0.0, "1", "restitution")
-
-
 def test_events_that_end_in_rest_name_the_method_that_goes_on():
-    found = run(StormerVerlet(), _Soft(), Steps(0.05))
+    soft = BouncingBall(e=0.0)  # it stays on the ground, which events cannot tell
+    found = run(StormerVerlet(), soft, Steps(0.05))
     assert found.status == "step_too_small"
     assert "contact that lasts is no event; take moreau_jean" in found.message
-    rests = run(MoreauJean(), _Soft(), Steps(0.01))
+    rests = run(MoreauJean(), soft, Steps(0.01))
     assert rests.status == "ok"
     assert abs(rests.q[-1, 0]) < 0.05
 
 
 @dataclass(frozen=True)
-class _Through(StormerVerlet):
+class Through(StormerVerlet):
     """A method that claims to pass impacts, and knows none."""
 
     passes_impacts = True
 
 
-def test_no_run_is_ok_whose_bodies_overlap():
-    fallen = run(_Through(), BouncingBall(), Steps(0.05))
+def test_no_run_is_ok_whose_bodies_overlap(tmp_path):
+    fallen = run(Through(), BouncingBall(), Steps(0.05))
     assert fallen.q[-1, 0] < -18  # free fall
     kept = replace(fallen, t=fallen.t[:10], q=fallen.q[:10])  # up to t = 0.45 s: it has not hit
     assert end_at_overlap(kept, BouncingBall(), False) == ""
@@ -294,9 +240,7 @@ def test_no_run_is_ok_whose_bodies_overlap():
         assert found.t[-1] == pytest.approx(first - 0.05)
     rests = np.where(np.arange(10) < 5, 1.0, -5e-4 - 1e-6 * np.arange(10))[:, None]
     assert "by up to 0.00051, as" in end_at_overlap(replace(kept, q=rests), BouncingBall(), True)
-
-
-def test_a_worker_ends_such_a_run_and_notes_how_far_steps_pass_impacts(tmp_path):
+    # A worker ends such a run, and notes how far steps pass impacts.
     (tmp_path / "through.py").write_text(
         "from dataclasses import dataclass\n"
         "from integrators.methods.stormer_verlet import StormerVerlet\n"
@@ -313,21 +257,21 @@ def test_a_worker_ends_such_a_run_and_notes_how_far_steps_pass_impacts(tmp_path)
     assert "Bodies overlap by up to 0.015, as steps pass impacts." in record.message
 
 
-def test_a_run_says_what_its_accelerations_are(without_processes):
+def test_a_run_says_what_its_accelerations_are(without_processes, stepbench):
     asked = ["solve", "impact_stop", "moreau_jean", "--step", "0.002", "--json"]
-    found = json.loads(CliRunner().invoke(main, asked).stdout)
+    found = json.loads(stepbench(*asked).stdout)
     assert found["events"]["events"] == found["events"]["expected"] == 5
     assert found["errors"]["q"]["max"] < 0.1 < found["errors"]["a"]["max"]
     assert "in a step with an impact they hold its impulse" in found["message"]
 
 
 @pytest.mark.long
-def test_the_scene_of_the_docs_rolls_after_its_first_impact(tmp_path):
+def test_the_scene_of_the_docs_rolls_after_its_first_impact(stepbench, tmp_path):
     text = (Path(__file__).parents[1] / "docs/jumps.md").read_text(encoding="utf-8")
     code = next(b for b in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "Contact" in b)
     (tmp_path / "disc.py").write_text(code, encoding="utf-8")
     registry = Registry([tmp_path / "disc.py"])
-    checked = CliRunner().invoke(main, ["check", str(tmp_path / "disc.py")])
+    checked = stepbench("check", tmp_path / "disc.py")
     assert checked.exit_code == 0, checked.output
     for method, step in ((StormerVerlet(), 0.02), (MoreauJean(), 0.001)):
         found = run(method, registry.problem("disc"), Steps(step))

@@ -1,15 +1,13 @@
 """The formulations that are derived from a scene's blocks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import long
+from helpers import toy
 from scipy.optimize import brentq
 
-from problems import MechatronicSystem, State, jax, jnp, parameter
+from problems import State, jax, jnp, parameter
 from problems import formulations as form
 from problems.compiled import compiled
 from problems.initial_values import InconsistentStart, consistent_start
@@ -18,53 +16,27 @@ from problems.scenes.car_axis import CarAxis
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
 
-
-@dataclass(frozen=True)
-class NonlinearFeedback(MechatronicSystem):
-    """m a + k q = y, xdot = a^3 - x, 0 = y - c tanh(x + a - y): implicit in y, nonlinear in a."""
-
-    c: float = parameter(2.0, "N", "limit of the actuator")
-
-    def mass(self, q):
-        return jnp.eye(1)
-
-    def force(self, q, v, t):
-        return -3.0 * q
-
-    def state_rate(self, z):
-        return z.a**3 - z.x
-
-    def output(self, z):
-        return self.c * jnp.tanh(z.x + z.a - z.y)
-
-    def actuation(self):
-        return np.eye(1)
-
-    def initial_state(self):
-        return State(q=np.array([0.7]), v=np.array([0.2]), x=np.array([0.4]))
-
-
-@dataclass(frozen=True)
-class DrivenBead(MechatronicSystem):
-    """A bead on a parabola that time moves: rheonomic, its mass depends on q."""
-
-    interval = (0.3, 1.0)
-
-    def mass(self, q):
-        return jnp.diag(jnp.stack([1.0 + q[0] ** 2, jnp.asarray(2.0)]))
-
-    def force(self, q, v, t):
-        return jnp.stack([-q[0] * v[0] ** 2, -9.81 * jnp.cos(t)])
-
-    def constraint(self, q, t):
-        return (q[1] - q[0] ** 2 - jnp.sin(2 * t))[None]
-
-    def initial_state(self):
-        t, x, xd = 0.3, 0.5, -0.4
-        return State(
-            q=np.array([x, x**2 + np.sin(2 * t)]),
-            v=np.array([xd, 2 * x * xd + 2 * np.cos(2 * t)]),
-        )
+#: m a + k q = y, xdot = a^3 - x, 0 = y - c tanh(x + a - y): implicit in y, nonlinear in a.
+NonlinearFeedback = toy(
+    "NonlinearFeedback", q=[0.7], v=[0.2], x=[0.4], c=parameter(2.0, "N", "limit of the actuator"),
+    force=lambda self, q, v, t: -3.0 * q, state_rate=lambda self, z: z.a**3 - z.x,
+    output=lambda self, z: self.c * jnp.tanh(z.x + z.a - z.y), actuation=lambda self: np.eye(1),
+)  # fmt: skip
+#: A bead on a parabola that time moves: rheonomic, its mass depends on q.
+DrivenBead = toy(
+    "DrivenBead", interval=(0.3, 1.0), q=[0.5, 0.25 + np.sin(0.6)],
+    v=[-0.4, -0.4 + 2 * np.cos(0.6)],
+    mass=lambda self, q: jnp.diag(jnp.stack([1.0 + q[0] ** 2, jnp.asarray(2.0)])),
+    force=lambda self, q, v, t: jnp.stack([-q[0] * v[0] ** 2, -9.81 * jnp.cos(t)]),
+    constraint=lambda self, q, t: (q[1] - q[0] ** 2 - jnp.sin(2 * t))[None],
+)  # fmt: skip
+#: Two coordinates of which one has no mass: only the augmented matrix is regular.
+MasslessAlone = toy(
+    "MasslessAlone", q=[1.0, 1.0], v=[0.5, 0.5],
+    mass=lambda self, q: jnp.diag(jnp.array([1.0, 0.0])),
+    force=lambda self, q, v, t: jnp.stack([-2.0 * q[0], jnp.asarray(0.0)]),
+    constraint=lambda self, q, t: (q[1] - q[0])[None],
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -79,43 +51,29 @@ class OffTheRod(Pendulum):
         return State(q * (1 + self.gap), v + self.slip * q, x)
 
 
-@dataclass(frozen=True)
-class MasslessAlone(MechatronicSystem):
-    """Two coordinates of which one has no mass: only the augmented matrix is regular."""
-
-    def mass(self, q):
-        return jnp.diag(jnp.array([1.0, 0.0]))
-
-    def force(self, q, v, t):
-        return jnp.stack([-2.0 * q[0], jnp.asarray(0.0)])
-
-    def constraint(self, q, t):
-        return (q[1] - q[0])[None]
-
-    def initial_state(self):
-        return State(q=np.array([1.0, 1.0]), v=np.array([0.5, 0.5]))
-
-
-def test_the_paper_start_of_the_spring_mass_is_found():
+def test_the_start_of_the_paper_and_of_implicit_outputs_and_singular_masses_is_found():
     start = consistent_start(SpringMass())
     assert start.z.a == pytest.approx([-5.0], abs=1e-14)
     assert start.xdot == pytest.approx([7.0], abs=1e-14)
     assert start.z.y == pytest.approx([0.0, 0.0], abs=1e-14)
-
-
-def test_an_output_implicit_in_y_and_nonlinear_in_a_is_solved():
     scene = NonlinearFeedback()
-    start = consistent_start(scene)
-    q, _, x = scene.initial_state()
+    start, (q, _, x) = consistent_start(scene), scene.initial_state()
 
     def eliminated(y):  # a = y - 3 q put into the output equation
-        a = y - 3 * q[0]
-        return y - scene.c * np.tanh(x[0] + a - y)
+        return y - scene.c * np.tanh(x[0] + y - 3 * q[0] - y)
 
     y = brentq(eliminated, -10, 10, xtol=1e-15)
     assert start.z.y == pytest.approx([y], rel=1e-12)
     assert start.z.a == pytest.approx([y - 3 * q[0]], rel=1e-12)
     assert start.xdot == pytest.approx([start.z.a[0] ** 3 - x[0]], rel=1e-12)
+    # One oscillator of mass 1 and stiffness 2; the second coordinate follows without force.
+    start = consistent_start(MasslessAlone())
+    assert start.z.a == pytest.approx([-2.0, -2.0], abs=1e-13)
+    assert start.z.lam == pytest.approx([0.0], abs=1e-13)
+    # Parameters are traced and compile nothing new.
+    light, heavy = SpringMass(m=1.0), SpringMass(m=7.0)
+    assert compiled(light) is compiled(heavy)
+    assert consistent_start(heavy).z.a == pytest.approx([-5.0 / 7.0])
 
 
 def test_the_jerk_is_the_slope_of_the_acceleration_along_the_motion():
@@ -131,8 +89,11 @@ def test_the_jerk_is_the_slope_of_the_acceleration_along_the_motion():
         assert start.jerk == pytest.approx((ends[1] - ends[0]) / (2 * eps), rel=1e-6, abs=1e-6)
 
 
-def test_constraint_levels_are_time_derivatives_of_the_constraint():
-    scene, eps = DrivenBead(), 1e-4
+def test_constraint_levels_are_time_derivatives_and_their_force_the_transposed_jacobian():
+    scene, eps, q = DrivenBead(), 1e-4, np.array([0.3, 0.1])
+    jacobian = np.asarray(jax.jacfwd(lambda q: scene.constraint(q, 0.5))(q))
+    force = form.constraint_force(scene, q, 0.5, np.array([1.7]))
+    assert force == pytest.approx(jacobian.T @ [1.7], rel=1e-14)
     rng = np.random.default_rng(1)
     q, v, a = rng.normal(size=(3, 2))
     t = 0.6
@@ -153,13 +114,6 @@ def test_constraint_levels_are_time_derivatives_of_the_constraint():
     assert acceleration == pytest.approx((phi(eps) - 2 * phi(0) + phi(-eps)) / eps**2, rel=1e-5)
 
 
-def test_the_constraint_force_is_the_transposed_jacobian_times_lambda():
-    scene, q = DrivenBead(), np.array([0.3, 0.1])
-    jacobian = np.asarray(jax.jacfwd(lambda q: scene.constraint(q, 0.5))(q))
-    force = form.constraint_force(scene, q, 0.5, np.array([1.7]))
-    assert force == pytest.approx(jacobian.T @ [1.7], rel=1e-14)
-
-
 def test_mu_moves_positions_in_the_directions_of_the_constraints_at_its_time():
     """They turn with time, here by an eighth of a radian."""
     scene, t, mu = CarAxis(), 0.15, np.array([0.3, -0.7])
@@ -173,14 +127,10 @@ def test_mu_moves_positions_in_the_directions_of_the_constraints_at_its_time():
     assert not np.delete(change, at.q).any()
 
 
-@pytest.mark.parametrize(
-    "cases", [(Pendulum(), DrivenBead(), NonlinearFeedback()), *long([SpringMass()])]
-)
-def test_every_dae_formulation_vanishes_on_the_motion(cases):
-    for scene in cases:
+def test_every_dae_formulation_vanishes_on_the_motion():
+    for scene in (Pendulum(), DrivenBead(), NonlinearFeedback()):
         for formulation in ["index3", "index2", "stabilised_index2", "index1"]:
-            start, sizes = consistent_start(scene), scene.sizes
-            at = form.dae_layout(sizes, formulation)
+            start, at = consistent_start(scene), form.dae_layout(scene.sizes, formulation)
             w, wdot = np.zeros(at.size), np.zeros(at.size)
             for name in ("q", "v", "x", "lam", "y"):
                 w[getattr(at, name)] = getattr(start.z, name)
@@ -206,36 +156,13 @@ def test_the_ode_form_agrees_with_the_closed_form():
     assert z.lam == pytest.approx(exact["lam"], abs=1e-12)
 
 
-def test_a_mass_matrix_that_is_singular_alone_is_no_obstacle():
-    # One oscillator of mass 1 and stiffness 2; the second coordinate follows without force.
-    start = consistent_start(MasslessAlone())
-    assert start.z.a == pytest.approx([-2.0, -2.0], abs=1e-13)
-    assert start.z.lam == pytest.approx([0.0], abs=1e-13)
-
-
-def test_an_inconsistent_start_is_refused_with_its_size():
+def test_an_inconsistent_start_is_refused_with_its_size_and_a_wrong_shape_is_named():
     for scene, level, amount in [
         (OffTheRod(gap=1e-3), "position", r"1\.000e-03|1\.001e-03"),
         (OffTheRod(gap=0.0, slip=0.02), "velocity", r"2\.000e-02"),
     ]:
         with pytest.raises(InconsistentStart, match=f"{level} level by ({amount})"):
             consistent_start(scene)
-
-
-def test_a_wrong_shape_is_named():
-    @dataclass(frozen=True)
-    class Lopsided(SpringMass):
-        """A scene whose force has one entry too many."""
-
-        def force(self, q, v, t):
-            return jnp.zeros(2)
-
+    lopsided = toy("Lopsided", base=SpringMass, force=lambda self, q, v, t: jnp.zeros(2))
     with pytest.raises(ValueError, match=r"force has shape \(2,\), expected \(1,\)"):
-        consistent_start(Lopsided())
-
-
-def test_parameters_are_traced_and_compile_nothing_new():
-    light, heavy = SpringMass(m=1.0), SpringMass(m=7.0)
-    assert compiled(light) is compiled(heavy)
-    a = [consistent_start(s).z.a[0] for s in (light, heavy)]
-    assert a == pytest.approx([-5.0, -5.0 / 7.0])
+        consistent_start(lopsided())

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from functools import cache
 
 import jax
 import pytest
@@ -26,8 +25,6 @@ from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrank
-
-KINDS = ("full", "modified")
 
 
 class Program:
@@ -67,35 +64,29 @@ class Program:
         return not (run_by_pieces or libraries or custom)
 
 
-def prepared(scene, newton="full", steps=400):
+def prepared(scene, method="full", steps=400):
+    if isinstance(method, str):
+        method = GeneralizedAlpha(newton=method)
     t0, t_end = scene.interval
-    return GeneralizedAlpha(newton=newton).prepare(scene, t_end, Steps((t_end - t0) / steps))
+    at = Steps((t_end - t0) / steps) if method.controls == "step" else Tolerances(1e-4)
+    return method.prepare(scene, t_end, at)
 
 
-SCENES = [SliderCrank(), *long(QuarterCar(), Chain(), HeavyTop())]
-
-
-@cache
-def program(scene, newton):
-    """The program of a scene, compiled once for the tests that read it."""
-    return Program(prepared(scene, newton))
-
-
-@pytest.mark.parametrize("newton", KINDS)
-@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
-def test_the_march_of_a_small_scene_is_one_function(scene, newton):
-    assert program(scene, newton).joined()
-
-
-def test_so_is_the_march_of_chosen_steps():
-    method = GeneralizedAlphaAdaptive(newton="modified")
-    assert Program(method.prepare(Pendulum(), 5.0, Tolerances(1e-4))).joined()
-
-
-@pytest.mark.parametrize("method", long(HalfExplicitEuler(), PHEM56()), ids=lambda m: m.name)
-def test_so_are_steps_that_solve_linear_equations(method):
-    size = Steps(1e-3) if method.controls == "step" else Tolerances(1e-4)
-    assert Program(method.prepare(SliderCrank(), 5.0, size)).joined()
+@pytest.mark.parametrize(
+    ("scene", "method"),
+    [
+        *((SliderCrank(), newton) for newton in ("full", "modified")),
+        (Pendulum(), GeneralizedAlphaAdaptive(newton="modified")),
+        *long(
+            *((scene, "full") for scene in (QuarterCar(), Chain(), HeavyTop())),
+            *((scene, "modified") for scene in (QuarterCar(), Chain(), HeavyTop())),
+            *((SliderCrank(), method) for method in (HalfExplicitEuler(), PHEM56())),
+        ),
+    ],
+    ids=lambda of: getattr(of, "name", of),
+)
+def test_the_march_of_a_small_scene_is_one_function(scene, method):
+    assert Program(prepared(scene, method)).joined()
 
 
 @pytest.mark.long
@@ -111,16 +102,12 @@ def test_a_product_that_is_left_to_a_library_takes_it_apart(monkeypatch):
         forget_programs()
 
 
-def test_a_tangent_is_kept_over_many_steps():
+def test_a_tangent_is_kept_over_many_steps_and_full_newton_takes_two_iterations_in_each():
     run = prepared(SliderCrank(), "modified", steps=20_000).measure()
     work = run.work
     assert run.status == "ok"
     assert work.factorisations == work.jacobians < 0.03 * work.steps
     assert work.residuals == work.newton == work.solves < 2.7 * work.steps
-
-
-@pytest.mark.long
-def test_full_newton_takes_two_iterations_a_step():
     work = prepared(SliderCrank(), steps=20_000).measure().work
     assert work.residuals == work.newton == work.jacobians == work.factorisations
     assert 1.9 * work.steps < work.residuals <= 2 * work.steps
@@ -134,14 +121,13 @@ class Watched(Pendulum):
         return force(t, v, self.m * self.g)
 
 
-@pytest.mark.parametrize("cases", [("modified",), *long(["full"])])
-def test_what_is_counted_is_what_was_done(cases):
-    for newton in cases:
-        run = prepared(Watched(), newton, steps=50)
-        work = run.measure().work
-        _, counts = run_counted(run.execute)
-        # Full Newton has the residual from the linearisation.
-        assert counts == (work.residuals if newton == "modified" else 0, work.jacobians)
+@pytest.mark.parametrize("newton", ["modified", *long("full")])
+def test_what_is_counted_is_what_was_done(newton):
+    run = prepared(Watched(), newton, steps=50)
+    work = run.measure().work
+    _, counts = run_counted(run.execute)
+    # Full Newton has the residual from the linearisation.
+    assert counts == (work.residuals if newton == "modified" else 0, work.jacobians)
 
 
 def test_schemes_steps_and_parameters_compile_nothing_new():

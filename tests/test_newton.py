@@ -129,42 +129,28 @@ def test_an_update_by_an_old_tangent_is_never_enough():
 
 
 # ---- stale tangents ----------------------------------------------------------------------
-def test_a_tangent_is_kept_while_updates_contract_tenfold():
-    found = solve(lambda u: u - 1, lambda u: 1 + 0 * u, 1.5, kept=1.05)
-    assert found.report.solved
-    assert "t" not in found.log
-    assert abs(found.u[0] - 1) < 1e-12
-
-
-def test_a_tangent_that_contracts_less_is_renewed_after_the_third_update():
-    found = solve(lambda u: u - 1, lambda u: 1 + 0 * u, 1.5, kept=1.2)
-    assert found.report.solved
-    assert found.log.startswith("uuut")
-    assert found.u[0] == pytest.approx(1.0, abs=1e-15)
-
-
-def test_the_first_update_is_no_measure_of_the_tangent():
-    # The second update is five times the first, as where a guess is good in what weighs most.
+def test_a_tangent_is_kept_while_updates_contract_tenfold_and_renewed_after_the_third_else():
+    for kept, begins in ((1.05, "uuu"), (1.2, "uuut")):
+        found = solve(lambda u: u - 1, lambda u: 1 + 0 * u, 1.5, kept=kept)
+        assert found.report.solved
+        assert found.log.startswith(begins)
+        assert ("t" in found.log) == (kept == 1.2)
+        assert abs(found.u[0] - 1) < 1e-12
+    # The first update is no measure of the tangent: the second may be five times as large, as
+    # where a guess is good in what weighs most.
     pulls = iter([0.02, 0.1, 0.001, 1e-5, 1e-7, 1e-9, 1e-11, 1e-13, 0.0])
     found = solve(lambda u: 0 * u + next(pulls), lambda u: NEVER * u, 1.0, kept=1.0)
     assert found.report.solved
     assert "t" not in found.log
 
 
-def test_without_a_tangent_the_first_is_computed_at_the_guess():
-    found = solve(lambda u: u**3 - 8, lambda u: 3 * u**2, 2.01, kept=NEVER)
-    assert found.report.solved
-    assert found.log.startswith("tu")
-    assert found.places[0] == 2.01
-    assert found.u[0] == pytest.approx(2.0, rel=1e-12)
-
-
-def test_an_update_far_beyond_the_unknowns_is_taken_back():
-    found = solve(lambda u: u**3 - 8, lambda u: 3 * u**2, 2.1, kept=1e-14, old=2.2)
-    assert found.report.solved
-    assert found.log.startswith("utu")
-    assert found.places[0] == 2.1  # the guess, and neither where the update led nor the start
-    assert found.u[0] == pytest.approx(2.0, rel=1e-12)
+def test_without_a_tangent_or_after_a_wild_update_a_new_one_is_computed_at_the_guess():
+    for guess, kept, log in ((2.01, NEVER, "tu"), (2.1, 1e-14, "utu")):
+        found = solve(lambda u: u**3 - 8, lambda u: 3 * u**2, guess, kept=kept, old=2.2)
+        assert found.report.solved
+        assert found.log.startswith(log)
+        assert found.places[0] == guess  # and neither where the update led nor the start
+        assert found.u[0] == pytest.approx(2.0, rel=1e-12)
 
 
 # ---- round-off ---------------------------------------------------------------------------
@@ -227,20 +213,16 @@ def test_at_rest_updates_within_the_noise_of_forces_are_nothing():
 
 
 # ---- failures ----------------------------------------------------------------------------
-def test_an_iteration_that_diverges_uses_up_its_iterations():
-    found = solve(jnp.arctan, lambda u: 1 / (1 + u**2), 1.5, most=4)
-    assert (found.report.solved, found.report.newton) == (False, 4)
+def test_an_iteration_that_diverges_or_meets_no_number_ends_and_modified_newton_tries_full():
+    def arctan(**options):
+        return solve(jnp.arctan, lambda u: 1 / (1 + u**2), 1.5, most=4, **options)
 
-
-def test_modified_newton_then_tries_full_newton_from_the_start_of_the_step():
-    found = solve(jnp.arctan, lambda u: 1 / (1 + u**2), 1.5, kept=NEVER, old=0.5, most=4)
+    assert (arctan().report.solved, arctan().report.newton) == (False, 4)
+    found = arctan(kept=NEVER, old=0.5)  # from the start of the step
     assert found.report.solved
     assert 4 < found.report.newton <= 8
     assert 0.5 in found.places
     assert abs(found.u[0]) < 1e-12
-
-
-def test_a_value_that_is_no_number_ends_full_newton_at_once():
     for solved_after in (1, math.inf):
         found = solve(lambda u: NEVER * u, lambda u: 1 + 0 * u, 1.0, solved_after=solved_after)
         assert (found.report.solved, found.report.newton) == (False, 1)

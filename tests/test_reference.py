@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import long
+from helpers import long, toy
 
 from bench.plugins.registry import Sources
 from bench.running import inventory
-from problems import MechatronicSystem, SampledSystem, State, held, jnp, parameter, reference
+from problems import SampledSystem, held, jnp, parameter, reference
 from problems.collocation import Motion, TooSmallStep, gauss, integrate, radau
 from problems.reference import Reference
 from problems.scenes.pendulum import Pendulum
@@ -45,7 +44,7 @@ def test_the_spring_mass_reference_has_the_published_digits():
         assert error <= 2 * reference.error[group] < 1e-11
 
 
-def test_the_closed_pendulum_solves_its_equations():
+def test_the_closed_pendulum_solves_its_equations_from_rest_at_its_amplitude():
     for scene in [Pendulum(), Pendulum(m=2.5, length=0.7, g=3.0, th0=3.0)]:
         t, eps = np.linspace(0.1, 4.0, 40), 1e-4
         z = scene.exact(t)
@@ -56,11 +55,7 @@ def test_the_closed_pendulum_solves_its_equations():
         motion = scene.m * z["a"] + z["q"] * z["lam"] + [0.0, scene.m * scene.g]
         assert np.abs(motion).max() < 1e-11
         assert np.abs((z["q"] ** 2).sum(1) - scene.length**2).max() < 1e-13
-
-
-def test_the_pendulum_is_released_at_rest_at_its_amplitude():
-    scene = Pendulum(th0=2.0)
-    z = scene.exact(np.zeros(1))
+    z = Pendulum(th0=2.0).exact(np.zeros(1))
     assert z["q"][0] == pytest.approx([np.sin(2.0), -np.cos(2.0)], abs=1e-14)
     assert z["v"][0] == pytest.approx([0.0, 0.0], abs=1e-14)
 
@@ -79,21 +74,11 @@ def test_the_reference_of_a_scene_without_closed_form_would_find_the_closed_one(
         assert tight[group] == pytest.approx(closed[group], abs=1e-11)
 
 
-@dataclass(frozen=True)
-class Beside(MechatronicSystem):
-    """A fast vibration of 1 um beside a slow one of 10 m."""
-
-    interval = (0.0, 0.2)
-    nominal_step = 0.05
-
-    def mass(self, q):
-        return jnp.eye(2)
-
-    def force(self, q, v, t):
-        return -jnp.array([1.0, 2500.0]) * q
-
-    def initial_state(self):
-        return State(q=np.array([10.0, 1e-6]), v=np.zeros(2))
+#: A fast vibration of 1 um beside a slow one of 10 m.
+Beside = toy(
+    "Beside", q=[10.0, 1e-6], interval=(0.0, 0.2), nominal_step=0.05,
+    force=lambda self, q, v, t: -jnp.array([1.0, 2500.0]) * q,
+)  # fmt: skip
 
 
 def test_the_reference_knows_small_components_beside_large_ones():
@@ -211,26 +196,21 @@ def test_the_nodes_integrate_polynomials_up_to_their_order():
         assert m.integrals @ m.nodes**3 == pytest.approx(m.nodes**4 / 4, abs=1e-15)
 
 
-def test_an_oscillation_is_known_to_round_off_at_all_times():
+def test_oscillations_and_stiff_motions_are_known_to_round_off_at_all_times():
+    # Prothero & Robinson: s' = -k (s - cos t) - sin t, and s = cos t.
+    def stiff(t, s, k=1e6):
+        return -k * (s - np.cos(t)[:, None]) - np.sin(t)[:, None]
+
     for method in METHODS.values():
-        motion, calls = solved(
-            lambda t, s: np.stack([s[:, 1], -s[:, 0]], 1), [1.0, 0.0], 50.0, method
-        )
-        t = np.linspace(0.0, 50.0, 777)
-        assert np.abs(motion(t) - np.stack([np.cos(t), -np.sin(t)], 1)).max() < 1e-13
-        assert calls < 1000
-
-
-def test_stiffness_costs_accuracy_and_steps_no_more_than_a_jacobian():
-    for method in METHODS.values():
-        # Prothero & Robinson: s' = -k (s - cos t) - sin t, and s = cos t.
-        def rates(t, s, k=1e6):
-            return -k * (s - np.cos(t)[:, None]) - np.sin(t)[:, None]
-
-        motion, calls = solved(rates, [1.0], 10.0, method)
-        t = np.linspace(0.0, 10.0, 333)
-        assert np.abs(motion(t)[:, 0] - np.cos(t)).max() < 1e-13
-        assert calls < 1000  # an explicit method takes some millions
+        for rates, start, end in (
+            (lambda t, s: np.stack([s[:, 1], -s[:, 0]], 1), [1.0, 0.0], 50.0),
+            (stiff, [1.0], 10.0),
+        ):
+            motion, calls = solved(rates, start, end, method)
+            t = np.linspace(0.0, end, 777)
+            exact = np.stack([np.cos(t), -np.sin(t)], 1)[:, : len(start)]
+            assert np.abs(motion(t) - exact).max() < 1e-13
+            assert calls < 1000  # an explicit method takes some millions where it is stiff
 
 
 def test_a_small_component_is_known_beside_a_large_one_and_a_kink_is_passed():
@@ -254,36 +234,27 @@ def test_a_solution_that_ends_is_told_with_its_time():
         solved(lambda t, s: np.nan * s, [1.0], 2.0, METHODS["radau"])
 
 
-@pytest.mark.parametrize("cases", [(PlanarTruckJoint(),), *long([PlanarTruck()])])
-def test_forces_in_balance_leave_rounding_that_is_no_size_of_the_motion(cases):
-    for truck in cases:
-        ours = Reference(truck, 5.0)
-        assert max(np.max(ours.error[group]) for group in "qv") < 1e-12
-        (q,) = (published for published in truck.published if published.quantity == "q")
-        assert ours(np.array([q.t]))["q"][0] == pytest.approx(q.values, abs=1e-10)
+@pytest.mark.parametrize("truck", [PlanarTruckJoint(), *long(PlanarTruck())], ids=str)
+def test_forces_in_balance_leave_rounding_that_is_no_size_of_the_motion(truck):
+    ours = Reference(truck, 5.0)
+    assert max(np.max(ours.error[group]) for group in "qv") < 1e-12
+    (q,) = (published for published in truck.published if published.quantity == "q")
+    assert ours(np.array([q.t]))["q"][0] == pytest.approx(q.values, abs=1e-10)
 
 
-@dataclass(frozen=True)
-class Resting(SampledSystem):
-    """A pendulum that a sampled controller holds against its weight, almost at rest."""
+def hold(self, z):
+    q, v = z.q[0], z.v[0]
+    return {"u": 9.81 * jnp.cos(q) - 3600.0 * (q - 0.5) - 120.0 * v}
 
-    interval = (0.0, 0.02)
-    nominal_step = 0.002
-    sample_time: float = parameter(0.0005, "s", "time between two samples", low=1e-6)
-    u: float = held(0.0, "N m", "torque")
 
-    def mass(self, q):
-        return jnp.eye(1)
-
-    def force(self, q, v, t):
-        return jnp.stack([self.u]) - 9.81 * jnp.cos(q)
-
-    def initial_state(self):
-        return State(q=np.array([0.5 + 1e-9]), v=np.zeros(1))
-
-    def sample(self, z):
-        q, v = z.q[0], z.v[0]
-        return {"u": 9.81 * jnp.cos(q) - 3600.0 * (q - 0.5) - 120.0 * v}
+#: A pendulum that a sampled controller holds against its weight, almost at rest.
+Resting = toy(
+    "Resting", base=SampledSystem, interval=(0.0, 0.02), nominal_step=0.002,
+    sample_time=parameter(0.0005, "s", "time between two samples", low=1e-6),
+    u=held(0.0, "N m", "torque"), sample=hold, mass=lambda self, q: jnp.eye(1),
+    initial_state=toy(q=[0.5 + 1e-9]).initial_state,
+    force=lambda self, q, v, t: jnp.stack([self.u]) - 9.81 * jnp.cos(q),
+)  # fmt: skip
 
 
 def test_where_a_sampled_loop_rests_steps_do_not_follow_the_rounding_of_its_forces():

@@ -22,11 +22,9 @@ from problems.scenes.pendulum import Pendulum
 
 
 # ---- right numbers ---------------------------------------------------------------------
-def test_nothing_is_wrong_here():
-    assert check_runtime() == ""
-
-
 def test_floats_of_32_bits_are_noticed():
+    assert check_runtime() == ""
+    assert not jax.config.read("jax_cpu_enable_async_dispatch")
     jax.config.update("jax_enable_x64", False)
     try:
         assert "32-bit floats" in check_runtime()
@@ -70,24 +68,8 @@ def test_a_cache_that_cannot_be_used_is_named_and_left(monkeypatch, caplog, tmp_
 
 
 # ---- what libraries may drop -----------------------------------------------------------
-def test_this_release_drops_nothing():
-    runtime.jax.devices()
-    assert not jax.config.read("jax_cpu_enable_async_dispatch")
-
-
 def solved(method: Integrator, resolution: Steps | Tolerances) -> Trajectory:
     return method.prepare(Oscillator(), 1.0, resolution).measure()
-
-
-@pytest.fixture
-def _forgotten():
-    """Nothing that was tried out is remembered, before and after."""
-    tried = runtime.slower, sparsity._asdex
-    for remembered in tried:
-        remembered.cache_clear()
-    yield
-    for remembered in tried:
-        remembered.cache_clear()
 
 
 @pytest.mark.parametrize("drop", ["names", *long("calls")])
@@ -113,19 +95,21 @@ def test_linear_algebra_that_is_not_seen_is_not_counted_as_nothing(monkeypatch, 
     run = BDF().prepare(Oscillator(), 1.0, Tolerances(1e-4))
     after = run.measure()
     assert after.q.tolist() == before.q.tolist()
-    assert (after.work.residuals, after.work.jacobians) == (
-        before.work.residuals,
-        before.work.jacobians,
-    )
+    for name in ("residuals", "jacobians"):
+        assert getattr(after.work, name) == getattr(before.work, name)
     assert before.work.solves
     assert after.work.solves is after.work.factorisations is None
     with pytest.raises(Exception, match="no longer calls its lu and solve_lu"):
         run.bill(after)
 
 
-@pytest.mark.usefixtures("_forgotten")
-def test_without_what_sparse_tangents_need_large_scenes_are_dense(monkeypatch, caplog, tmp_path):
+def test_without_what_sparse_tangents_need_large_scenes_are_dense(
+    monkeypatch, caplog, tmp_path, request
+):
     pytest.importorskip("klujax")
+    for tried in (runtime.slower, sparsity._asdex):  # nothing is remembered, before and after
+        tried.cache_clear()
+        request.addfinalizer(tried.cache_clear)
     (tmp_path / "asdex.py").write_text("from jax.nowhere import anything")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "asdex", raising=False)

@@ -1,28 +1,20 @@
-"""Sparse tangents: the runs and starts of dense ones, and work that grows like the size."""
-
-from __future__ import annotations
-
-from dataclasses import dataclass
+"""Sparse tangents, of native methods and of IDA: the runs and starts of dense ones, the choice."""
 
 import numpy as np
 import pytest
-from helpers import long, nothing_compiled
+from helpers import long, nothing_compiled, toy
+from scipy.sparse import csc_matrix
 
+from bench.plugins.registry import Registry
+from integrators import Steps, Tolerances
+from integrators.adapters import dae, trajectories
+from integrators.adapters.ida import IDA
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
-from integrators.resolutions import Steps
-from problems import (
-    MechatronicSystem,
-    State,
-    Variables,
-    jax,
-    jnp,
-    parameter,
-    runtime,
-    sparsity,
-)
+from integrators.methods.simulator_steppers import ImplicitFast
+from problems import jax, jnp, parameter, runtime, sparsity
 from problems.compiled import compiled
-from problems.formulations import dynamics_residual
+from problems.formulations import dae_layout
 from problems.initial_values import consistent_start
 from problems.projections import constrained_part
 from problems.reference import Reference, ReferenceFailed
@@ -36,100 +28,198 @@ from problems.spec import SpecError
 from problems.start_equations import sparse_start
 
 pytest.importorskip("klujax")
+GROUPS = ("q", "v", "a", "lam", "x", "y")
+GGL, SPARSE, DENSE = "stabilised_index2", {"linear_solver": "sparse"}, {"linear_solver": "dense"}
+MORE = [SpringMass(), SliderCrank(), QuarterCar()]
+every_scene = pytest.mark.parametrize("scene", [Chain(links=3), *long(*MORE)], ids=str)
+on_forms = pytest.mark.parametrize("form", [GGL, *long("index1", "index2", "index3")])
 
 
-@dataclass(frozen=True)
-class ControlledBead(MechatronicSystem):
-    """A bead on a circle and a controller that uses all variables and the time."""
-
-    interval = (0.3, 1.0)
-    m: float = parameter(1.5, "kg", "mass")
-
-    def mass(self, q):
-        return self.m * jnp.eye(2)
-
-    def force(self, q, v, t):
-        return jnp.array([jnp.cos(2 * t), -9.81 * self.m]) - 0.2 * v
-
-    def constraint(self, q, t):
-        return 0.5 * (q @ q - 1.0)[None]
-
-    def state_rate(self, z):
-        parts = 0.5 * z.q[0] - z.v[1] + 0.3 * z.a[0] + 0.2 * z.lam[0] - z.x[0] + 0.7 * z.y[0]
-        return jnp.sin(3 * z.t)[None] + parts
-
-    def output(self, z):
-        return jnp.tanh(z.x + 0.1 * z.a[1] - 0.4 * z.y + 0.1 * z.lam)
-
-    def actuation(self):
-        return np.array([[0.3], [1.0]])
-
-    def initial_state(self):
-        return State(q=np.array([0.6, -0.8]), v=np.array([0.4, 0.3]), x=np.array([0.2]))
+def rate(self, z):
+    parts = 0.5 * z.q[0] - z.v[1] + 0.3 * z.a[0] + 0.2 * z.lam[0] - z.x[0] + 0.7 * z.y[0]
+    return jnp.sin(3 * z.t)[None] + parts
 
 
-SCENES = [*long(SliderCrank(), QuarterCar(), SpringMass(), Chain(links=5)), ControlledBead()]
+#: A bead on a circle and a controller that uses all variables and the time.
+ControlledBead = toy(
+    "ControlledBead", q=[0.6, -0.8], v=[0.4, 0.3], x=[0.2], interval=(0.3, 1.0), state_rate=rate,
+    m=parameter(1.5, "kg", "mass"), mass=lambda self, q: self.m * jnp.eye(2),
+    force=lambda self, q, v, t: jnp.array([jnp.cos(2 * t), -9.81 * self.m]) - 0.2 * v,
+    constraint=lambda self, q, t: 0.5 * (q @ q - 1.0)[None],
+    output=lambda self, z: jnp.tanh(z.x + 0.1 * z.a[1] - 0.4 * z.y + 0.1 * z.lam),
+    actuation=lambda self: np.array([[0.3], [1.0]]),
+)  # fmt: skip
 
 
-def end(method, scene, steps, h):
-    t0 = scene.interval[0]
-    run = method.prepare(scene, t0 + steps * h, Steps(h)).measure()
+def prepared(method, scene, length, at):
+    return method.prepare(scene, scene.interval[0] + length, at)
+
+
+def ended(method, scene, length, at):
+    run = prepared(method, scene, length, at).measure()
     assert run.status == "ok", run.message
     return run
 
 
-@pytest.mark.parametrize(
-    "scene",
-    [Chain(links=3), *long(SpringMass(), SliderCrank(), QuarterCar())],
-    ids=lambda scene: scene.name,
-)
-@pytest.mark.parametrize("form", ["stabilised_index2", *long("index3")])
+def of_ida(scene, length=0.1, rtol=1e-6, **options):
+    return prepared(IDA(**options), scene, length, Tolerances(rtol))
+
+
+def is_sparse(method, scene):
+    if isinstance(method, IDA):
+        return prepared(method, scene, 0.1, Tolerances(1e-6)).options.get("linsolver") == "sparse"
+    return bool(method.program(scene)[0].patterns)
+
+
+# ---- the same runs ---------------------------------------------------------------------
+@every_scene
+@pytest.mark.parametrize("form", [GGL, *long("index3")])
 def test_sparse_and_dense_runs_are_the_same(scene, form):
     h = scene.nominal_step / 10
     sparse, dense = (
-        end(GeneralizedAlpha(linear_solver=kind, formulation=form, start="corrected"), scene, 20, h)
-        for kind in ("sparse", "dense")
-    )
-    for group in ("q", "v", "a", "lam", "x", "y"):
+        ended(GeneralizedAlpha(**solver, formulation=form, start="corrected"), scene, 20 * h,
+              Steps(h)) for solver in (SPARSE, DENSE)
+    )  # fmt: skip
+    for group in GROUPS:
         one, other = getattr(sparse, group), getattr(dense, group)
-        size = np.abs(other).max(initial=1e-3)
-        assert one == pytest.approx(other, abs=1e-8 * size), group
+        assert one == pytest.approx(other, abs=1e-8 * np.abs(other).max(initial=1e-3)), group
     assert abs(sparse.work.newton - dense.work.newton) <= 2
 
 
-def pattern_of(scene, **options):
-    program, _ = GeneralizedAlpha(linear_solver="sparse", **options).program(scene)
-    (pattern,) = program.patterns
-    return pattern
+@every_scene
+@pytest.mark.parametrize("form", [GGL, *long("index1", "index2")])
+def test_those_of_ida_take_the_same_steps_also_where_they_are_timed(scene, form):
+    runs = [of_ida(scene, 15 * scene.nominal_step, formulation=form, **s) for s in (SPARSE, DENSE)]
+    sparse, dense = (run.measure() for run in runs)
+    assert sparse.status == dense.status == "ok"
+    assert sparse.work == dense.work
+    # Rounding moves the steps, as their size is made of small differences; the end is the same.
+    for part in GROUPS:
+        one, other = getattr(sparse, part)[-1], getattr(dense, part)
+        assert one == pytest.approx(other[-1], abs=1e-9 * np.abs(other).max(initial=1e-3)), part
+    timed = runs[0].execute()
+    assert (sparse.work.residuals, sparse.work.jacobians) == (timed.nfev, timed.njev)
+    assert sparse.q[-1].tolist() == timed.y[runs[0].layout.q].tolist()
 
 
-def test_the_pattern_holds_every_entry():
-    scene = Chain(links=5)
-    pattern = pattern_of(scene, formulation="stabilised_index2")
-    rng = np.random.default_rng(4)
-
-    def residual(u):
-        z = Variables(u[:10] * 0.01, u[:10], u[:10], u[10:], jnp.zeros(0), jnp.zeros(0), 0.0)
-        rows = [dynamics_residual(scene, z), scene.constraint(z.q, 0.0)]
-        return jnp.concatenate(rows)
-
-    found = sparsity.Pattern(residual, 15)
-    u = rng.normal(size=15)
-    dense = np.zeros((15, 15))
-    both = jax.jit(lambda u: (found.values(residual, u), jax.jacfwd(residual)(u)))
-    dense[found.rows, found.columns], whole = map(np.asarray, both(u))
-    assert dense == pytest.approx(whole, abs=1e-14)
-    assert found._coloring.num_colors <= 9
-    assert len(pattern.rows) < 0.5 * pattern.size**2
+@pytest.mark.long
+def test_a_thousand_links_keep_their_length_and_energy():
+    scene = Chain(links=1000)
+    run = ended(GeneralizedAlpha(rho_inf=0.8), scene, 0.02, Steps(1e-3))
+    fine = ended(GeneralizedAlpha(), scene, 0.02, Steps(5e-4))
+    ida = ended(IDA(), scene, 0.02, Tolerances(1e-8))
+    assert np.linalg.norm(ida.q[-1] - fine.q[-1]) < 1e-7 * np.linalg.norm(ida.q[-1])
+    for found, off, changes in ((run, 1e-12, 1e-4), (ida, 1e-9, 1e-7)):
+        assert np.abs(np.asarray(scene.constraint(jnp.asarray(found.q[-1]), 0.0))).max() < off
+        energy = [float(scene.energy(q, v)) for q, v in zip(found.q, found.v, strict=True)]
+        assert np.ptp(energy) < changes * 0.5 * scene.m * (found.v[0] @ found.v[0])
+    # The chain begins to turn as one body: each mass on a circle about the pivot.
+    radius = np.hypot(run.q[1, ::2], run.q[1, 1::2])
+    assert radius == pytest.approx(scene.length * np.arange(1, 1001), rel=1e-6)
 
 
-def test_colours_do_not_grow_with_the_chain():
-    twelve, fifty = (pattern_of(Chain(links=n)) for n in (12, 50))
-    assert twelve._coloring.num_colors == fifty._coloring.num_colors
+def test_rows_of_large_scenes_are_completed_by_sparse_algebra(monkeypatch):
+    scene = Chain(links=3)
+    z = ended(IDA(), scene, 0.05, Tolerances(1e-6))
+    states = scene, z.t, z.q, z.v, z.x
+    dense = trajectories.trajectory_from_states(*states)
+    monkeypatch.setattr(sparsity, "DENSE_LIMIT", 1)
+    monkeypatch.setattr(trajectories, "compiled", None)
+    sparse = trajectories.trajectory_from_states(*states)
+    for name in ("t", *GROUPS, "xdot"):
+        found, values = getattr(sparse, name), getattr(dense, name)
+        assert found.shape == values.shape
+        assert found == pytest.approx(values, abs=1e-10 * np.abs(values).max(initial=1.0))
+
+
+def test_work_is_counted_as_with_dense_tangents_and_other_parameters_compile_nothing_new():
+    method, step = GeneralizedAlpha(**SPARSE), Steps(1e-3)
+    scenes = [Chain(links=3), Chain(links=3, m=0.3, th0=0.2)]
+    work = ended(method, scenes[0], 0.01, step).work
+    assert work.steps == 10
+    assert work.newton == work.residuals == work.jacobians == work.factorisations == work.solves
+    assert 10 <= work.newton <= 40
+    of_ida(scenes[0], 0.01, **SPARSE).measure()
+    with nothing_compiled():
+        ended(GeneralizedAlpha(rho_inf=0.5, **SPARSE), scenes[1], 0.01, step)
+        assert of_ida(scenes[1], 0.01, **SPARSE).measure().status == "ok"
+    kernels = [prepared(method, scene, 0.01, step).kernel for scene in scenes]
+    assert kernels[0] is kernels[1]
+
+
+# ---- patterns --------------------------------------------------------------------------
+def difference(scene, formulation, sparse):
+    """Largest difference of IDA's two Jacobians at random states and cj, relative."""
+    at, n = np.array([*scene.parameters().values()]), dae_layout(scene.sizes, formulation).size
+    dense = dae.packed_jacobian(scene.template(), formulation).bind(at)
+    values, rng, worst = sparse.values.bind(at), np.random.default_rng(3), 0.0
+    for cj in 10.0 ** rng.uniform(-2, 6, size=3):
+        state = float(rng.normal()), rng.normal(size=n), rng.normal(size=n), cj
+        built = csc_matrix((np.array(values(*state)), sparse.rows, sparse.starts), (n, n))
+        full = np.asarray(dense(*state)).T
+        worst = max(worst, np.abs(built.toarray() - full).max() / np.abs(full).max())
+    return worst
+
+
+@every_scene
+@on_forms
+def test_the_sparse_jacobian_is_the_dense_one_as_superlu_wants_it(scene, form):
+    sparse = dae.sparse_jacobian(scene.template(), form)
+    assert difference(scene, form, sparse) < 1e-14
+    assert sparse.rows.dtype == sparse.starts.dtype == np.int32
+    entries = of_ida(scene, 1.0, formulation=form, **SPARSE).options["sparsity"]
+    assert entries.has_canonical_format
+    assert entries.indices.tolist() == sparse.rows.tolist()
+
+
+def test_a_missing_entry_a_sign_and_an_exchange_are_seen():
+    scene = Chain(links=3)
+    good = dae.sparse_jacobian(scene.template(), GGL)
+    rng, n = np.random.default_rng(4), len(good.starts) - 1
+    call = good.values.bind(np.array([*scene.parameters().values()]))
+    size = np.abs(call(0.0, *rng.normal(size=(2, n)), 1.0))
+    k, entries = int(np.argmax(size)), np.arange(len(size))
+    column = int(np.argmax(np.diff(good.starts)))
+    first, last = good.starts[column : column + 2]
+    exchanged = entries.copy()
+    exchanged[first:last] = entries[first:last][::-1]
+
+    class Spoiled:
+        def __init__(self, change):
+            self._change = change
+
+        def bind(self, p):
+            values = good.values.bind(p)
+            return lambda *z: self._change(np.asarray(values(*z)))
+
+    for change in (
+        lambda v: np.where(entries == k, 0.0, v),
+        lambda v: np.where(entries == k, -v, v),
+        lambda v: v[exchanged],
+    ):
+        assert difference(scene, GGL, good._replace(values=Spoiled(change))) > 1e-3
+
+
+def test_the_pattern_holds_every_entry_and_its_colours_do_not_grow_with_the_chain():
+    few, twelve, fifty = (
+        GeneralizedAlpha(**SPARSE).program(Chain(links=n))[0].patterns[0] for n in (5, 12, 50)
+    )
+    assert twelve._coloring.num_colors == fifty._coloring.num_colors <= 9
+    assert len(few.rows) < 0.5 * few.size**2
     assert len(fifty.rows) <= 14 * 50
 
+    def residual(u):
+        return jnp.concatenate([u[:2] * u[1:3] ** 2, jnp.sin(u[2:]) + u[0]])
 
-@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+    pattern, u = sparsity.Pattern(residual, 5), np.random.default_rng(4).normal(size=5)
+    dense, both = np.zeros((5, 5)), jax.jit(lambda u: (pattern.values(residual, u),
+                                                       jax.jacfwd(residual)(u)))  # fmt: skip
+    dense[pattern.rows, pattern.columns], whole = map(np.asarray, both(u))
+    assert dense == pytest.approx(whole, abs=1e-14)
+
+
+# ---- starts ----------------------------------------------------------------------------
+@pytest.mark.parametrize("scene", [ControlledBead(), *long(*MORE, Chain(links=5))], ids=str)
 def test_the_start_by_sparse_algebra_is_the_dense_one(scene):
     dense = consistent_start(scene)
     sparse = sparse_start(scene, scene.initial_state(), scene.interval[0])
@@ -140,33 +230,18 @@ def test_the_start_by_sparse_algebra_is_the_dense_one(scene):
     if scene.sizes.nl:
         at = (jnp.asarray(part) for part in (dense.z.q, dense.z.t, dense.jerk))
         part = np.asarray(jax.jit(lambda *at: constrained_part(scene, *at))(*at))
-        size = np.abs(part).max()
-        assert sparse.constrained_jerk == pytest.approx(part, abs=1e-8 * size)
+        assert sparse.constrained_jerk == pytest.approx(part, abs=1e-8 * np.abs(part).max())
 
 
 def test_the_rates_at_the_start_are_slopes_along_the_motion():
     scene, eps = ControlledBead(), 1e-5
     start = sparse_start(scene, scene.initial_state(), scene.interval[0])
-    z, xdot = start.z, start.xdot
-    steps = np.array([[-eps], [eps]])
+    z, xdot, steps = start.z, start.xdot, np.array([[-eps], [eps]])
     q = z.q + steps * z.v + steps**2 / 2 * z.a
-    rows = (
-        np.asarray(row) for row in (q, z.v + steps * z.a, z.x + steps * xdot, z.t + steps[:, 0])
-    )
+    rows = map(np.asarray, (q, z.v + steps * z.a, z.x + steps * xdot, z.t + steps[:, 0]))
     near, rates = compiled(scene).complete(scene.parameters(), *rows)
     assert start.xddot == pytest.approx(np.diff(rates, axis=0)[0] / (2 * eps), rel=1e-7)
     assert start.jerk == pytest.approx(np.diff(near.a, axis=0)[0] / (2 * eps), rel=1e-7)
-
-
-@pytest.mark.long
-def test_a_program_that_cannot_be_followed_is_refused_or_dense(monkeypatch):
-    scene = FullCar()  # it solves equations in its steering
-    start = consistent_start(scene)
-    with pytest.raises(SpecError, match="linear_solver=dense"):
-        GeneralizedAlpha(linear_solver="sparse").program(scene)
-    monkeypatch.setattr(sparsity, "DENSE_LIMIT", 1)
-    assert not is_sparse(GeneralizedAlpha(), scene)
-    assert consistent_start(scene).z.a == pytest.approx(start.z.a)
 
 
 def test_a_start_with_redundant_constraints_shares_the_force_among_them(monkeypatch):
@@ -176,55 +251,60 @@ def test_a_start_with_redundant_constraints_shares_the_force_among_them(monkeypa
     assert two.a == pytest.approx(one.a)
 
 
-def is_sparse(method, scene):
-    return bool(method.program(scene)[0].patterns)
-
-
-def test_size_and_fill_choose_the_solver():
-    long, short = Chain(links=50), Chain(links=5)
-    assert is_sparse(HHT(), long)
-    for newton in ("full", "modified"):
-        assert is_sparse(GeneralizedAlpha(newton=newton), long)
-        assert is_sparse(GeneralizedAlphaAdaptive(newton=newton), long)
-        assert not is_sparse(GeneralizedAlpha(newton=newton, linear_solver="dense"), long)
-    assert not is_sparse(GeneralizedAlpha(), short)
-    assert not GeneralizedAlpha().program(long, sparse=False)[0].patterns
+# ---- the choice ------------------------------------------------------------------------
+def test_size_and_fill_choose_the_solver(monkeypatch):
+    large, small, full = Chain(links=50), Chain(links=5), SpringMass()
+    for method in (HHT(newton="modified"), GeneralizedAlphaAdaptive(), IDA()):
+        assert is_sparse(method, large)
+        assert not is_sparse(method, small)
+    for cls in (GeneralizedAlpha, IDA):
+        assert not is_sparse(cls(**DENSE), large)
+        assert is_sparse(cls(**SPARSE), small)
+    assert not GeneralizedAlpha().program(large, sparse=False)[0].patterns
     with pytest.raises(SpecError, match="linear_solver=dense"):
-        GeneralizedAlpha(linear_solver="sparse").program(short, sparse=False)
+        GeneralizedAlpha(**SPARSE).program(small, sparse=False)
+    with pytest.raises(SpecError, match="auto, dense, sparse"):
+        Registry().integrator("ida[linear_solver=klu]")
+    monkeypatch.setattr(sparsity, "DENSE_LIMIT", 1)
+    pattern = dae.dae_pattern(full.template(), "index1")
+    assert len(pattern.rows) > 0.1 * pattern.size**2
+    assert not is_sparse(IDA(), full)
 
 
-@pytest.mark.long
-def test_a_thousand_links_keep_their_length_and_energy():
-    scene = Chain(links=1000)
-    run = end(GeneralizedAlpha(rho_inf=0.8), scene, 20, 1e-3)
-    assert np.abs(np.asarray(scene.constraint(jnp.asarray(run.q[-1]), 0.0))).max() < 1e-12
-    energy = [
-        float(scene.energy(jnp.asarray(q), jnp.asarray(v)))
-        for q, v in zip(run.q, run.v, strict=True)
-    ]
-    kinetic = 0.5 * scene.m * (run.v[0] @ run.v[0])
-    assert np.ptp(energy) < 1e-4 * kinetic
-    # The chain begins to turn as one body: each mass on a circle about the pivot.
-    radius = np.hypot(run.q[1, ::2], run.q[1, 1::2])
-    assert radius == pytest.approx(scene.length * np.arange(1, 1001), rel=1e-6)
+#: A scene that solves equations, which is not followed; a chain whose matrix is used.
+Solving = toy(
+    "Solving", base=SpringMass,
+    force=lambda self, q, v, t: jnp.linalg.solve(self.mass(q), SpringMass.force(self, q, v, t)),
+)  # fmt: skip
+Dense = toy("Dense", base=Chain, mass_product=Chain.__mro__[1].mass_product)
 
 
-def test_work_is_counted_as_with_dense_tangents():
-    run = end(GeneralizedAlpha(linear_solver="sparse"), Chain(links=12), 10, 1e-3)
-    work = run.work
-    assert work.steps == 10
-    assert work.newton == work.residuals == work.jacobians == work.factorisations == work.solves
-    assert 10 <= work.newton <= 40
+@pytest.mark.parametrize("scene", [Solving(), *long(FullCar())], ids=str)
+def test_a_program_that_cannot_be_followed_is_refused_or_dense(scene, monkeypatch):
+    for method in (GeneralizedAlpha, IDA):
+        with pytest.raises(SpecError, match="linear_solver=dense"):
+            is_sparse(method(**SPARSE), scene)
+    start = consistent_start(scene)
+    monkeypatch.setattr(sparsity, "DENSE_LIMIT", 1)
+    assert not is_sparse(GeneralizedAlpha(), scene)
+    assert not is_sparse(IDA(), scene)
+    assert consistent_start(scene).z.a == pytest.approx(start.z.a)
 
 
-def test_other_parameters_compile_nothing_new():
-    method = GeneralizedAlpha(linear_solver="sparse")
-    scenes = [Chain(links=12), Chain(links=12, m=0.3, th0=0.2)]
-    kernels = [method.prepare(s, s.interval[0] + 0.01, Steps(1e-3)).kernel for s in scenes]
-    assert kernels[0] is kernels[1]
-    end(method, scenes[0], 10, 1e-3)
-    with nothing_compiled():
-        end(GeneralizedAlpha(linear_solver="sparse", rho_inf=0.5), scenes[1], 10, 1e-3)
+def test_without_the_libraries_sparse_is_refused_and_auto_is_dense_and_told_once(
+    monkeypatch, caplog
+):
+    monkeypatch.setattr(sparsity, "_NEEDED", ("no_such_library",))
+    runtime.slower.cache_clear()
+    for method in (GeneralizedAlpha, IDA):
+        assert not is_sparse(method(), Chain(links=50))
+        with pytest.raises(SpecError, match=r"stepbench\[sparse\]"):
+            is_sparse(method(**SPARSE), Chain(links=5))
+    for links in (4, 60, 70):
+        assert not sparsity.prefers_sparse(Chain(links=links))
+    (told,) = [text for text in caplog.messages if "full matrices" in text]
+    assert told.startswith("Large scenes take full matrices.")
+    assert "pip install 'stepbench[sparse]'" in told
 
 
 def test_no_reference_is_made_of_a_large_scene():
@@ -235,14 +315,7 @@ def test_no_reference_is_made_of_a_large_scene():
     assert not Reference(Chain(links=100), 0.1).missing
 
 
-def test_without_the_libraries_sparse_is_refused_and_auto_is_dense(monkeypatch):
-    monkeypatch.setattr(sparsity, "_NEEDED", ("no_such_library",))
-    scene = Chain(links=50)
-    assert not is_sparse(GeneralizedAlpha(), scene)
-    with pytest.raises(SpecError, match=r"stepbench\[sparse\]"):
-        GeneralizedAlpha(linear_solver="sparse").program(scene)
-
-
+# ---- products of the mass --------------------------------------------------------------
 @pytest.mark.long
 def test_a_product_that_is_not_the_mass_matrix_is_found(refused, tmp_path):
     (tmp_path / "wrong.py").write_text(
@@ -257,26 +330,11 @@ def test_a_product_that_is_not_the_mass_matrix_is_found(refused, tmp_path):
     assert "mass_product differs" in refused("check", tmp_path / "wrong.py")
 
 
-@dataclass(frozen=True)
-class Dense(Chain):
-    """A chain without its product: the matrix is used."""
-
-    mass_product = Chain.__mro__[1].mass_product
-
-
 @pytest.mark.long
 def test_a_scene_without_a_product_takes_its_matrix():
     assert not Dense.has("mass_product")
-    one = end(GeneralizedAlpha(linear_solver="sparse"), Dense(links=4), 5, 1e-3)
-    other = end(GeneralizedAlpha(linear_solver="sparse"), Chain(links=4), 5, 1e-3)
-    assert one.lam == pytest.approx(other.lam, rel=1e-9)
-
-
-def test_who_lacks_the_extra_is_told_so_once(monkeypatch, caplog):
-    monkeypatch.setattr(sparsity, "available", lambda: False)
-    runtime.slower.cache_clear()
-    for links in (4, 60, 70):
-        assert not sparsity.prefers_sparse(Chain(links=links))
-    (told,) = caplog.messages
-    assert told.startswith("Large scenes take full matrices.")
-    assert "pip install 'stepbench[sparse]'" in told
+    for method in (GeneralizedAlpha(**SPARSE), ImplicitFast()):
+        one, other = (
+            ended(method, scene, 0.005, Steps(1e-3)) for scene in (Dense(links=4), Chain(links=4))
+        )
+        assert one.lam == pytest.approx(other.lam, rel=1e-9)

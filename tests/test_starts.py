@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
-from helpers import long
+from helpers import long, toy
 from scipy.special import ellipj
 
 from bench.commands import suite
@@ -14,7 +12,7 @@ from bench.plugins.registry import Registry
 from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators import Steps
-from problems import MechatronicSystem, State, jnp, parameter
+from problems import State, jnp, parameter
 from problems.initial_values import consistent_start, consistent_starts
 from problems.models.mjcf import from_mjcf
 from problems.reference import Reference
@@ -112,29 +110,20 @@ def test_a_start_that_does_not_exist_is_refused_in_a_sentence():
             REGISTRY.problem(spec)
 
 
-@dataclass(frozen=True)
-class Poised(MechatronicSystem):
-    """A pendulum poised near its highest position, beside a state that may drift."""
+def poised(self, q, v, t):
+    return 9.81 * (jnp.sin(q) - jnp.sin(self.held)) + jnp.where(t > 0.5, self.push, 0.0)
 
-    interval = (0.0, 1.0)
-    nominal_step = 0.01
-    q0: float = parameter(0.0, "rad", "angle at the start")
-    v0: float = parameter(0.0, "rad/s", "velocity at the start")
-    held: float = parameter(0.0, "rad", "angle at which a torque bears the weight")
-    push: float = parameter(0.0, "rad/s^2", "acceleration from 0.5 s on")
-    drift: float = parameter(0.0, "1/s", "rate of the state")
 
-    def mass(self, q):
-        return jnp.eye(1)
-
-    def force(self, q, v, t):
-        return 9.81 * (jnp.sin(q) - jnp.sin(self.held)) + jnp.where(t > 0.5, self.push, 0.0)
-
-    def state_rate(self, z):
-        return self.drift * jnp.ones(1)
-
-    def initial_state(self):
-        return State(np.array([self.q0]), np.array([self.v0]), np.zeros(1))
+#: A pendulum poised near its highest position, beside a state that may drift.
+Poised = toy(
+    "Poised", force=poised, state_rate=lambda self, z: self.drift * jnp.ones(1),
+    initial_state=lambda self: State(np.array([self.q0]), np.array([self.v0]), np.zeros(1)),
+    q0=parameter(0.0, "rad", "angle at the start"),
+    v0=parameter(0.0, "rad/s", "velocity at the start"),
+    held=parameter(0.0, "rad", "angle at which a torque bears the weight"),
+    push=parameter(0.0, "rad/s^2", "acceleration from 0.5 s on"),
+    drift=parameter(0.0, "1/s", "rate of the state"),
+)  # fmt: skip
 
 
 def test_a_scene_rests_where_roundings_alone_move_it():

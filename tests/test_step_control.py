@@ -8,10 +8,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from helpers import toy
 
 from integrators import ErrorControl, Errors, Reading, StepMethod, Tolerances, option
 from integrators.native.adaptive_steps import Span, StepControl
-from problems import MechatronicSystem, State, jax, jnp
+from problems import jax, jnp
 
 WIDE = 0.0, 5.0
 #: Error at which the controller keeps the step of a method of order two: 0.9 E^(-0.3/3) = 1.
@@ -43,21 +44,16 @@ def test_an_accepted_step_changes_by_its_error_and_the_one_before():
     assert ratio(0.5, 0.1) < ratio(0.5, 0.5)  # errors that grow hold the step back
 
 
-def test_limits_hold_for_accepted_steps():
+def test_limits_hold_and_steps_settle_where_the_error_stays():
     assert ratio(1e-12, limits=(0.8, 1.2)) == 1.2
     assert ratio(1.0, 1e-12, limits=(0.8, 1.2)) == 0.8
     assert ratio(1.0, 1e-40) == pytest.approx(0.1)
-
-
-def test_a_rejected_step_shrinks_by_its_own_error_alone():
+    # A rejected step shrinks by its own error alone.
     for before, limits in ((1.0, WIDE), (1e-4, (0.8, 1.2))):
         assert ratio(8.0, before, limits=limits) == pytest.approx(0.45)
         assert ratio(1.0 + 1e-9, before, limits=limits) == pytest.approx(0.9)
         assert ratio(1e9, before, limits=limits) == pytest.approx(0.1)
     assert ratio(0.5, solved=False) == ratio(1e9, solved=False) == 0.25
-
-
-def test_steps_settle_where_the_error_stays():
     h, before = 1e-3, 1.0
     for _ in range(80):
         error = (h / 0.1) ** 3
@@ -99,9 +95,8 @@ def test_the_sum_of_errors_follows_the_tolerance():
         assert counts[1] / counts[0] == pytest.approx(100 ** (1 / order), rel=0.3)
 
 
-# ---- the size of an error ----------------------------------------------------------------
-def test_errors_of_states_are_relative_to_the_larger_end_of_the_step():
-    # Of order two, they may be tolerance times the root of rtol.
+def test_errors_are_relative_to_the_larger_end_of_the_step():
+    # Of states and order two, they may be tolerance times the root of rtol.
     for old, new in (([3.0, 4.0], [0.0, 1.0]), ([0.0, 1.0], [3.0, 4.0])):
         found = relative({"q": [3e-6, 4e-6]}, {"q": old}, {"q": new})
         assert found == pytest.approx(5e-6 / (1e-6 + 5e-4) / 1e-2)
@@ -120,37 +115,23 @@ def first_step(rtol=1e-6, t_end=1.0, tested="qvx", first=2, **values):
 
 
 def test_the_first_step_makes_the_next_term_of_the_series_the_tolerance():
-    assert first_step(q=0.99, v=1e9, jerk=12.0) == pytest.approx(1e-3)  # rtol^(1.5/3)
-    assert first_step(q=1e9, v=0.99, jerk=1.0) == pytest.approx(10**-4.5)  # rtol^(1.5/2)
-    assert first_step(x=0.99, xddot=4.0, tested="x") == pytest.approx(10**-4.5 / 2)
-    assert first_step(q=0.99, v=0.99, jerk=12.0, tested="q") == pytest.approx(1e-3)
-    assert first_step(q=0.99, v=1e9, jerk=12.0, first=5, t_end=9.0) == pytest.approx(
-        10**-1.5
-    )  # rtol^(1.5/6)
-    assert first_step(a=100.0, q=1e9, jerk=1.0) == pytest.approx(10**-4.5 * np.sqrt(1.01))
-
-
-def test_the_first_step_is_at_most_a_hundredth_of_the_interval():
-    assert first_step(q=1.0) == first_step() == pytest.approx(0.01)
-    assert first_step(t_end=5.0) == pytest.approx(0.05)
+    for size, options in [
+        (1e-3, {"q": 0.99, "v": 1e9, "jerk": 12.0}),  # rtol^(1.5/3)
+        (10**-4.5, {"q": 1e9, "v": 0.99, "jerk": 1.0}),  # rtol^(1.5/2)
+        (10**-4.5 / 2, {"x": 0.99, "xddot": 4.0, "tested": "x"}),
+        (1e-3, {"q": 0.99, "v": 0.99, "jerk": 12.0, "tested": "q"}),
+        (10**-1.5, {"q": 0.99, "v": 1e9, "jerk": 12.0, "first": 5, "t_end": 9.0}),  # rtol^(1.5/6)
+        (10**-4.5 * np.sqrt(1.01), {"a": 100.0, "q": 1e9, "jerk": 1.0}),
+        # At most a hundredth of the interval.
+        *((0.01, of) for of in ({"q": 1.0}, {})),
+        (0.05, {"t_end": 5.0}),
+    ]:
+        assert first_step(**options) == pytest.approx(size)
 
 
 # ---- the time loop -----------------------------------------------------------------------
-class Resting(MechatronicSystem):
-    """A mass at q = 1 that nothing moves."""
-
-    interval = (0.0, 1.0)
-
-    def mass(self, q):
-        return jnp.eye(1)
-
-    def force(self, q, v, t):
-        return 0.0 * q
-
-    def initial_state(self):
-        return State(q=np.ones(1), v=np.zeros(1))
-
-
+#: A mass at q = 1 that nothing moves.
+Resting = toy("Resting", force=lambda self, q, v, t: 0.0 * q)
 RTOL = 1e-4
 
 
@@ -206,15 +187,10 @@ def test_rejected_steps_are_counted_and_change_nothing():
     assert (np.diff(run.t) > 0).all()
 
 
-def test_steps_that_give_no_numbers_are_quartered_down_to_the_rounding_of_time():
-    run, _ = run_of(end=0.4)
-    assert run.status == "diverged"
-    assert run.t[-1] == pytest.approx(0.4, abs=1e-14)
+def test_steps_that_give_no_numbers_or_are_always_too_large_end_with_a_status():
+    run, _ = run_of(end=0.4)  # quartered down to the rounding of time
+    assert (run.status, run.t[-1]) == ("diverged", pytest.approx(0.4, abs=1e-14))
     assert 20 < run.work.rejected < 40
     assert np.isfinite(run.q).all()
-
-
-def test_steps_that_are_always_too_large_end_with_a_status():
     run, _ = run_of(late=1e-20)
-    assert run.status == "step_too_small"
-    assert run.t[-1] == pytest.approx(0.5, abs=1e-13)
+    assert (run.status, run.t[-1]) == ("step_too_small", pytest.approx(0.5, abs=1e-13))

@@ -1,54 +1,39 @@
-"""IDA and CVODE with equations in C: the runs of scikit-sundae, and the way back to Python."""
+"""IDA and CVODE in C: the runs of scikit-sundae, forces that go wrong, and every way to end."""
 
-from __future__ import annotations
-
-import ctypes
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import odd_forces
 import pytest
+from helpers import long
 from probe import Probe, worst
 
+from bench.running.inventory import Inventory
+from bench.running.plan import Cell
+from bench.running.session import solve_cells
 from integrators import Tolerances
-from integrators.adapters import packed_functions, sundials, sundials_native
+from integrators.adapters import sundials_native
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
-from integrators.lowering import native, operators
-from problems import jnp
-from problems.runtime import slower
+from integrators.adapters.sundials import library
+from problems import MechatronicSystem, jnp
 from problems.scenes.chain import Chain
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
 from problems.spec import SpecError
 
 every_method = pytest.mark.parametrize("method", [IDA, CVODE])
+CALLBACKS = "compiled", "python"
 GROUPS = ("t", "q", "v", "a", "lam")
 
 
-@pytest.fixture
-def forgotten(caplog):
-    """Compiled equations and sentences are made anew, and forgotten after the test."""
-
-    def forget():
-        for kept in (packed_functions.in_c, sundials.library, native.load_c, slower):
-            kept.cache_clear()
-
-    forget()
-    yield caplog
-    forget()
-
-
-def prepared(method, scene, length, rtol=1e-6, /, **options):
-    return method(**options).prepare(scene, scene.interval[0] + length, Tolerances(rtol))
+def prepared(method, scene, length=0.0, rtol=1e-6, /, **options):
+    end = scene.interval[0] + length if length else scene.interval[1]
+    return method(**options).prepare(scene, end, Tolerances(rtol))
 
 
 # ---- the same runs ---------------------------------------------------------------------
-def through_python(run):
-    """Let a prepared run call its equations in C through Python, one by one."""
-    run.why = "to compare"
-    return run
-
-
 def test_the_same_equations_give_the_run_of_scikit_sundae_to_the_bit():
     for method, scene, options in [
         (IDA, Pendulum(), {"formulation": "index1", "max_order": 3}),
@@ -62,15 +47,24 @@ def test_the_same_equations_give_the_run_of_scikit_sundae_to_the_bit():
         run = prepared(method, scene, 1.0 if method is CVODE else 0.1, **options)
         assert not run.why
         own = run.measure()
-        other = through_python(run).measure()
+        run.why = "to compare"  # it calls its equations in C through Python, one by one
+        other = run.measure()
         assert own.status == other.status == "ok"
         assert own.work.steps > 20
-        for name in ("steps", "residuals", "jacobians"):
+        # CVODE's factorisations are not told by scikit-sundae.
+        told = "steps", "residuals", "jacobians", *(["factorisations"] if method is IDA else [])
+        for name in told:
             assert getattr(own.work, name) == getattr(other.work, name), name
-        if method is IDA:  # CVODE's factorisations are not told by scikit-sundae
-            assert own.work.factorisations == other.work.factorisations
         for name in GROUPS:
             assert getattr(own, name).tobytes() == getattr(other, name).tobytes(), name
+
+
+def test_runs_through_c_and_through_python_have_like_errors_and_work():
+    runs = [prepared(IDA, Pendulum(), 1.0, callbacks=kind).measure() for kind in CALLBACKS]
+    errors = [worst(run, Pendulum(), "q") for run in runs]
+    assert max(errors) < 2e-4
+    assert errors[0] == pytest.approx(errors[1], rel=0.1)
+    assert runs[0].work.residuals == pytest.approx(runs[1].work.residuals, rel=0.1)
 
 
 @every_method
@@ -84,115 +78,16 @@ def test_a_call_that_is_interrupted_for_signals_goes_on_where_it_was(method, mon
 
 
 @every_method
-def test_other_parameters_compile_nothing_new(method):
-    prepared(method, Pendulum(), 0.1)
-    before = packed_functions.in_c.cache_info().misses
-    run = prepared(method, replace(Pendulum(), length=2.0), 0.1).measure()
-    assert packed_functions.in_c.cache_info().misses == before
-    assert np.linalg.norm(run.q, axis=1) == pytest.approx(2.0, abs=1e-5)
-
-
-# ---- ways to end -----------------------------------------------------------------------
-@every_method
-def test_a_flag_of_a_call_that_fails_ends_the_run(method, monkeypatch):
-    run = prepared(method, Pendulum(), 0.2)
-    solver = sundials_native.NativeIDA if method is IDA else sundials_native.NativeCVODE
-    monkeypatch.setattr(solver, "_go_on", lambda self, task: -99)
-    ended = run.measure()
-    assert ended.status == "crashed"
-    assert (
-        f"{method.__name__} gave up, and SUNDIALS does not tell why; use another" in ended.message
-    )
-    assert "99" not in ended.message
-
-
-@every_method
-def test_an_interval_of_one_rounding_is_refused_by_a_sentence(method):
-    for callbacks in ["compiled", "python"]:
-        start, _ = Pendulum().interval
-        ended = prepared(method, Pendulum(), np.spacing(start), callbacks=callbacks).measure()
-        assert ended.status == "step_too_small"
-        assert "the rest of the interval is as short as the rounding of the time" in ended.message
-        assert ended.message.endswith("or events and samples farther apart.")
-
-
-@every_method
-def test_a_jacobian_that_is_not_finite_ends_the_run(method):
-    for callbacks in ["compiled", "python"]:
-
-        @dataclass(frozen=True)
-        class Kinked(Probe):
-            """Its force has no derivative after t = 0.5 s, where it is finite."""
-
-            def force(self, q, v, t):
-                return -self.k * q - jnp.sqrt(jnp.where(t > 0.5, 0.0, 1.0) * q**2)
-
-        ended = prepared(method, Kinked(), 2.0, callbacks=callbacks).measure()
-        assert ended.status == "diverged"
-        assert 0.4 < ended.t[-1] < 0.7
-
-
-# ---- the way back to Python ------------------------------------------------------------
-def falls_back(method, forgotten, reason, scene=None):
-    run = prepared(method, scene or Pendulum(), 0.2)
-    assert reason in run.why
-    (sentence,) = [text for text in forgotten.messages if "through Python" in text]
-    assert sentence.startswith(f"{method.__name__} calls")
-    assert reason in sentence
-    assert run.measure().status == "ok"
-
-
-@every_method
-def test_without_a_compiler_equations_are_called_through_python(method, forgotten, monkeypatch):
-    monkeypatch.setattr(native, "_COMPILER", "no-such-compiler")
-    falls_back(method, forgotten, "there is no C compiler named no-such-compiler")
-
-
-@every_method
-def test_an_unknown_release_is_left_alone(method, forgotten, monkeypatch):
-    monkeypatch.setattr(sundials, "_MAJOR", 6)
-    falls_back(method, forgotten, "is not the release 6 that is known")
-
-
-@every_method
-def test_a_missing_function_leads_to_python(method, forgotten, monkeypatch):
-    monkeypatch.setitem(sundials._SIGNATURES, "CVodeGone", (ctypes.c_int,))
-    falls_back(method, forgotten, "has no function CVodeGone")
-
-
-@every_method
-def test_a_jax_with_other_programs_leads_to_python(method, forgotten, monkeypatch):
-    monkeypatch.setattr("integrators.programs._type", None)
-    falls_back(method, forgotten, "programs of this JAX are not as known")
-
-
-@every_method
-def test_an_operation_without_a_form_in_c_leads_to_python(method, forgotten):
-    @dataclass(frozen=True)
-    class Sorted(Probe):
-        """Its force needs an order of numbers."""
-
-        def force(self, q, v, t):
-            return super().force(jnp.sort(jnp.stack([q[0], 9.0]))[:1], v, t)
-
-    falls_back(method, forgotten, "it has the operation 'sort'", Sorted())
-
-
-@every_method
-def test_functions_that_differ_from_those_of_jax_are_not_used(method, forgotten, monkeypatch):
-    flipped = operators.OPERATORS["add"]._replace(c="{} - {}")
-    monkeypatch.setitem(operators.OPERATORS, "add", flipped)
-    falls_back(method, forgotten, "in C are not those of JAX")
-
-
-def test_runs_through_c_and_through_python_have_like_errors_and_work():
-    runs = [
-        prepared(IDA, Pendulum(), 1.0, callbacks=kind).measure() for kind in ("compiled", "python")
-    ]
-    errors = [worst(run, Pendulum(), "q") for run in runs]
-    assert max(errors) < 2e-4
-    assert errors[0] == pytest.approx(errors[1], rel=0.1)
-    assert runs[0].work.residuals == pytest.approx(runs[1].work.residuals, rel=0.1)
+def test_loops_of_a_scene_run_in_c_with_the_work_of_python(method):
+    for force in (odd_forces.EndlessForce, odd_forces.LongForce):  # they may hang
+        run = prepared(method, force(breaks_at=9.0))
+        assert (run.why, run.measure().status) == ("", "ok")
+    scene = odd_forces.CeasingSearch(breaks_at=9.0)
+    ours, other = (prepared(method, scene, callbacks=kind).measure() for kind in CALLBACKS)
+    assert ours.status == other.status == "ok"
+    assert ours.q[:, 0] == pytest.approx(np.cos(2 * ours.t), abs=2e-4)
+    for name in ("steps", "residuals", "jacobians"):
+        assert getattr(ours.work, name) == getattr(other.work, name) > 0
 
 
 def test_idas_own_switch_spares_steps():
@@ -203,13 +98,150 @@ def test_idas_own_switch_spares_steps():
     assert suppressed.status == plain.status == "ok"
     assert suppressed.work.steps < 0.8 * plain.work.steps
     assert worst(suppressed, Pendulum(), "q") < 1e-5
-    tested = prepared(IDA, Pendulum(), 1.0, 1e-7, multipliers_in_error_test=True, max_calls=5000)
-    assert tested.measure().status != "ok"
     with pytest.raises(SpecError, match="suppress_algebraic needs"):
         prepared(IDA, Pendulum(), 1.0, suppress_algebraic=True, callbacks="python")
+
+
+# ---- ways to end -----------------------------------------------------------------------
+@every_method
+def test_a_flag_of_a_call_that_fails_ends_the_run(method, monkeypatch):
+    run = prepared(method, Pendulum(), 0.2)
+    solver = sundials_native.NativeIDA if method is IDA else sundials_native.NativeCVODE
+    monkeypatch.setattr(solver, "_go_on", lambda self, task: -99)
+    ended, words = run.measure(), "gave up, and SUNDIALS does not tell why; use another"
+    assert ended.status == "crashed"
+    assert f"{method.__name__} {words}" in ended.message
+    assert "99" not in ended.message
+
+
+@dataclass(frozen=True)
+class Kinked(Probe):
+    """Its force has no derivative after t = 0.5 s, where it is finite."""
+
+    def force(self, q, v, t):
+        return -self.k * q - jnp.sqrt(jnp.where(t > 0.5, 0.0, 1.0) * q**2)
+
+
+@every_method
+@pytest.mark.parametrize("callbacks", CALLBACKS)
+def test_what_cannot_go_on_ends_the_run_and_keeps_what_was_before(method, callbacks):
+    ended = prepared(method, Pendulum(), np.spacing(0.35), callbacks=callbacks).measure()
+    assert ended.status == "step_too_small"
+    assert "the rest of the interval is as short as the rounding of the time" in ended.message
+    assert ended.message.endswith("or events and samples farther apart.")
+    ended = prepared(method, Kinked(), 2.0, callbacks=callbacks).measure()
+    assert ended.status == "diverged"
+    assert 0.4 < ended.t[-1] < 0.7
+    for force in (odd_forces.CeasingForce, odd_forces.CeasingSearch):
+        whole = prepared(method, force(breaks_at=9.0), callbacks=callbacks).measure()
+        run = prepared(method, force(), callbacks=callbacks)
+        assert bool(run.why) == (callbacks == "python")
+        ended = run.measure()
+        assert ended.status == "diverged"
+        assert ended.message.startswith(f"Ended at t={ended.t[-1]:.6g} s of 1 s: ")
+        rows = len(ended.t)
+        assert ended.work.steps == rows - 1 > 20
+        assert 0.45 < ended.t[-1] <= 0.5 < whole.t[rows + 1]
+        assert ended.q.tobytes() == whole.q[:rows].tobytes()
+        assert run.execute() is None
 
 
 def test_a_sparse_run_that_ends_before_its_first_factorisation_ends_as_any_other():
     pytest.importorskip("klujax")
     run = prepared(IDA, Chain(links=5), 0.1, linear_solver="sparse", max_calls=1).measure()
     assert run.status == "budget_exceeded"
+
+
+@dataclass(frozen=True)
+class FilteredPendulum(Pendulum):
+    """The vertical acceleration of a pendulum goes through a filter of about 1 kHz."""
+
+    energy = MechatronicSystem.energy
+
+    def state_rate(self, z):
+        return 6000.0 * (z.a[1:] - z.x)
+
+    def initial_state(self):
+        return super().initial_state()._replace(x=np.zeros(1))
+
+
+@pytest.mark.parametrize("callbacks", ["python", *long("compiled")])
+def test_a_collapsed_step_is_told_with_its_cause_and_remedy(callbacks):
+    scene, options = FilteredPendulum(), {"max_calls": 5000, "callbacks": callbacks}
+    run = prepared(IDA, scene, **options).measure()
+    assert run.status == "budget_exceeded"
+    assert f"the step has collapsed to {run.t[-1] - run.t[-2]:.2g} s" in run.message
+    assert run.t[-1] - run.t[-2] < 1e-4
+    assert "x follows accelerations" in run.message
+    assert "max_calls" not in run.message
+    assert "use formulation=index1" in run.message
+    assert prepared(IDA, scene, formulation="index1", **options).measure().status == "ok"
+    few = prepared(IDA, Pendulum(), max_calls=100, callbacks=callbacks).measure()
+    assert few.message.endswith("100 calls were used up; raise max_calls or use a larger rtol.")
+
+
+FATES = {
+    "ceasing_search": ("diverged", "a value that is not finite"),
+    "endless_force": ("budget_exceeded", "while running because it took more than 2 s"),
+    "long_force": ("budget_exceeded", "while running because it took more than 2 s"),
+    "raising_force": ("crashed", "ValueError: no force is known here (odd_forces.py, line"),
+}
+
+
+@pytest.mark.parametrize("method", long("ida", "cvode"))
+@pytest.mark.parametrize("callbacks", CALLBACKS)
+def test_a_worker_is_ended_with_the_status_that_python_would_give(method, callbacks):
+    names = (*FATES, "ceasing_force", "ceasing_force[breaks_at=9]")
+    integrator = f"{method}[callbacks={callbacks}]"
+    cells = [Cell(name, integrator, 1.0, Tolerances(1e-6)) for name in names]
+    results = solve_cells(cells, Inventory([Path(odd_forces.__file__)]), budget_s=2.0)
+    records = {record.problem: record for record, _ in results}
+    for name, (status, words) in FATES.items():
+        assert (records[name].status, name) == (status, name)
+        assert words in records[name].message
+        assert "\n" not in records[name].message
+    for name in ("ceasing_search", "ceasing_force"):
+        assert records[name].rows == records[name].work["steps"] > 20
+    # The cells after those that hang, in a new process, are not disturbed.
+    good = results[-1].record
+    assert (good.status, len(good.run_s)) == ("ok", 1)
+
+
+@every_method
+def test_a_solver_that_cannot_be_made_leaves_no_memory(method):
+    run, it, alive = prepared(method, Probe()), library(), []
+    prefix = "IDA" if method is IDA else "CVode"
+
+    def count(at, made, freed):
+        new, free = getattr(it, made), getattr(it, freed)
+
+        def freeing(block):
+            if getattr(block, "_obj", block):  # the object of a reference
+                alive.remove(made)
+            return free(block)
+
+        at.setattr(it, made, lambda *given: (alive.append(made), new(*given))[1])
+        at.setattr(it, freed, freeing)
+
+    for name, result, sentence in [
+        ("SUNContext_ClearErrHandlers", -9999, "SUNContext_ClearErrHandlers of SUNDIALS failed"),
+        *((name, None, f"{name} of SUNDIALS made nothing")
+          for name in ("N_VNew_Serial", "SUNDenseMatrix", "SUNLinSol_Dense", f"{prefix}Create")),
+        (f"{prefix}SetStopTime", -22, "SetStopTime of SUNDIALS failed"),
+        *([("IDASetSuppressAlg", -22, "IDASetSuppressAlg of SUNDIALS failed")]
+          if method is IDA else []),
+    ]:  # fmt: skip
+        with pytest.MonkeyPatch.context() as at:
+            count(at, "N_VNew_Serial", "N_VDestroy")
+            count(at, "SUNDenseMatrix", "SUNMatDestroy")
+            count(at, "SUNLinSol_Dense", "SUNLinSolFree")
+            count(at, "SUNContext_Create", "SUNContext_Free")
+            count(at, f"{prefix}Create", f"{prefix}Free")
+            run.execute()
+            assert not alive
+            at.setattr(it, name, lambda *given, of=result: of)
+            ended = run.measure()
+            assert (ended.status, len(ended.t), ended.work.steps) == ("crashed", 1, 0)
+            assert sentence in ended.message
+            assert not alive
+            assert run.execute() is None

@@ -1,19 +1,19 @@
-"""Measurements that prove a method: errors of a pendulum's swing, spectra of its step."""
+"""Measurements that prove a method: errors of a pendulum's swing, spectra of its step; scenes."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from helpers import errors_at
+from helpers import errors_at, toy
 
 from bench.stability.matrices import matrices
 from bench.stability.systems import LinearSystem, Oscillator
 from integrators import Integrator
-from problems import MechatronicSystem, State, jax, jnp
+from problems import MechatronicSystem, jax, jnp, lagrange
+from problems.formulations import with_rates
 from problems.initial_values import consistent_start
 from problems.scenes.double_pendulum import DoublePendulum
 from problems.scenes.pendulum import Pendulum
@@ -25,43 +25,78 @@ TWO_RODS = DoublePendulum(), 1.0
 OMEGA_H = (0.1, 1.0, 10.0, 100.0)
 
 
-@dataclass(frozen=True)
-class Coupled(MechatronicSystem):
-    """Two masses on springs, one ahead of the other by sin(t), and a controller; all is linear."""
-
-    interval = (0.0, 1.0)
-    nominal_step = 0.1
-
-    def mass(self, q: Any) -> Any:
-        return jnp.diag(jnp.array([1.0, 2.0]))
-
-    def force(self, q: Any, v: Any, t: Any) -> Any:
-        return -jnp.array([3.0, 5.0]) * q - jnp.array([0.3, 0.1]) * v
-
-    def constraint(self, q: Any, t: Any) -> Any:
-        return jnp.stack([q[0] - 2 * q[1] - jnp.sin(t)])
-
-    def state_rate(self, z: Any) -> Any:
-        return jnp.stack([z.q[1] - 0.3 * z.v[0] + 0.1 * z.a[1] + 0.2 * z.lam[0] - 2 * z.x[0]])
-
-    def output(self, z: Any) -> Any:
-        return jnp.stack([z.x[0] - z.v[1] + 0.2 * z.a[0]])
-
-    def actuation(self) -> Any:
-        return jnp.array([[0.0], [1.0]])
-
-    def initial_state(self) -> State:
-        return State(q=np.zeros(2), v=np.array([1.0, 0.0]), x=np.array([0.4]))
+# ---- scenes ------------------------------------------------------------------------------
+def _follows(self: Any, z: Any) -> Any:
+    return jnp.stack([z.q[1] - 0.3 * z.v[0] + 0.1 * z.a[1] + 0.2 * z.lam[0] - 2 * z.x[0]])
 
 
-@dataclass(frozen=True)
-class Bent(Coupled):
-    """The same on a bent constraint."""
-
-    def constraint(self, q: Any, t: Any) -> Any:
-        return jnp.stack([jnp.sin(q[0]) - 2 * q[1] + q[1] ** 2 - jnp.sin(t)])
+def _bent(self: Any, q: Any, t: Any) -> Any:
+    return jnp.stack([jnp.sin(q[0]) - 2 * q[1] + q[1] ** 2 - jnp.sin(t)])
 
 
+#: Two masses on springs, one ahead of the other by sin(t), and a controller; all is linear, or on a
+#: bent constraint.
+Coupled = toy(
+    "Coupled", q=[0.0, 0.0], v=[1.0, 0.0], x=[0.4], nominal_step=0.1, state_rate=_follows,
+    mass=lambda self, q: jnp.diag(jnp.array([1.0, 2.0])),
+    force=lambda self, q, v, t: -jnp.array([3.0, 5.0]) * q - jnp.array([0.3, 0.1]) * v,
+    constraint=lambda self, q, t: jnp.stack([q[0] - 2 * q[1] - jnp.sin(t)]),
+    output=lambda self, z: jnp.stack([z.x[0] - z.v[1] + 0.2 * z.a[0]]),
+    actuation=lambda self: jnp.array([[0.0], [1.0]]),
+)  # fmt: skip
+Bent = toy("Bent", base=Coupled, constraint=_bent)
+TwoRods = toy(
+    "TwoRods", base=DoublePendulum,
+    energy=lambda self, q, v: 0.5 * (v @ self.mass(q) @ v) + 9.81 * (q[1] + 0.5 * q[3]),
+)  # fmt: skip
+ConservingOscillator = toy(
+    "ConservingOscillator", base=Oscillator, energy=lambda self, q, v: 0.5 * (v @ v + q @ q)
+)
+#: Its output is the multiplier, which nothing sees.
+Weighed = toy(
+    "Weighed", base=Pendulum, output=lambda self, z: z.lam,
+    actuation=lambda self: np.zeros((2, 1)),
+    exact=lambda self, t: (of := Pendulum.exact(self, t)) | {"y": of["lam"]},
+)  # fmt: skip
+
+
+def _proportional_to_nothing(self: Any, q: Any, v: Any, t: Any) -> Any:
+    stiffness = jnp.array([[50.0, -20.0], [-20.0, 30.0]])
+    return jnp.array([t, 0.2]) - stiffness @ q - jnp.array([[0.5, -0.3], [-0.3, 0.4]]) @ v
+
+
+def _between(self: Any, q: Any, v: Any, t: Any) -> Any:
+    between = 3.0 * (v[0] - v[1]) ** 3
+    return jnp.array([-10.0, -40.0]) * q + jnp.stack([-between, between])
+
+
+#: Two masses, springs, and dampers that are not proportional to each other; or one between the
+#: masses, which the same velocity of both does not move.
+DampedPair, CubicDamper = (
+    toy(name, q=q, v=v, force=force, interval=(0.0, 2.0), nominal_step=0.02,
+        mass=lambda self, q: jnp.diag(jnp.array([1.0, 3.0])))
+    for name, q, v, force in (("DampedPair", [0.1, -0.2], [0.5, 0.0], _proportional_to_nothing),
+                              ("CubicDamper", [1.5, 0.3], [1.0, -2.0], _between))
+)  # fmt: skip
+
+
+def _kinetic(q: Any, v: Any) -> Any:
+    return v[0] ** 2 + v[1] ** 2 / 2 + v[0] * v[1] * jnp.cos(q[0] - q[1])
+
+
+def _height(q: Any) -> Any:
+    return -9.81 * (2 * jnp.cos(q[0]) + jnp.cos(q[1]))
+
+
+#: A double pendulum in absolute angles: M depends on their difference alone.
+AbsoluteAngles = toy(
+    "AbsoluteAngles", q=[1.5, 0.3], v=[1.0, -2.0], interval=(0.0, 0.2),
+    mass=lambda self, q: lagrange.mass(_kinetic, q),
+    force=lambda self, q, v, t: lagrange.force(_kinetic, _height, q, v),
+)  # fmt: skip
+
+
+# ---- orders ------------------------------------------------------------------------------
 class Orders(NamedTuple):
     """Errors of a group with the finer steps, and orders between two steps."""
 
@@ -74,11 +109,13 @@ class Orders(NamedTuple):
 
 
 def orders(
-    method: Integrator, steps: int, on: tuple[MechatronicSystem, float] = SWING
+    method: Integrator,
+    steps: int,
+    on: tuple[MechatronicSystem, float] = SWING,
+    pattern: tuple[float, ...] = (1.0,),
 ) -> dict[str, Orders]:
-    """Measure errors with ``steps / 2`` and ``steps`` equal steps on one second."""
-    scene, t_end = on
-    coarse, fine = (errors_at(method, scene, t_end, 1 / n) for n in (steps // 2, steps))
+    """Measure errors with ``steps / 2`` and ``steps`` equal steps (or patterns) on one second."""
+    coarse, fine = (errors_at(method, *on, 1 / n, pattern) for n in (steps // 2, steps))
 
     def of(group: str) -> Orders:
         (end, most), (end_before, most_before) = (
@@ -89,25 +126,22 @@ def orders(
     return {group: of(group) for group in fine}
 
 
-def _oscillator_roots(method: Integrator, omega_h: float) -> np.ndarray:
-    return np.linalg.eigvals(matrices(method, Oscillator(), [omega_h]).a[0])
+# ---- spectra -----------------------------------------------------------------------------
+def roots(method: Integrator, omega_h: Any, on: LinearSystem | None = None) -> list[np.ndarray]:
+    """Eigenvalues of the step on a linear system, the undamped oscillator by default."""
+    return [np.linalg.eigvals(a) for a in matrices(method, on or Oscillator(), omega_h).a]
 
 
-def radii(method: Integrator) -> list[float]:
-    """Spectral radii of the step on the undamped oscillator at `OMEGA_H`."""
-    return radii_on(method, Oscillator())
-
-
-def radii_on(method: Integrator, system: LinearSystem) -> list[float]:
-    """Spectral radii of the step on a linear system at `OMEGA_H`."""
-    return [float(np.abs(np.linalg.eigvals(a)).max()) for a in matrices(method, system, OMEGA_H).a]
+def radii(method: Integrator, at: Any = OMEGA_H, on: LinearSystem | None = None) -> list[float]:
+    """Spectral radii of the step on a linear system."""
+    return [float(np.abs(of).max()) for of in roots(method, at, on)]
 
 
 def damping_and_period(method: Integrator) -> tuple[float, float]:
     """Damping ratio and relative period error of the oscillator at omega h = 0.2 pi."""
     omega_h = 0.2 * math.pi
-    roots = _oscillator_roots(method, omega_h)
-    pair = roots[roots.imag > 1e-7]
+    (of,) = roots(method, [omega_h])
+    pair = of[of.imag > 1e-7]
     principal = pair[np.argmin(abs(pair - np.exp(1j * omega_h)))]
     phase = float(np.angle(principal))
     return -math.log(abs(principal)) / phase, omega_h / phase - 1
@@ -118,14 +152,11 @@ def step_of(method: Integrator, scene: MechatronicSystem, h: float) -> Callable:
 
     It begins with the other values that the equations give at q and v.
     """
-    native = method.step_method(scene)
-    program, numbers = native.program(scene, sparse=False)
-    start = jax.tree.map(jax.numpy.asarray, consistent_start(scene))
+    program, numbers = method.step_method(scene).program(scene, sparse=False)
+    start = jax.tree.map(jnp.asarray, consistent_start(scene))
 
     @jax.jit
     def step(q: object, v: object) -> tuple:
-        from problems.formulations import with_rates
-
         again = with_rates(scene, q, v, start.z.x, start.z.t)
         state = program.begin(scene, numbers, again, h)
         after, _ = program.step(scene, numbers, state, start.z.t + h, h)

@@ -1,14 +1,26 @@
-"""Variables on which blocks of a scene depend, and options that decide nothing beside others."""
-
-from __future__ import annotations
-
-from dataclasses import dataclass
+"""Facts of scenes and methods: dependence of blocks, work in a step, options, refusals."""
 
 import numpy as np
 import pytest
+from helpers import long, toy
+from proofs import SWING, TWO_RODS
 
+from bench.check.counts import audited
+from bench.check.trials import ForcedOscillator
 from bench.plugins.registry import Registry
-from problems import MechatronicSystem, State, jax, jnp
+from integrators import Steps
+from integrators.methods.early_structural import WilsonTheta
+from integrators.methods.explicit_structural import ExplicitGeneralizedAlpha, NohBathe
+from integrators.methods.half_explicit import PHEM56, HalfExplicitEuler
+from integrators.methods.kr_alpha import CR, KRAlpha
+from integrators.methods.rodas5p import Rodas5P
+from integrators.methods.simulator_steppers import (
+    ImplicitFast,
+    LinearlyImplicitEuler,
+    SemiImplicitEuler,
+)
+from integrators.methods.stormer_verlet import StormerVerlet
+from problems import jax, jnp
 from problems.block_structure import (
     damping_varies,
     force_takes_velocities,
@@ -16,84 +28,47 @@ from problems.block_structure import (
     output_takes,
     states_follow_accelerations,
 )
+from problems.scenes.pendulum import Pendulum
+from problems.scenes.spring_mass import SpringMass
 from problems.spec import SpecError
 
-
-@dataclass(frozen=True)
-class Blocks(MechatronicSystem):
-    """Two masses on springs with dampers, and an output of the positions."""
-
-    def mass(self, q: jax.Array) -> jax.Array:
-        return jnp.diag(jnp.where(jnp.array([True, False]), 2.0, jnp.cos(0.0 * jnp.ones(2))))
-
-    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        return jnp.sin(t) - jax.jit(lambda q, v: q**3 + jnp.array([1.0, 2.0]) * v)(q, v)
-
-    def output(self, z) -> jax.Array:
-        return z.q[:1] + z.x
-
-    def state_rate(self, z) -> jax.Array:
-        return z.a[:1]
-
-    def actuation(self) -> np.ndarray:
-        return np.ones((2, 1))
-
-    def initial_state(self) -> State:
-        return State(q=np.ones(2), v=np.zeros(2), x=np.zeros(1))
+REGISTRY = Registry()
 
 
-class Coupled(Blocks):
-    """All depends on differences, which no common shift of the variables changes."""
-
-    def mass(self, q: jax.Array) -> jax.Array:
-        return jnp.eye(2) * (2 + jnp.cos(q[0] - q[1]))
-
-    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        return (v[0] - v[1]) ** 3 * jnp.array([-1.0, 1.0]) - q
-
-    def output(self, z) -> jax.Array:
-        return (z.a[0] - z.a[1] + z.y[0])[None]
-
-
-class Undamped(Blocks):
-    """No force depends on velocities."""
-
-    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        return jnp.sin(t) - q**3
-
-
-class DriftingDamper(Blocks):
-    """The damping changes with time alone."""
-
-    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        return -q - jnp.exp(-t) * v
+#: Two masses on springs with dampers, and an output of the positions.
+BLOCKS = {
+    "mass": lambda self, q: jnp.diag(
+        jnp.where(jnp.array([True, False]), 2.0, jnp.cos(0.0 * jnp.ones(2)))
+    ),
+    "force": lambda self, q, v, t: (
+        jnp.sin(t) - jax.jit(lambda q, v: q**3 + jnp.array([1.0, 2.0]) * v)(q, v)
+    ),
+    "output": lambda self, z: z.q[:1] + z.x,
+    "state_rate": lambda self, z: z.a[:1],
+    "actuation": lambda self: np.ones((2, 1)),
+}
+#: All depends on differences, which no common shift of the variables changes.
+COUPLED = BLOCKS | {
+    "mass": lambda self, q: jnp.eye(2) * (2 + jnp.cos(q[0] - q[1])),
+    "force": lambda self, q, v, t: (v[0] - v[1]) ** 3 * jnp.array([-1.0, 1.0]) - q,
+    "output": lambda self, z: (z.a[0] - z.a[1] + z.y[0])[None],
+}
+UNDAMPED = BLOCKS | {"force": lambda self, q, v, t: jnp.sin(t) - q**3}
+DRIFTING_DAMPER = BLOCKS | {"force": lambda self, q, v, t: -q - jnp.exp(-t) * v}
+#: The controller state follows its own value and the output.
+FOLLOWS = {"state_rate": lambda self, z: z.y - z.x}
 
 
-class Leaking(Undamped):
-    """The controller state follows its own value and the output."""
-
-    def state_rate(self, z) -> jax.Array:
-        return z.y - z.x
-
-
-class Feedback(Coupled):
-    """The same, but the output follows accelerations."""
-
-    def state_rate(self, z) -> jax.Array:
-        return z.y - z.x
-
-
-def test_states_follow_accelerations_by_themselves_or_through_outputs():
-    for scene, follows in [(Blocks(), True), (Leaking(), False), (Feedback(), True)]:
-        assert states_follow_accelerations(scene) == follows
+def stating(blocks):
+    return toy("Blocks", q=[1.0, 1.0], x=[0.0], **blocks)()
 
 
 def test_a_dependence_is_found_in_the_program_not_in_values():
     for scene, velocities, damping, mass, seen in [
-        (Blocks(), True, False, False, "qx"),
-        (Coupled(), True, True, True, "ay"),
-        (Undamped(), False, False, False, "qx"),
-        (DriftingDamper(), True, True, False, "qx"),
+        (stating(BLOCKS), True, False, False, "qx"),
+        (stating(COUPLED), True, True, True, "ay"),
+        (stating(UNDAMPED), False, False, False, "qx"),
+        (stating(DRIFTING_DAMPER), True, True, False, "qx"),
     ]:
         assert force_takes_velocities(scene) == velocities
         assert damping_varies(scene) == damping
@@ -101,11 +76,63 @@ def test_a_dependence_is_found_in_the_program_not_in_values():
         groups = ("q", "v", "a", "lam", "x", "y", "t")
         assert [group for group in groups if output_takes(scene, group)] == list(seen)
         assert output_takes(scene, "lam", seen[0])
+    for blocks, follows in [(BLOCKS, True), (UNDAMPED | FOLLOWS, False), (COUPLED | FOLLOWS, True)]:
+        assert states_follow_accelerations(stating(blocks)) == follows
 
 
-REGISTRY = Registry()
+# ---- work --------------------------------------------------------------------------------
+#: Their outputs see q and v alone, or the acceleration, too.
+Held, HeldByAcceleration = (
+    toy("Held", base=ForcedOscillator, actuation=lambda self: np.ones((1, 1)), output=output)
+    for output in (lambda self, z: -z.q - 0.2 * z.v, lambda self, z: -z.q - 0.1 * z.a)
+)
+FREE, NONE = (ForcedOscillator(), 7.0), dict.fromkeys(("newton", "factorisations", "solves"), 0)
 
 
+@pytest.mark.parametrize(
+    ("method", "on", "each"),
+    [
+        # The equations of motion are solved for a within an evaluation, as in any ODE.
+        (ExplicitGeneralizedAlpha(), FREE, NONE | {"residuals": 1}),
+        (NohBathe(), FREE, NONE | {"residuals": 2}),
+        (StormerVerlet(), FREE, {"residuals": 1, "solves": 1}),
+        *long(
+            (PHEM56(steps="constant"), SWING, {"residuals": 6, "solves": 6}),
+            # Outputs are iterated only where they depend on what a stage solves for.
+            (HalfExplicitEuler(), (Held(), 3.0), {"newton": 0, "residuals": 1, "solves": 1}),
+            (HalfExplicitEuler(), (HeldByAcceleration(), 3.0), None),
+            *(
+                (Rodas5P(steps="constant", linear_solver=solver), TWO_RODS,
+                 {"factorisations": 1, "jacobians": 1, "solves": 8, "residuals": 8})
+                for solver in ("dense", "sparse")
+            ),
+        ),
+    ],
+)  # fmt: skip
+def test_the_work_of_all_steps_is_the_same_and_there_is_no_iteration(method, on, each):
+    work = method.prepare(*on, Steps(0.1)).measure().work
+    assert each or work.newton == work.residuals >= work.steps
+    for name, count in (each or {}).items():
+        assert getattr(work, name) == count * work.steps, name
+
+
+@pytest.mark.parametrize(
+    "method", [SemiImplicitEuler(), *long(ImplicitFast(), LinearlyImplicitEuler())]
+)
+def test_so_is_that_of_steppers_of_simulators_and_its_bill(method):
+    run = method.prepare(*SWING, Steps(0.01))
+    found, steps = run.measure(), 100
+    work = found.work
+    counts = work.residuals, work.jacobians, work.factorisations, work.solves
+    assert (*counts, work.newton) == (steps,) * 4 + (0,)
+    declared, counted = audited(method, SWING[0])
+    assert counted <= declared
+    bill = run.bill(found)
+    # Three unknowns in a fixed order (`tests/test_operations.py`).
+    assert (bill["factorisations"], bill["solves"]) == (steps * 10, steps * 41)
+
+
+# ---- options and refusals ----------------------------------------------------------------
 def test_an_option_without_effect_is_refused_with_what_it_needs():
     for spec, said in [
         ("rodas5p[alpha=5]", "alpha=5.0 decides nothing without constraints=baumgarte"),
@@ -116,9 +143,6 @@ def test_an_option_without_effect_is_refused_with_what_it_needs():
     ]:
         with pytest.raises(SpecError, match=said):
             REGISTRY.integrator(spec)
-
-
-def test_defaults_may_be_given_and_options_with_an_effect_keep_their_names():
     assert REGISTRY.integrator("rodas5p[alpha=20,beta=20,max_steps=1000000]").spec == "rodas5p"
     for spec in (
         "rodas5p[constraints=baumgarte,alpha=5.0]",
@@ -127,9 +151,18 @@ def test_defaults_may_be_given_and_options_with_an_effect_keep_their_names():
         "variational_midpoint[multiplier=one_sided]",
     ):
         assert REGISTRY.integrator(spec).spec.count(",") == spec.count(",")
-
-
-def test_at_constant_steps_a_method_forgets_what_chose_its_steps():
     constant = REGISTRY.integrator("radau_iia[max_steps=7]").at_constant_steps()
-    assert constant is not None
+    assert constant is not None  # it forgets what chose its steps
     assert constant.spec == REGISTRY.integrator("radau_iia[steps=constant]").spec
+
+
+def test_what_methods_cannot_take_is_refused_with_a_reason():
+    for method in (ExplicitGeneralizedAlpha(), NohBathe(), KRAlpha(), CR()):
+        assert "constraints" in method.supports(Pendulum())
+    assert "controller" in KRAlpha().supports(SpringMass())
+    assert "houbolt" in WilsonTheta().supports(Pendulum())
+    refused = Rodas5P(formulation="index2", constraints="baumgarte")
+    assert "constraints=projected" in refused.supports(Pendulum())
+    assert refused.supports(ForcedOscillator()) is None
+    with pytest.raises(SpecError, match=r"does not take pendulum: .*constraints"):
+        KRAlpha().prepare(Pendulum(), 1.0, Steps(0.01))

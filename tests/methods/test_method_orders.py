@@ -10,16 +10,29 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import long
-from proofs import SWING, TWO_RODS, orders
+from proofs import (
+    SWING,
+    TWO_RODS,
+    AbsoluteAngles,
+    Bent,
+    CubicDamper,
+    DampedPair,
+    TwoRods,
+    Weighed,
+    orders,
+)
 
+from bench.check.trials import ForcedOscillator
 from integrators import Integrator, Steps
 from integrators.methods.ali3p import ALI3P
 from integrators.methods.bdf2 import BDF2
 from integrators.methods.composite import TRBDF2, Bathe, RhoInfBathe
-from integrators.methods.early_structural import Houbolt, Park
+from integrators.methods.early_structural import Houbolt, Park, WilsonTheta
 from integrators.methods.energy_momentum import EnergyMomentum
+from integrators.methods.explicit_structural import ExplicitGeneralizedAlpha, NohBathe
 from integrators.methods.half_explicit import PHEM56, HalfExplicitEuler
 from integrators.methods.hht_i3 import HHTI3
+from integrators.methods.kr_alpha import CR, KRAlpha
 from integrators.methods.lobatto_iiia_iiib import LobattoPair
 from integrators.methods.radau_iia import RadauIIA
 from integrators.methods.rattle import RATTLE, SHAKE, VariationalMidpoint
@@ -31,8 +44,11 @@ from integrators.methods.simulator_steppers import (
 )
 from problems import MechatronicSystem
 from problems.scenes.chain import Chain
+from problems.scenes.chaplygin_sleigh import ChaplyginSleigh
 from problems.scenes.double_pendulum import DoublePendulum, DoublePendulumControlled
-from problems.scenes.slider_crank import SliderCrank
+from problems.scenes.heavy_top import HeavyTop
+from problems.scenes.heavy_top_lie import HeavyTopR3SO3
+from problems.scenes.slider_crank import SliderCrank, SliderCrankMinimal
 from problems.scenes.spring_mass import SpringMass
 
 FORMULATIONS = "index3", "index2", "stabilised_index2"
@@ -50,12 +66,15 @@ class Case:
     method: Integrator
     steps: int = 400
     on: tuple[MechatronicSystem, float] = SWING
+    pattern: tuple[float, ...] = (1.0,)
     #: Orders at the end and of the largest errors, and how far others may be off.
     at_end: dict[str, float] = field(default_factory=dict)
     largest: dict[str, float] = field(default_factory=dict)
     within: float = 0.1
-    #: Orders at the end are higher than these; either those or the others are as high as claimed.
+    #: Orders at the end, and of the largest errors, are higher than these; either those or the
+    #: others are as high as claimed.
     above: dict[str, float] = field(default_factory=dict)
+    above_largest: dict[str, float] = field(default_factory=dict)
     least: bool = False
     #: Errors with the finer steps at the end, the largest of lam, and how far others may be off.
     errors: dict[str, float] = field(default_factory=dict)
@@ -99,6 +118,8 @@ OF_PHEM = {"within": 0.3, "held": ""}
 PHEM, ROSENBROCK = PHEM56(steps="constant"), Rodas5P(steps="constant")
 ONE_SIDED = RATTLE(multiplier="one_sided")
 EULERS = SemiImplicitEuler(), ImplicitFast(), LinearlyImplicitEuler()
+FORCED, CONTROLLED = (ForcedOscillator(), 7.0), (DoublePendulumControlled(), 1.0)
+CRANK, UNEVEN = (SliderCrankMinimal(), 1.0), (0.3, 0.7)
 SHORT = [
     Case(BDF2(), **OF_BDF2),
     Case(LobattoPair(), 80, errors={"q": 8.33e-9}, largest_of_lam=7.5e-3, digits=0.05, held="qv"),
@@ -115,6 +136,8 @@ SHORT = [
     Case(HalfExplicitEuler(), at_end=same("q v a lam", 1), held="v"),
     Case(PHEM, 80, errors={"q": 2.65e-9, "v": 4.68e-9, "lam": 3.76e-7}, digits=5e-3,
          norm=np.max, **OF_PHEM),
+    # An average of both sides holds its order in patterns of steps.
+    Case(RATTLE(), 200, pattern=UNEVEN, largest={"lam": 2}, held="qv"),
 ]  # fmt: skip
 MORE = [
     Case(ONE_SIDED, largest=ONE_SIDED.claims(SWING[0]), held="qv"),
@@ -152,10 +175,42 @@ MORE = [
     ),
     # A controller with acceleration feedback.
     *(
-        Case(replace(ROSENBROCK, formulation=f), 640, (DoublePendulumControlled(), 1.0),
-             largest=same("q v x y", order))
+        Case(replace(ROSENBROCK, formulation=f), 640, CONTROLLED, largest=same("q v x y", order))
         for f, order in (("index1", 5), ("index2", 3))
     ),
+    # The force of "filter" follows a by a state, that of the bent one follows a and lam at once.
+    *(Case(ALI3P(), n, on, largest=ALI3P().claims(on[0]), within=0.03)
+      for on, n in ((CONTROLLED, 400), ((Bent(), 1.0), 100))),
+    *(Case(ALI3P(), n, (scene, 0.2), largest=SECOND, within=0.15)
+      for scene, n in ((ChaplyginSleigh(), 100), (HeavyTopR3SO3(), 1000))),
+    *(Case(of, n, (Bent(), 1.0), largest=of.claims(Bent()), within=0.2)
+      for (stages, n), f in product(((2, 80), (3, 20)), FORMULATIONS)
+      for of in [RadauIIA(stages=stages, formulation=f, steps="constant")]),
+    *(Case(RadauIIA(formulation=f, steps="constant"), 40, TWO_RODS, UNEVEN, {"q": 5}, within=0.3)
+      for f in FORMULATIONS),
+    # An output that sees the multiplier of index 3 is of first order.
+    *(Case(m(), on=(Weighed(), 1.35), at_end={"y": 1}) for m in (Bathe, TRBDF2, RhoInfBathe)),
+    # Forces of both ends cost an order where the mass varies, accelerations none.
+    Case(HHTI3(steps="constant"), on=CRANK, above={"q": 1.9}),
+    Case(HHTI3(steps="constant", mixed="forces"), on=CRANK, at_end={"q": 1.25}, within=0.35),
+    Case(HHTI3(steps="constant", mixed="forces"), on=(AbsoluteAngles(), 0.2), at_end={"q": 1}),
+    *(Case(EnergyMomentum(formulation=f), on=(TwoRods(), 1.0),
+           above={"q": 1.9, "v": 1.9, "lam": 0.9, "a": 0.9}) for f in FORMULATIONS[::2]),
+    Case(PHEM, 20, (SpringMass(), 5.0), above=same("q v a x y", 4.7)),
+    # Free systems: from the first step on, also in patterns.
+    *(Case(m, 80, FORCED, above_largest=same("q v a", 1.9))
+      for m in (Houbolt(), Park(), WilsonTheta(), WilsonTheta(theta=2.0))),
+    *(Case(m, 40, FORCED, pattern, above_largest={"q": 1.8})
+      for m, pattern in product((Houbolt(), Park()), (UNEVEN, (0.6, 0.4)))),
+    *(Case(m(), n, on, above_largest=same("q v a x y", 1.9))
+      for m, (on, n) in product((ExplicitGeneralizedAlpha, NohBathe),
+                                ((FORCED, 160), ((SpringMass(), 1.0), 800)))),
+    *(Case(m, 320, FORCED, largest=m.claims(FORCED[0]), within=0.15)
+      for m in (*(of(start=s) for of in (KRAlpha, CR) for s in ("published", "corrected")),
+                KRAlpha(start="corrected", values="equations"))),
+    # Damping that changes costs an order.
+    Case(KRAlpha(start="corrected"), 4000, (SliderCrankMinimal(), 0.2), largest={"q": 1}),
+    Case(CR(start="corrected"), 800, (CubicDamper(), 1.0), at_end={"q": 1}),
     radau(2, "index3", (2.27e-7, 3.20e-5, 7.83e-2), 0.135),
     radau(2, "index2", (2.31e-7, 4.26e-7, 1.86e-4), 4.00e-4),
     radau(3, "stabilised_index2", (3.75e-9, 6.58e-9, 1.43e-5), 1.36e-4),
@@ -188,9 +243,9 @@ MORE = [
 def test_orders_and_errors_are_those_claimed_and_constraints_hold(cases):
     for case in cases:
         method, (scene, t_end) = case.method, case.on
-        found = orders(method, case.steps, case.on)
-        others = case.at_end or case.largest or case.above or case.least
-        for group, order in (case.at_end if others else method.claims(scene)).items():
+        found = orders(method, case.steps, case.on, case.pattern)
+        stated = case.at_end or case.largest or case.above or case.above_largest or case.least
+        for group, order in (case.at_end if stated else method.claims(scene)).items():
             if group in found:
                 assert found[group].order_at_end == pytest.approx(order, abs=case.within), group
         for group, order in case.largest.items():
@@ -198,6 +253,8 @@ def test_orders_and_errors_are_those_claimed_and_constraints_hold(cases):
                 assert found[group].order_of_largest == pytest.approx(order, abs=case.within), group
         for group, order in case.above.items():
             assert group not in found or found[group].order_at_end > order, group
+        for group, order in case.above_largest.items():
+            assert group not in found or found[group].order_of_largest > order, group
         for group, order in method.claims(scene).items() if case.least else ():
             if group in found:
                 got = found[group]
@@ -219,6 +276,25 @@ def test_orders_and_errors_are_those_claimed_and_constraints_hold(cases):
             assert (positions < 1e-14, velocities < 1e-13) == ("q" in held, "v" in held)
 
 
+def test_claims_fall_where_theory_says_so():
+    forces = HHTI3(steps="constant", mixed="forces")
+    for method, scene, claims in [
+        (forces, SliderCrankMinimal(), {"q": 1}),
+        (forces, HeavyTop(), {"q": 1}),
+        (forces, AbsoluteAngles(), {"q": 1}),
+        (forces, SWING[0], {"q": 2}),
+        (HHTI3(steps="constant"), SliderCrankMinimal(), {"q": 2}),
+        (HHTI3(steps="constant"), HeavyTop(), {"q": 2}),
+        (KRAlpha(start="corrected"), SliderCrankMinimal(), same("q v a", 1)),
+        (CR(start="corrected"), DampedPair(), same("q v a", 2)),
+        (CR(start="corrected"), CubicDamper(), {"q": 1}),
+        (TRBDF2(), Weighed(), {"y": 1}),
+        (TRBDF2(), DoublePendulumControlled(), {"y": 2}),  # its output sees a state alone
+        (ALI3P(), Bent(), same("q v a lam x y", 2)),
+    ]:
+        assert {group: method.claims(scene)[group] for group in claims} == claims, method.spec
+
+
 MODIFIED, SPARSE = {"newton": "modified"}, {"linear_solver": "sparse"}
 STIFF = RadauIIA(formulation="stabilised_index2", steps="constant")
 
@@ -231,6 +307,7 @@ STIFF = RadauIIA(formulation="stabilised_index2", steps="constant")
         (STIFF, (SPARSE,), SliderCrank(), 0.1, 0.005),
         (replace(STIFF, newton="modified"), (SPARSE,), SliderCrank(), 0.1, 0.005),
         (LinearlyImplicitEuler(), (SPARSE,), Chain(), 0.1, 0.005),
+        (ROSENBROCK, (SPARSE,), DoublePendulum(), 1.0, 0.05),
         (RATTLE(), (MODIFIED, SPARSE), Chain(), 0.1, Chain().nominal_step),
     ],
     ids=str,

@@ -1,4 +1,4 @@
-"""Spectra of methods on the oscillator: digits of their formulas, and identities."""
+"""Spectra of methods on the oscillator: digits of their formulas, identities, and limits."""
 
 from __future__ import annotations
 
@@ -9,40 +9,41 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from helpers import long
-from proofs import OMEGA_H, damping_and_period, radii, radii_on
+from proofs import OMEGA_H, ConservingOscillator, damping_and_period, radii, roots
 
-from bench.stability.systems import LinearSystem, Oscillator
+from bench.stability.matrices import matrices
+from bench.stability.systems import LinearSystem, Oscillator, Relaxation
 from integrators import Integrator
 from integrators.methods.ali3p import ALI3P
 from integrators.methods.bdf2 import BDF2
 from integrators.methods.composite import TRBDF2, Bathe, RhoInfBathe
 from integrators.methods.early_structural import Houbolt, Park, WilsonTheta
 from integrators.methods.energy_momentum import EnergyMomentum
-from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha
+from integrators.methods.explicit_structural import ExplicitGeneralizedAlpha, NohBathe
+from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha, GeneralizedAlphaClassical
 from integrators.methods.hht_i3 import HHTI3
 from integrators.methods.kr_alpha import CR, KRAlpha
 from integrators.methods.radau_iia import RadauIIA
-from integrators.methods.rattle import VariationalMidpoint
-from integrators.methods.simulator_steppers import LinearlyImplicitEuler
-from problems import jax
-
-
-class ConservingOscillator(Oscillator):
-    """The oscillator with its energy."""
-
-    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return 0.5 * (v @ v + q @ q)
+from integrators.methods.rattle import RATTLE, SHAKE, VariationalMidpoint
+from integrators.methods.simulator_steppers import (
+    ImplicitFast,
+    LinearlyImplicitEuler,
+    SemiImplicitEuler,
+)
+from integrators.methods.stormer_verlet import StormerVerlet
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Spectral radii at `OMEGA_H`; damping and relative error of the period at 0.2 pi."""
+    """Spectral radii, at `OMEGA_H` by default; damping and relative error of the period."""
 
     method: Integrator
     radii: Sequence[float]
+    #: At omega h = 0.2 pi.
     shape: tuple[float, float] | None = None
     within: float = 1e-9
     on: LinearSystem = Oscillator()  # noqa: RUF009 - frozen
+    at: Sequence[float] = OMEGA_H
 
     def __str__(self) -> str:
         return self.method.spec
@@ -54,7 +55,10 @@ SDIRK2 = np.abs((1 + (1 - 2 * ROOT) * Z) / (1 - ROOT * Z) ** 2)
 UNDAMPED = [1.0] * len(OMEGA_H)
 #: Houbolt's method has the radii of the member of generalized-alpha that damps most.
 DAMPED = (0.999951917652, 0.906563333305, 0.242535625036, 0.0478312816831)
-TRAPEZOIDAL = (0.0, 0.03207491062)
+TRAPEZOIDAL, CENTRAL = (0.0, 0.03207491062), (0.0, -0.01693422976)
+#: Beyond the limit of central differences: minus the mean of the roots is w.
+_W = 2.01**2 / 2 - 1
+UP_TO_2 = {"at": (0.1, 1.0, 1.999, 2.01), "radii": (1, 1, 1, _W + math.sqrt(_W**2 - 1))}
 SHORT = [
     # Independent computation in 50 digits from the formula's own polynomial.
     Spectrum(BDF2(), (0.999975609345, 0.933321058436, 0.300749568269, 0.078110132815),
@@ -71,6 +75,12 @@ SHORT = [
              (0.999999931616, 0.999474614014, 0.929791767153, 0.834637608774),
              (0.0001572715, 0.0338284060)),
     Spectrum(KRAlpha(rho_inf=1.0), UNDAMPED, TRAPEZOIDAL),
+    Spectrum(ExplicitGeneralizedAlpha(), (0.999998149511, 0.982030217877),
+             (0.004450231273, -0.01091584946), at=(0.1, 1.0)),
+    Spectrum(SemiImplicitEuler(), shape=CENTRAL, **UP_TO_2),
+    # rho_inf is the radius at infinite frequency.
+    *(Spectrum(RhoInfBathe(rho_inf=rho), [rho], within=1e-6, at=[1e7])
+      for rho in (0.0, 0.3, 0.8, 1.0)),
 ]  # fmt: skip
 MORE = [
     Spectrum(CR(), UNDAMPED, TRAPEZOIDAL),
@@ -93,25 +103,59 @@ MORE = [
     Spectrum(ALI3P(), UNDAMPED, within=1e-12),
     Spectrum(EnergyMomentum(), UNDAMPED, within=1e-12, on=ConservingOscillator()),
     Spectrum(LinearlyImplicitEuler(), np.abs(1 / (1 - Z)), within=1e-12),
+    # A controller.
+    Spectrum(LinearlyImplicitEuler(), [1 / 4], within=1e-12, on=Relaxation(), at=[3.0]),
+    *(Spectrum(method, (0.9, 1.1), within=1e-12, on=Relaxation(), at=[1.9, 2.1])
+      for method in (SemiImplicitEuler(), ImplicitFast())),
+    *(Spectrum(method, shape=CENTRAL, **UP_TO_2)
+      for method in (ImplicitFast(), StormerVerlet(), RATTLE(), SHAKE())),
+    Spectrum(NohBathe(), [0.9978817565], at=[1.0]),
+    Spectrum(VariationalMidpoint(), UNDAMPED, TRAPEZOIDAL),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("cases", [(*SHORT,), *long([*MORE])])
 def test_spectra_have_the_digits_of_the_formulas(cases):
     for case in cases:
-        assert radii_on(case.method, case.on) == pytest.approx(list(case.radii), abs=case.within)
+        found = radii(case.method, case.at, case.on)
+        assert found == pytest.approx(list(case.radii), abs=case.within), str(case)
         if case.shape:
-            assert damping_and_period(case.method) == pytest.approx(case.shape, abs=1e-9)
+            assert damping_and_period(case.method) == pytest.approx(case.shape, abs=1e-9), str(case)
+
+
+def test_explicit_generalized_alpha_has_the_limits_and_joint_roots_of_the_formulas():
+    for rho in (0.0, 0.5, 0.8):
+        method, joint = ExplicitGeneralizedAlpha(rho_b=rho), (1 + rho) * math.sqrt(2 - rho)
+        limit = math.sqrt(12 * (2 - rho) * (1 + rho) / (10 - 5 * rho + rho**2))
+        below, above = radii(method, [limit - 1e-5, limit + 1e-5])
+        assert below < 1 < above
+        # A triple root -rho and a root 0, by the polynomial of A: roots have the error's cube root.
+        (a,) = matrices(method, Oscillator(), [joint]).a
+        assert np.abs(a @ np.linalg.matrix_power(a + rho * np.eye(4), 3)).max() < 1e-12
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("alpha", [-0.2, -0.3])
-def test_hht_i3_is_hht_on_linear_systems(alpha):
-    wanted = radii(HHT(alpha=-alpha))
-    assert radii(HHTI3(alpha=alpha, steps="constant")) == pytest.approx(wanted, abs=1e-12)
+def test_noh_bathe_is_stable_up_to_the_published_limits():
+    for p, limit in ((0.54, 3.745), (0.7, 3.482)):
+        below, above = radii(NohBathe(p=p), [limit - 2e-3, limit + 2e-3])
+        assert below < 1 < above
 
 
 @pytest.mark.long
-def test_the_midpoint_rule_is_stable_at_every_step():
-    assert radii(VariationalMidpoint()) == pytest.approx(UNDAMPED, abs=1e-9)
-    assert damping_and_period(VariationalMidpoint())[1] == pytest.approx(TRAPEZOIDAL[1], abs=1e-9)
+def test_kr_alpha_has_the_spectrum_of_generalized_alpha():
+    for rho in (0.5, 0.8):
+        explicit, implicit = (
+            roots(method, OMEGA_H, Oscillator(zeta=0.1))
+            for method in (KRAlpha(rho_inf=rho), GeneralizedAlphaClassical(rho_inf=rho))
+        )
+        for own, others in zip(explicit, implicit, strict=True):
+            assert all(abs(others - root).min() < 1e-7 for root in own)
+
+
+@pytest.mark.long
+def test_hht_i3_is_hht_on_linear_systems():
+    for alpha in (0.2, 0.3):
+        found, wanted = (
+            radii(method) for method in (HHTI3(alpha=-alpha, steps="constant"), HHT(alpha=alpha))
+        )
+        assert found == pytest.approx(wanted, abs=1e-12)
