@@ -276,8 +276,14 @@ def test_contents_are_filtered(browser, site):
     """
     before = browser.execute_script(links)
     field = browser.find_element("css selector", "nav.side input.filter")
-    field.send_keys("PEND")
-    assert browser.execute_script(links) == ["pendulum"]
+    status = browser.find_element("css selector", "nav.side [role=status]")
+    for asked, found in (("PEND", ["pendulum"]), ("ringing", ["ringing 1"]), ("zzz", [])):
+        field.send_keys(asked)  # scenes, methods by name, words of the glossary
+        assert browser.execute_script(links) == found
+        assert status.text == ("" if found else "Nothing is called “zzz”.")
+        field.clear()
+    field.send_keys("baumg")
+    assert browser.execute_script(links) == ["Baumgarte"]
     field.clear()
     field.send_keys(" ")
     assert browser.execute_script(links) == before
