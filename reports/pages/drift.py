@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from bench.results.drift import DRIFTS, NO_DRIFT, LongRun, comparable_runs, drift_table
@@ -11,8 +11,7 @@ from problems.variables import INVARIANTS
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import TIME, note_lines
-from reports.formatting import number, words
-from reports.names import scene_name, short_names
+from reports.names import scene_name
 from reports.pages.chapter import Chapter, Section, Text, captioned, write_chapter
 
 #: Words on the change of an invariant, by `Invariant.kinetic`.
@@ -30,16 +29,6 @@ _CAPTION = (
 )
 #: Words for values above and below zero, of quantities that have both.
 _SIDES = dict.fromkeys(INVARIANTS, ("gained", "lost")) | {"phase": ("ahead", "behind")}
-#: A run that has this part of its largest value on the other side of zero, too, swings.
-_SWINGS = 0.1
-#: Verdicts in the order in which a sentence tells them, with its words.
-_VERDICTS = {
-    "none": "does not drift with",
-    "bounded": "stays bounded with",
-    "linear": "drifts linearly with",
-    "neither": "drifts otherwise with",
-    "blew up": "blew up with",
-}
 
 
 def drift_chapter(runs: Mapping[str, LongRun]) -> Chapter:
@@ -49,7 +38,12 @@ def drift_chapter(runs: Mapping[str, LongRun]) -> Chapter:
         title = f"{scene_name(own[0].problem)}: {own[0].asked} steps of {own[0].h:g} s"
         note = f"Measured at {max(run.rows for run in own)} rows of each run."
         figure = captioned(_CAPTION, {f"drift-{k}-chart": drift_chart(own)})
-        parts = [list(drift_sentences(own)), figure, drift_table(own), Text(note, "note")]
+        parts = [
+            [f"{r.integrator} ended as {r.status}: {r.message}" for r in own if r.status != "ok"],
+            figure,
+            drift_table(own),
+            Text(note, "note"),
+        ]
         sections.append(Section(title, parts, f"drift-{k}"))
     return Chapter(
         "drift.html",
@@ -63,46 +57,6 @@ def drift_chapter(runs: Mapping[str, LongRun]) -> Chapter:
 def write_drift_page(runs: Mapping[str, LongRun], folder: Path) -> Path:
     """Write drift.html into a folder."""
     return write_chapter(drift_chapter(runs), folder)
-
-
-# ---- sentences ---------------------------------------------------------------------------
-def drift_sentences(runs: Sequence[LongRun]) -> Iterator[str]:
-    """A sentence for each quantity: which methods hold it, and how others drift."""
-    names = short_names(run.integrator for run in runs)
-    for quantity, (name, _) in DRIFTS.items():
-        found = [run for run in runs if quantity in run.drifts]
-        parts = [
-            f"{said} {words(f'{names[r.integrator]} ({_size(r, quantity)})' for r in own)}"
-            for verdict, said in _VERDICTS.items()
-            if (own := [run for run in found if run.verdict(run.drifts[quantity]) == verdict])
-        ]
-        if parts:
-            yield f"The {name} {'; it '.join(parts)}."
-    for run in runs:
-        if run.status != "ok":
-            yield f"{names[run.integrator]} ended as {run.status}: {run.message}"
-
-
-def _size(run: LongRun, quantity: str) -> str:
-    """How far a quantity drifts, and to which side of zero."""
-    drift, unit = run.drifts[quantity], DRIFTS[quantity][1]
-    unit = "" if unit == "1" else f" {unit}"
-    if run.verdict(drift) == "blew up":
-        return f"at t = {number(run.t_end)} s"
-    linear = drift.verdict == "linear"
-    size = drift.per_s if linear else drift.largest
-    if size is None or quantity not in _SIDES or drift.verdict == "none":
-        shown = f"{number(size if linear else size and abs(size))}{unit}"
-        return f"{shown} per s" if linear else f"at most {shown}"
-    above, below = max(_known(drift.most), default=0.0), min(_known(drift.least), default=0.0)
-    if not linear and min(above, -below) > _SWINGS * max(above, -below):
-        return f"from {number(below)} to {number(above)}{unit}"
-    shown, side = f"{number(abs(size))}{unit}", _SIDES[quantity][size < 0]
-    return f"{shown} per s {side}" if linear else f"at most {shown} {side}"
-
-
-def _known(values: Sequence[float | None]) -> list[float]:
-    return [value for value in values if value is not None]
 
 
 # ---- the chart ---------------------------------------------------------------------------
