@@ -15,8 +15,7 @@ import altair
 import pytest
 from planted import everything, plant, planted
 
-from bench.results.quantities import COSTS
-from bench.results.records import Record, Rows, median
+from bench.results.records import Record, Rows
 from bench.results.store import Store
 from problems.spec import SpecError
 from reports import figures
@@ -47,39 +46,31 @@ def rows(figure: dict, name: str) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(figure["datasets"][name])))
 
 
-def test_work_precision_shows_the_errors_and_costs_of_the_store(folder):
-    for (group, norm), cost in product(
-        (("a", "max"), ("lam", "end")), ("residuals", "seconds", "steps")
-    ):
-        error = f"{group}:{norm}"
-        chart = figures.figure("work_precision", folder, scene="pendulum", error=error, cost=cost)
-        figure, error = chart, f"{group}_{norm}"
-        shown = {(r["series"], r["run"], float(r[error]), r[cost]) for r in rows(figure, "runs")}
-        expected = set()
-        for record in stored(folder, "pendulum"):
-            value = median(record.run_s) if cost == "seconds" else record.work.get(cost)
-            number = float(f"{record.errors[group][norm]:.5g}")
-            text = (
-                "" if value is None else str(float(f"{value:.5g}") if cost == "seconds" else value)
-            )
-            expected.add((record.integrator, record.resolution, number, text))
-        assert shown == expected
-        points = next(x for x in figure["layer"] if x["mark"]["type"] == "point")
-        assert points["encoding"]["x"]["field"] == cost
-        assert points["encoding"]["x"]["title"] == COSTS[cost].title
-        assert points["encoding"]["y"]["field"] == error
+def test_errors_over_costs_and_steps_are_those_of_the_store(folder):
+    for error, over in product(("a:max", "lam:end"), ("residuals", "seconds", "steps", "h")):
+        kind, more = ("convergence", {}) if over == "h" else ("work_precision", {"cost": over})
+        figure = figures.figure(kind, folder, scene="pendulum", error=error, **more)
+        group, norm = error.split(":")
+        column = f"{group}_{norm}"
+        known = [r for r in stored(folder, "pendulum") if over != "h" or r.controls == "step"]
+        costs = {r.key: r.h if over == "h" else r.cost(over) for r in known}
+        assert {
+            (r["series"], r["run"], float(r[column]), r[over]) for r in rows(figure, "runs")
+        } == {
+            (r.integrator, r.resolution, float(f"{r.errors[group][norm]:.5g}"), text(costs[r.key]))
+            for r in known
+        }
+        points = next(x for x in figure["layer"] if x["mark"]["type"] == "point")["encoding"]
+        assert (points["x"]["field"], points["y"]["field"]) == (over, column)
+        names = [v["name"] for x in figure["layer"] for v in x.get("data", {}).get("values", [])]
+        assert names == ["order 2", "order 2"] * (over == "h")  # a line and its text
 
 
-def test_convergence_shows_errors_over_steps_with_the_slope_found(folder):
-    figure = figures.figure("convergence", folder, scene="pendulum", error="a:settled")
-    shown = {(r["series"], float(r["h"]), float(r["a_settled"])) for r in rows(figure, "runs")}
-    assert shown == {
-        (r.integrator, float(f"{r.h:.5g}"), float(f"{r.errors['a']['settled']:.5g}"))
-        for r in stored(folder, "pendulum")
-        if r.controls == "step"
-    }
-    names = [v["name"] for x in figure["layer"] for v in x.get("data", {}).get("values", [])]
-    assert names == ["order 2", "order 2"]  # a line and its text
+def text(value):
+    """A number as charts have it."""
+    if value is None or isinstance(value, int):
+        return "" if value is None else str(value)
+    return str(float(f"{value:.5g}"))
 
 
 def test_a_trajectory_shows_the_finest_run_of_each_and_the_reference(folder):
@@ -104,20 +95,6 @@ def test_a_trajectory_shows_the_finest_run_of_each_and_the_reference(folder):
         behind = [float(r[field]) for r in rows(figure, "reference")]
         assert behind == [float(f"{values[place]:.5g}") for values in reference.values[group]]
         assert figure["layer"][-1]["encoding"]["y"]["title"] == title
-
-
-def test_any_component_of_a_large_scene_can_be_shown(tmp_path):
-    plant(tmp_path, [planted("pendulum", "m", {"q": (1.0, 2)}, h=0.1)])
-    with Store(tmp_path, create=True) as store:
-        (record,) = store.records().values()
-        run = store.rows(record.key)
-        run.values["q"] = [[0.0] * 8 + [t] for t in run.t]
-        record.run_s = []
-        store.save(record, run)
-    figure = figures.figure("trajectory", tmp_path, component="q:9")
-    assert all(float(row["t"]) == float(row["q8"]) for row in rows(figure, "runs"))
-    with pytest.raises(SpecError, match="no component '10'"):
-        figures.figure("trajectory", tmp_path, component="q:10")
 
 
 def test_integrators_are_chosen_by_name_or_spec_in_the_order_given(folder):
@@ -175,7 +152,10 @@ def test_a_figure_is_as_wide_as_a_column_in_every_format(folder, tmp_path, stepb
         assert figure["config"]["axis"]["tickWidth"] <= 0.5
 
 
-def test_figures_are_refused_in_one_sentence(folder, refused):
+def test_figures_are_refused_in_one_sentence(folder, refused, tmp_path):
+    Store(tmp_path, create=True).close()
+    empty = refused("report", tmp_path, "--figure", "convergence")
+    assert "The store holds no finished run" in empty
     for arguments, words in (
         ("work_precison --scene pendulum", "is not one of 'work_precision'"),
         ("convergence", "choose one with --scene: spring_mass, pendulum"),
@@ -196,12 +176,6 @@ def test_figures_are_refused_in_one_sentence(folder, refused):
     ):
         said = refused("report", folder, "--figure", *arguments.split())
         assert words in said, arguments
-
-
-def test_an_empty_store_is_told(tmp_path, stepbench):
-    Store(tmp_path, create=True).close()
-    result = stepbench("report", tmp_path, "--figure", "convergence")
-    assert "The store holds no finished run" in result.output
 
 
 def test_errors_over_time_are_the_notes_of_the_finest_runs(tmp_path):
