@@ -21,10 +21,10 @@ from bench.check.checker import is_file
 from bench.plugins.fingerprint import fingerprint
 from bench.plugins.registry import Plugin, Registry
 from problems import from_mjcf
-from problems.models import mjcf_check
+from problems.models import mjcf_load
 from problems.models.mjcf import REFUSED
+from problems.models.mjcf_load import read
 from problems.models.mjcf_parts import lacking
-from problems.models.mjcf_read import read
 from problems.runtime import jax, jnp
 from problems.spec import SpecError, build
 
@@ -183,13 +183,13 @@ def test_a_number_that_is_not_read_refuses_the_model(tmp_path, wrong):
     number *= 1 + 1e-6
     number += 1e-6
     with pytest.raises(SpecError, match="MuJoCo computes other"):
-        mjcf_check.compare(model, model.m.qpos0, np.zeros(model.m.nu))
+        mjcf_load.compare(model, model.m.qpos0, np.zeros(model.m.nu))
 
 
 def test_what_was_compared_is_known_the_next_time(tmp_path, monkeypatch):
     path = saved(tmp_path, "four bar turned ")
     first = from_mjcf(path)
-    monkeypatch.setattr(mjcf_check, "compare", None)  # it would fail
+    monkeypatch.setattr(mjcf_load, "compare", None)  # it would fail
     again = from_mjcf(path)
     assert again.at_start == first.at_start
     # The fingerprint follows the numbers of the model.
@@ -304,7 +304,7 @@ def test_a_mesh_that_is_there_is_read(tmp_path):
 
 def test_a_remark_of_mujoco_is_one_sentence_said_once(tmp_path, capfd, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(mjcf_check, "CACHE", tmp_path / "cache")
+    monkeypatch.setattr(mjcf_load, "CACHE", tmp_path / "cache")
     shape = '<geometry><sphere radius=".01"/></geometry>'
     path = tmp_path / "my robot (2).urdf"
     path.write_text(

@@ -12,7 +12,6 @@ from scipy.integrate import cumulative_simpson, solve_ivp
 from scipy.optimize import brentq
 
 from problems import jax, jnp
-from problems.compiled import compiled
 from problems.constraints import constraint_velocity
 from problems.formulations import ode_rate
 from problems.initial_values import consistent_start
@@ -23,20 +22,6 @@ from problems.scenes.slider_crank import SliderCrankFriction
 
 
 # ---- the sleigh --------------------------------------------------------------------------
-def test_the_place_of_the_sleigh_is_that_of_an_integration():
-    scene, t = ChaplyginSleigh(j=0.7, arm=0.4), np.linspace(0.0, 6.0, 13)
-    closed = scene.exact(t)
-
-    def rates(_, s):
-        return np.asarray(compiled(scene).rates(p, np.zeros(1), s[None]))[0]
-
-    p = np.array(list(scene.parameters().values()))
-    start = np.concatenate([closed["q"][0], closed["v"][0]])
-    path = solve_ivp(rates, (0.0, 6.0), start, "DOP853", t, rtol=1e-12, atol=1e-13).y.T
-    assert closed["q"] == pytest.approx(path[:, :3], abs=1e-10)
-    assert closed["v"] == pytest.approx(path[:, 3:], abs=1e-10)
-
-
 def test_the_sleigh_turns_by_a_known_angle_and_runs_forwards():
     scene = ChaplyginSleigh()
     k = np.sqrt(scene.j / scene.m + scene.arm**2)

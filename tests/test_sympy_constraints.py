@@ -9,8 +9,6 @@ import sympy.physics.mechanics as me
 from helpers import long
 from sympy_scenes import M, T, scene_of
 
-from bench.plugins.registry import Registry
-from integrators import Tolerances
 from problems import lagrange
 from problems.constraints import constraint_velocity
 from problems.initial_values import consistent_start
@@ -97,15 +95,6 @@ def test_the_energy_of_a_rolling_wheel_has_no_rate(wheel):
     power = np.abs(z.v * np.asarray(scene.mass(z.q) @ z.a)).max()
     assert power > 0.1
     assert abs(jax.jvp(scene.energy, (z.q, z.v), (z.v, z.a))[1]) < 1e-13 * power
-
-
-@pytest.mark.long
-def test_a_run_of_the_wheel_follows_its_circle(wheel):
-    run = Registry().integrator("ida").prepare(wheel(), 2.0, Tolerances(1e-9)).measure()
-    turned = TURNED * run.t
-    circle = 0.3 * SPIN / TURNED * np.stack([np.sin(turned), 1 - np.cos(turned)], axis=1)
-    assert run.q[:, 3:] == pytest.approx(circle, abs=1e-6)
-    assert run.q[:, 1] == pytest.approx(LEAN, abs=1e-6)
 
 
 def test_quasi_speeds_of_kane_move_the_same_wheel(wheel):

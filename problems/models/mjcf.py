@@ -20,10 +20,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from problems.drawing import OBLIQUE
-from problems.models.mjcf_check import Start, checked_start, reset
+from problems.models.mjcf_load import Start, checked_start, read, reset
 from problems.models.mjcf_model import Model
 from problems.models.mjcf_parts import called, lacking, load_mujoco, numbers
-from problems.models.mjcf_read import read
 from problems.rotations import quaternion_rate, turned
 from problems.runtime import Array, Float, jnp
 from problems.spec import SpecError, convert, is_name, one_of, suggest
