@@ -175,7 +175,7 @@ class MechatronicSystem:
 
     def initial_state(self) -> State:
         """q, v and x at the start, from NumPy and concrete parameters; else those of ``exact``."""
-        if not self.has("exact"):
+        if self.exact is None:
             raise NotImplementedError
         start = self.exact(np.array([self.interval[0]]))
         return State(*(start[group][0] if group in start else np.zeros(0) for group in "qvx"))
