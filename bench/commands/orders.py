@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from typing import Any
 
 import click
@@ -238,22 +237,18 @@ def _of_suite(
 
 def _of_constant_steps(registry: Inventory, integrators: Sequence[str]) -> dict[str, str]:
     """The printed names of methods by the names that were given; none chooses its steps."""
-    named = {}
-    for text in integrators:
-        with suppress(Unavailable):  # the suite says why
-            method = registry.integrator(text)
-            if method.controls != "step":
-                raise SpecError(
-                    f"{method.spec} chooses its own steps, over which no order can be measured; "
-                    "name methods of constant steps, for some with the option steps=constant."
-                )
-            named[text] = method.spec
+    named = {text: _at_constant_steps(registry, text) for text in integrators}
+    for text in (text for text, spec in named.items() if not spec):
+        raise SpecError(
+            f"{registry.integrator(text).spec} chooses its own steps, over which no order can be "
+            "measured; name methods of constant steps, for some with the option steps=constant."
+        )
     return named
 
 
 def _at_constant_steps(registry: Inventory, text: str) -> str:
-    """The printed name of a method of a suite that takes constant steps, else nothing; the name as
-    it is of one that is of no use, as the suite then says."""
+    """The printed name of a method that takes constant steps, else nothing; the name as it is of
+    one that is of no use, as the suite then says."""
     try:
         method = registry.integrator(text)
     except Unavailable:

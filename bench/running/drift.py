@@ -30,16 +30,8 @@ _PHASE_ITERATIONS = 2
 def drift_job(
     worker: Worker, problem: str, integrator: str, h: float | None, steps: int
 ) -> LongRun:
-    """Run an integrator over many steps and measure what drifts.
-
-    Parameters
-    ----------
-    problem, integrator
-        Names with options.
-    h
-        Step in s; the scene's nominal one if None.
-    steps
-        Number of steps.
+    """Run an integrator over many steps h (s; the scene's nominal one if None), and measure what
+    drifts.
 
     Raises
     ------
@@ -59,8 +51,8 @@ def drift_job(
     run, _ = worker.run(Cell(scene.spec, constant.spec, t_end, resolution))
     reference = None
     with suppress(Exception):  # its integration failed, or the closed form is false
-        found = worker.reference(scene, scene.interval[1])
-        reference = None if found.missing else found
+        if (found := worker.reference(scene, scene.interval[1])) and not found.missing:
+            reference = found
     if reference and run.status == "ok":
         changes = measure.invariant_changes(scene, run, reference)
         measure.end_at_blow_up(run, reference, changes)
@@ -110,15 +102,9 @@ def _parts(rows: Float[np.ndarray, " k"]) -> list[Float[np.ndarray, " part"]]:
 def drifts_of(
     scene: MechatronicSystem, run: Trajectory, reference: Reference | None = None
 ) -> dict[str, Float[np.ndarray, " k"]]:
-    """Measure in each of the k rows of a run what a scene can tell of.
-
-    Returns
-    -------
-    dict
-        `measure.invariant_changes`; "position" and "velocity", the largest residuals of the
-        constraints and of their rates; "phase", the time in s by which the run is ahead of the
-        closed form of a motion that conserves energy.
-    """
+    """Measure in each of the k rows of a run what a scene can tell of: `measure.invariant_changes`;
+    "position" and "velocity", the largest residuals of the constraints and of their rates; "phase",
+    the time in s by which it is ahead of the closed form of a motion that conserves energy."""
     violations = measure.violations(scene, run)
     violations.pop("acceleration", None)
     drifts = measure.invariant_changes(scene, run, reference) | violations
