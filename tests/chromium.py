@@ -6,6 +6,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -43,3 +44,16 @@ def waited(ask: Callable[[], Any], seconds: float = 20.0) -> Any:
             return answer
         time.sleep(0.05)
     raise AssertionError("waited in vain")
+
+
+def each(browser: Any, selector: str, expression: str) -> list[Any]:
+    """An expression of JavaScript for each node of a page that a selector finds."""
+    script = f"return [...document.querySelectorAll(arguments[0])].map((node) => {expression});"
+    return browser.execute_script(script, selector)
+
+
+def visit(browser: Any, page: Path, fragment: str = "") -> None:
+    """Load a page anew; it has no complaint."""
+    browser.get("about:blank")
+    browser.get(page.as_uri() + fragment)
+    assert browser.get_log("browser") == []

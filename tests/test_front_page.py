@@ -1,22 +1,23 @@
-"""The front page in Chromium: its question bar drives words, charts and heat table together."""
+"""The front page in Chromium: its question bar drives words, charts and heat table; its layout."""
 
 from __future__ import annotations
 
-import math
 import re
+from contextlib import contextmanager
 
 import pytest
-from chromium import waited
+from chromium import each, visit, waited
 from planted import everything, plant, planted
 
 from bench.results.store import Store
 from reports.pages.html_report import write_html_report
+from reports.pages.report import read_report
+from reports.questions.question import Question
+from reports.ranking import answers
 
 
-def visit(page, folder, fragment=""):
-    page.get("about:blank")
-    page.get((folder / "report.html").as_uri() + fragment)
-    assert page.get_log("browser") == []
+def open_front(browser, folder, fragment=""):
+    visit(browser, folder / "report.html", fragment)
 
 
 def choose(page, name, value):
@@ -31,81 +32,61 @@ def choose(page, name, value):
     )
 
 
-def heat_cells(page):
-    """{(method's short name, scene): (class, text)} of the heat table."""
-    rows = page.execute_script(
-        """
-        const heads = document.querySelectorAll("#heat thead tr:last-child a");
-        const names = [...heads].map((a) => a.title);
-        return [...document.querySelectorAll("#heat tbody tr")].flatMap((row) =>
-          [...row.querySelectorAll("td")].map((cell, k) =>
-            [row.querySelector("th a").title, names[k], [...cell.classList], cell.textContent]));
-        """
-    )
-    return {(label, scene): (classes, text) for label, scene, classes, text in rows}
+def text(browser, selector):
+    return each(browser, selector, "node.textContent")[0]
 
 
-def shown(page):
-    return page.execute_script(
-        """
-        const text = (name) => document.querySelector(name).textContent;
-        const own = [...document.querySelectorAll(".panel:not([hidden]) svg.plot")];
-        return {
-          title: text("main h1"), answer: text("#answer"), standings: text("#standings"),
-          heat: text("#heat caption"), charts: own.map((node) => node.getAttribute("aria-label")),
-          address: location.hash,
-        };
-        """
+def heat_cells(browser):
+    """{(method, scene): (classes, text)} of the heat table."""
+    names = each(browser, "#heat thead tr:last-child a", "node.title")
+    rows = each(
+        browser,
+        "#heat tbody tr",
+        "[node.querySelector('th a').title,"
+        " [...node.querySelectorAll('td')].map((cell) => [[...cell.classList], cell.textContent])]",
     )
+    return {(m, scene): cell for m, own in rows for scene, cell in zip(names, own, strict=True)}
 
 
 def expected(folder, group, target, cost):
-    """The heat table's texts, from the store alone."""
-    with Store(folder) as store:
-        records = list(store.records().values())
-    found = {}
-    for scene in {r.problem for r in records}:
-        own = [r for r in records if r.problem == scene]
-        least = {}
-        for r in own:
-            error = r.errors.get(group, {}).get("max")
-            if r.status == "ok" and error is not None and error <= target:
-                value = r.cost(cost)
-                least[r.integrator] = min(value, least.get(r.integrator, math.inf))
-        for label in {r.integrator for r in records}:
-            runs = [r for r in own if r.integrator == label]
-            if label in least:
-                ratio = least[label] / min(least.values())
-                state = ("reached", f"{ratio:.1f}" if ratio < 10 else f"{ratio:.0f}")
-            elif not runs:
-                state = ("untried", "")
-            else:
-                state = ("far", "–") if any(r.status == "ok" for r in runs) else ("failed", "✕")  # noqa: RUF001
-            found[label, scene] = state
-    return found
+    """The classes and texts of the heat table, from the ranking."""
+    report = read_report(folder)
+    found = answers(report.series, [group], [target])[Question(group, target, cost)]
+    cells = {}
+    for scene, own in found.scenes.items():
+        for label in report.names:
+            entry = own.entries.get(label)
+            state = entry.state if entry else "untried"
+            cells[label, scene] = (
+                (state, {"far": "–", "failed": "✕"}.get(state, ""))  # noqa: RUF001
+                if isinstance(state, str)
+                else ("reached", f"{state:.1f}" if state < 10 else f"{state:.0f}")
+            )
+    return cells
+
+
+CHARTS = ".panel:not([hidden]) svg.plot"
 
 
 def test_the_bar_drives_words_charts_and_heat_table_together(browser, site):
-    visit(browser, site)
-    before = shown(browser)
-    assert "acceleration of at most 1e-4" in before["title"]
+    open_front(browser, site)
+    before = text(browser, "#answer")
+    assert "acceleration of at most 1e-4" in text(browser, "main h1")
     for group, target, cost in (("q", "1e-3", "residuals"), ("a", "1e-2", "operations")):
-        choose(browser, "group", group)
-        choose(browser, "target", target)
-        choose(browser, "cost", cost)
-        now = shown(browser)
+        for name, value in (("group", group), ("target", target), ("cost", cost)):
+            choose(browser, name, value)
         word = {"q": "position", "a": "acceleration"}[group]
-        for text in (now["title"], now["heat"], *now["charts"], now["answer"]):
-            assert word in text
-            assert target in text or "Error: of the worst" in text
-        assert f"group={group}&target={target}&cost={cost}" in now["address"]
-        assert now["answer"] != before["answer"]
-        cells = heat_cells(browser)
-        wanted = expected(site, group, float(target), cost)
+        charts = each(browser, CHARTS, "node.ariaLabel")
+        for said in (text(browser, "main h1"), text(browser, "#heat caption"), *charts):
+            assert word in said
+            assert target in said
+        assert word in text(browser, "#answer") != before
+        assert f"group={group}&target={target}&cost={cost}" in browser.current_url
+        cells, wanted = heat_cells(browser), expected(site, group, float(target), cost)
         assert cells.keys() == wanted.keys()
-        for place, (state, text) in wanted.items():
+        for place, (state, shown) in wanted.items():
             assert state in cells[place][0], place
-            assert text == cells[place][1], place
+            assert shown == cells[place][1], place
     assert browser.get_log("browser") == []
 
 
@@ -113,104 +94,75 @@ def test_runs_without_a_place_on_the_axes_stand_in_bands(browser, tmp_path):
     wild = [planted("spring_mass", "wild", {"a": (1e6, 1), "q": (1, 1)}, h=h) for h in (0.1, 1e-5)]
     lost = planted("spring_mass", "lost", {}, h=0.1, status="newton_failed", work={})
     write_html_report(plant(tmp_path, [*everything(), *wild, lost]))
-    visit(browser, tmp_path, "#group=a&target=1e-4&cost=operations&scenes=all")
-    charts = browser.execute_script(
-        """
-        const own = [...document.querySelectorAll(".panel:not([hidden]) svg.plot")];
-        return own.map((chart) => {
-          const all = (name) => [...chart.querySelectorAll(name)];
-          const heights = (name) => all(name).flatMap((path) =>
-            [...path.getAttribute("d").matchAll(/[ML][-\\d.]+ ([-\\d.]+)/g)].map((m) => +m[1]));
-          return { bands: all(".band").map((b) => b.getBBox().y + 15), lines: heights(".line"),
-            failed: heights(".marks.open"), axis: chart.textContent };
-        });
-        """
+    open_front(browser, tmp_path, "#group=a&target=1e-4&cost=operations&scenes=all")
+    lines, failed = (
+        f"[...node.querySelectorAll('{kind}')].flatMap((path) => [...path.getAttribute('d')"
+        ".matchAll(/[ML][-\\d.]+ ([-\\d.]+)/g)].map((m) => +m[1]))"
+        for kind in (".line", ".marks.open")
     )
-    assert [len(chart["bands"]) for chart in charts] == [2, 1]
-    for chart in charts:
-        assert "error in a" in chart["axis"]
-        assert max(chart["failed"]) <= max(chart["bands"]) <= min(chart["lines"])
+    bands = "[...node.querySelectorAll('.band')].map((b) => b.getBBox().y + 15)"
+    parts = f"[{bands}, {lines}, {failed}]"
+    charts = each(browser, CHARTS, parts)
+    assert [len(bands) for bands, *_ in charts] == [2, 1]
+    for bands, lines, failed in charts:
+        assert max(failed) <= max(bands) <= min(lines)
+    assert all("error in a" in said for said in each(browser, CHARTS, "node.textContent"))
 
 
 def test_a_scene_without_the_quantity_is_not_counted_and_says_so(browser, site):
-    visit(browser, site, "#group=lam&target=1e-4&cost=operations&scenes=all")
-    assert "reached, of 1 scene" in shown(browser)["standings"]
+    said = "No run on this scene has an error in multiplier λ."
+    open_front(browser, site, "#group=lam&target=1e-4&cost=operations&scenes=all")
+    assert "reached, of 1 scene" in text(browser, "#standings")
     cells = heat_cells(browser)
-    assert cells["good[rho_inf=0.8]", "spring_mass"] == (["unjudged", "start"], "·")
+    assert cells["good[rho_inf=0.8]", "spring_mass"] == [["unjudged", "start"], "·"]
     assert cells["ringing[rho_inf=1]", "spring_mass"][0][0] == "untried"
-    labels = browser.execute_script(
-        'return [...document.querySelectorAll("#heat .unjudged a")].map((a) => a.ariaLabel);'
-    )
+    labels = each(browser, "#heat .unjudged a", "node.ariaLabel")
     assert labels
-    assert all(": No run on this scene has an error in multiplier" in s for s in labels)
-    assert "Tied: counts that differ by at most 10 %, or" in shown(browser)["answer"]
-    panel = "return document.querySelectorAll('#panels .chart')[0].innerHTML"
-    assert browser.execute_script(panel) == (
-        '<p class="note">No run on this scene has an error in multiplier λ.</p>'
-    )
-
-
-def test_a_scene_that_cannot_be_judged_says_why(browser, site):
-    for group, words in (
-        ("lam", "No run on this scene has an error in multiplier λ."),
-        ("a", ""),
-    ):
-        address = (site / "report" / "scene-spring_mass.html").as_uri()
-        browser.get("about:blank")
-        browser.get(f"{address}#group={group}&target=1e-4&cost=operations")
-        said, hidden, untold = browser.execute_script(
-            """
-            const table = document.querySelector("[data-methods]");
-            const command = document.querySelector("[data-try]");
-            const said = document.querySelector("[data-verdict]").textContent;
-            return [said, !table.offsetParent, !command.offsetParent];
-            """
-        )
-        assert hidden == untold == bool(words)
-        assert said == words or (
-            not words and "9600 operations at h=0.003125) alone reaches it." in said
-        )
+    assert all(said[:-3] in label for label in labels)
+    assert "Tied: counts that differ by at most 10 %, or" in text(browser, "#answer")
+    assert each(browser, "#panels .chart", "node.innerHTML")[0] == f'<p class="note">{said}</p>'
+    # Its own page has neither table nor command, but for a quantity that it has.
+    scene = site / "report" / "scene-spring_mass.html"
+    for group, words in (("lam", said), ("a", "9600 operations at h=0.003125) alone reaches it.")):
+        visit(browser, scene, f"#group={group}&target=1e-4&cost=operations")
+        seen = each(browser, "[data-methods], [data-try]", "Boolean(node.offsetParent)")
+        assert seen == [group == "a"] * 2
+        assert words in text(browser, "[data-verdict]")
 
 
 def test_the_address_restores_the_view_and_a_method_is_put_in_front(browser, site):
     fragment = "#group=lam&target=1e-2&cost=residuals&scenes=all&highlight=adaptive"
-    visit(browser, site, fragment)
-    chosen = browser.execute_script(
-        "return [...document.getElementById('question').elements].filter(e => e.name)"
-        ".map(e => [e.name, e.value])"
-    )
+    open_front(browser, site, fragment)
+    chosen = each(browser, "#question [name]", "[node.name, node.value]")
     assert chosen.pop(2) == ["norm", "max"]  # the usual one is not told
     assert fragment == "#" + "&".join(f"{name}={value}" for name, value in chosen)
-    count = "return document.querySelectorAll(arguments[0]).length"
-    assert browser.execute_script(count, ".panel svg.field .curve.mine") == 1
-    link = browser.execute_script("return document.querySelector('.panel h3 a').href")
+    assert len(each(browser, ".panel svg.field .curve.mine", "1")) == 1
+    link = each(browser, ".panel h3 a", "node.href")[0]
     assert link.endswith("report/scene-spring_mass.html" + fragment)
     # What the address does not know is the first question's.
-    visit(browser, site, "#group=nonsense&target=1e-2")
+    open_front(browser, site, "#group=nonsense&target=1e-2")
     assert browser.execute_script("return stepbench.question.group") == "a"
+
+
+#: The notes at runs that the arrow key finds one after the other.
+WALK = """
+const [plot, n] = arguments, told = [];
+for (let k = 0; k < n; k++) {
+  plot.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight", bubbles: true }));
+  told.push([...document.querySelector(".tip").children].map((n) => n.textContent.trim()));
+}
+return told;
+"""
 
 
 def test_keys_walk_through_the_runs_and_say_the_numbers_of_the_store(browser, site):
     from selenium.webdriver.common.keys import Keys
 
-    visit(browser, site)
-    plot = browser.find_elements("css selector", ".panel svg.plot")[1]
-    browser.execute_script("arguments[0].focus()", plot)
+    open_front(browser, site)
+    plot = browser.find_elements("css selector", CHARTS)[1]
     with Store(site) as store:
         records = [r for r in store.records().values() if r.problem == "pendulum"]
-    plot.send_keys(Keys.ARROW_RIGHT)
-    told = browser.execute_script(
-        """
-        const [plot, n] = arguments, told = [];
-        for (let k = 0; k < n; k++) {
-          told.push([...document.querySelector(".tip").children].map((n) => n.textContent.trim()));
-          plot.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight" }));
-        }
-        return told;
-        """,
-        plot,
-        len(records),
-    )
+    told = browser.execute_script(WALK, plot, len(records))
     said = {(lines[0], float(lines[1].partition("=")[2])): lines[2:] for lines in told}
     assert len(said) == len(records)
     for r in records:
@@ -234,84 +186,198 @@ def test_a_run_of_cost_zero_is_drawn_and_told(browser, tmp_path):
     for record in records:
         record.work["residuals"] *= record.integrator == "poor"
     write_html_report(plant(tmp_path, records))
-    visit(browser, tmp_path, "#group=q&target=1e-2&cost=residuals")
-    cells = {label: text for (label, _), (_, text) in heat_cells(browser).items()}
-    told = browser.execute_script(
-        """
-        const chart = document.querySelector(".panel svg.plot"), told = [];
-        for (const key of [..."123456"]) {
-          chart.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight", bubbles: true }));
-          told.push([...document.querySelector(".tip").children].map((n) => n.textContent.trim()));
-        }
-        return told;
-        """
-    )
+    fragment = "#group=q&target=1e-2&cost=residuals"
+    open_front(browser, tmp_path, fragment)
+    cells = {label: shown for (label, _), (_, shown) in heat_cells(browser).items()}
     assert cells == {"good[rho_inf=0.8]": "1.0", "poor": "∞"}
+    told = browser.execute_script(WALK, browser.find_element("css selector", CHARTS), 6)
     assert {lines[3] for lines in told} == {"0 evaluations"}
-    axis = browser.find_elements("css selector", ".panel:not([hidden]) svg.plot .axis text")
-    assert "0" not in [text.get_attribute("textContent") for text in axis]  # it holds the others
-    scene = (tmp_path / "report" / "scene-spring_mass.html").as_uri()
-    browser.get(f"{scene}#group=q&target=1e-2&cost=residuals")
-    rows = browser.execute_script(
-        "return [...document.querySelectorAll('[data-methods] tbody tr')].map("
-        "(row) => [...row.querySelectorAll('td')].slice(0, 2).map((cell) => cell.textContent))"
-    )
-    assert rows == [["0", "1 ×"], ["480", "∞ ×"]]  # noqa: RUF001
-    assert browser.get_log("browser") == []
+    # The axis holds the others.
+    assert "0" not in each(
+        browser, f"{CHARTS} .axis text", "node.textContent"
+    )  # that of the others
+    visit(browser, tmp_path / "report" / "scene-spring_mass.html", fragment)
+    cells = "[...node.cells].slice(1, 3).map((cell) => cell.textContent)"
+    assert each(browser, "[data-methods] tbody tr", cells) == [["0", "1 ×"], ["480", "∞ ×"]]  # noqa: RUF001
 
 
 @pytest.mark.long
 def test_a_chosen_set_of_scenes_is_shown_alone(browser, site):
-    visit(browser, site)
+    open_front(browser, site)
     browser.execute_script(
         "stepbench.data.filters.push({ id: 'one', name: 'one', scenes: [1] });"
         "document.getElementById('question').elements.scenes.add(new Option('one', 'one'));"
     )
     choose(browser, "scenes", "one")
-    assert len(shown(browser)["charts"]) == 1
+    assert len(each(browser, CHARTS, "1")) == 1
     assert {scene for _, scene in heat_cells(browser)} == {"pendulum"}
 
 
-@pytest.mark.long
-def test_a_large_chart_names_every_curve_and_no_names_overlap(browser, site):
-    visit(browser, site)
-    boxes = browser.execute_script(
-        """
-        const place = document.createElement("div");
-        place.style.width = "900px";
-        document.querySelector("main").append(place);
-        stepbench.draw(place, 1, { large: true });
-        return [...place.querySelectorAll(".legend .entry text")].map((node) => {
-          const box = node.getBoundingClientRect();
-          return [node.textContent, box.left, box.top, box.right, box.bottom];
-        });
-        """
-    )
-    with Store(site) as store:
-        able = {r.integrator for r in store.records().values() if r.problem == "pendulum"}
-    assert len(boxes) == len(able) - 1  # one method has failed runs only
-    for k, (_, left, top, right, bottom) in enumerate(boxes):
-        for _, left2, top2, right2, bottom2 in boxes[:k]:
-            assert right <= left2 or right2 <= left or bottom <= top2 + 2 or bottom2 <= top + 2
-
-
 def test_tables_sort_and_filter(browser, site):
-    browser.get((site / "report" / "scene-pendulum.html").as_uri())
-    table = (
-        "const t = [...document.querySelectorAll('table.sortable')]"
-        ".find(t => t.tBodies[0].rows.length > 12);"
+    visit(browser, site / "report" / "scene-pendulum.html")
+    (number,) = [k for k, n in enumerate(each(browser, ".sortable", "node.tBodies[0].rows.length"))
+                 if n > 12]  # fmt: skip
+    place = f"document.querySelectorAll('.sortable')[{number}]"
+    visible = f"return [...{place}.tBodies[0].rows].filter((row) => !row.hidden).length"
+    browser.execute_script(f"{place}.tHead.querySelector('button').click()")
+    names = browser.execute_script(
+        f"return [...{place}.tBodies[0].rows].map((row) => row.cells[0].textContent)"
     )
-    column_of = table + "return [...t.tBodies[0].rows].map(r => r.cells[0].textContent)"
-    browser.execute_script(table + "t.tHead.querySelector('button').click()")
-    names = browser.execute_script(column_of)
     assert names == sorted(names, key=str.lower)
-    sorted_by = table + "return t.tHead.rows[0].cells[0].getAttribute('aria-sort')"
+    sorted_by = f"return {place}.tHead.rows[0].cells[0].ariaSort"
     assert browser.execute_script(sorted_by) == "ascending"
-    visible = table + "return [...t.tBodies[0].rows].filter(r => !r.hidden).length"
     assert browser.execute_script(visible) == 12  # a long table begins folded
     browser.execute_script(
-        table + "const i = t.closest('.wide').previousElementSibling; i.value = 'fragile';"
+        f"const i = {place}.closest('.wide').previousElementSibling; i.value = 'fragile';"
         "i.dispatchEvent(new Event('input'))"
     )
     assert browser.execute_script(visible) == 2
+    assert browser.get_log("browser") == []
+
+
+# ---- layout ------------------------------------------------------------------------------
+BOX = "(({ left, top, right, bottom }) => [left, top, right, bottom])(node.getBoundingClientRect())"
+
+
+def apart(one, two):
+    return one[2] <= two[0] or two[2] <= one[0] or one[3] <= two[1] + 2 or two[3] <= one[1] + 2
+
+
+def test_names_of_curves_cover_neither_each_other_nor_rings(browser, site):
+    visit(browser, site / "report" / "scene-pendulum.html")
+    names = each(browser, ".plot.large .legend .entry text", BOX)
+    with Store(site) as store:
+        able = {r.integrator for r in store.records().values() if r.problem == "pendulum"}
+    assert len(names) == len(able) - 1  # one method has failed runs only
+    assert all(apart(one, two) for k, one in enumerate(names) for two in names[:k])
+    open_front(browser, site)
+    names, rings = (each(browser, f"#panels {kind}", BOX) for kind in (".name", ".winner"))
+    assert rings
+    assert all(apart(name, ring) for name in names for ring in rings)
+
+
+@contextmanager
+def screen(browser, width, height):
+    """A screen of this size, in pixels of CSS."""
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        yield
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_the_first_row_of_charts_is_in_sight_four_in_a_row(browser, tmp_path):
+    scenes = ("duffing", "oscillator", "friction")
+    more = [planted(scene, "poor", {"a": (1.0, 1)}, h=0.1) for scene in scenes]
+    write_html_report(plant(tmp_path, everything() + more))
+    with screen(browser, 1400, 900):
+        open_front(browser, tmp_path)
+        tops = [box[1] for box in each(browser, "#panels > .panel", BOX)]
+        cards = [box[1] for box in each(browser, ".opening > .card", BOX)]
+        (heat,), (card,) = each(browser, "#heat", BOX), each(browser, ".card:has(> #heat)", BOX)
+    assert len(tops) == 5
+    assert len(set(tops[:4])) == len(set(cards)) == 1
+    assert 0 < tops[0] < 450 < tops[4]
+    assert card[0] < heat[0] < heat[2] < card[2] < heat[2] + 40
+
+
+def test_on_a_phone_the_bar_stays_in_sight_and_nothing_is_cut(browser, site):
+    beside = """(() => {
+      const pen = document.createElement("canvas").getContext("2d");
+      pen.font = getComputedStyle(node).font;
+      const text = node.selectedOptions?.[0].text ?? node.value;
+      return node.getBoundingClientRect().width - pen.measureText(text).width;
+    })()"""
+    with screen(browser, 420, 900):
+        open_front(browser, site)
+        browser.execute_script("document.getElementById('heat-head').scrollIntoView()")
+        wide = browser.execute_script("return document.documentElement.scrollWidth")
+        (bar,) = each(browser, "#question", BOX)
+        fields = each(browser, "#question :is(select, input)", f"[node.name, {BOX}, {beside}]")
+    assert (bar[1], wide) == (0, 420)
+    assert 30 < bar[3] < 100
+    assert [own[0] for own in fields] == ["group", "target", "norm", "cost", "scenes", "highlight"]
+    for name, (left, _, right, _), room in fields:
+        assert 0 <= left <= right <= 420, name
+        assert room > 0, name
+
+
+def hidden_methods(browser):
+    """Labels of the methods of which no chart has a curve, if all charts agree."""
+    state = "[stepbench.data.methods[node.dataset.method].label, !node.getClientRects().length]"
+    curves = {tuple(pair) for pair in each(browser, "#panels .curve, #profile .curve", state)}
+    assert len(curves) == len(dict(curves))
+    return {label for label, off in curves if off}
+
+
+def test_a_legend_hides_and_shows_methods_in_all_charts(browser, site):
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    open_front(browser, site)
+    labels = browser.execute_script("return stepbench.data.methods.map((m) => m.label)")
+    assert hidden_methods(browser) == set()
+    *_, one, two = browser.find_elements("css selector", ".chooser .switch:has(.badge)")
+    first, second = (labels[int(node.get_attribute("data-method"))] for node in (one, two))
+    everything = browser.find_element("css selector", ".chooser .switch")
+    one.click()
+    assert hidden_methods(browser) == {first}
+    assert one.get_attribute("aria-pressed") == "false"
+    choose(browser, "target", "1e-2")  # the next question keeps it
+    assert hidden_methods(browser) == {first}
+    one.send_keys(Keys.ENTER)
+    assert hidden_methods(browser) == set()
+    ActionChains(browser).double_click(two).perform()
+    assert hidden_methods(browser) == set(labels) - {second}
+    everything.send_keys(Keys.SPACE)
+    assert hidden_methods(browser) == set()
+    one.send_keys(Keys.SHIFT, Keys.ENTER)
+    assert hidden_methods(browser) == set(labels) - {first}
+    # Neither pointer nor keys find hidden runs.
+    own = f".plot:has(.curve[data-method='{labels.index(first)}'])"
+    plot = browser.find_element("css selector", own)
+    for key in (Keys.ARROW_RIGHT, Keys.ARROW_RIGHT, Keys.ARROW_DOWN, Keys.ARROW_LEFT):
+        plot.send_keys(key)
+        assert text(browser, ".tip strong").strip() == first
+    assert browser.get_log("browser") == []
+
+
+def test_the_legend_of_a_large_chart_hides_methods_too(browser, site):
+    from selenium.webdriver.common.keys import Keys
+
+    visit(browser, site / "report" / "scene-pendulum.html")
+
+    def off():
+        return each(browser, ".curve.off", "node.dataset.method")
+
+    entry = browser.find_element("css selector", ".legend .entry")
+    own = entry.get_attribute("data-method")
+    assert off() == []
+    entry.send_keys(Keys.ENTER)
+    assert off() == [own]
+    assert browser.execute_script("return document.activeElement.dataset.method") == own
+    entry.click()
+    assert off() == []
+    entry.send_keys(Keys.SHIFT, Keys.ENTER)
+    assert len(off()) == len(each(browser, ".plot.large .curve", "1")) - 1
+    assert own not in off()
+
+
+def test_a_panel_becomes_large_in_its_place_and_escape_closes_it(browser, site):
+    from selenium.webdriver.common.keys import Keys
+
+    open_front(browser, site)
+    before = each(browser, ".panel svg.plot", "node.clientWidth")
+    one, two = browser.find_elements("css selector", "button.enlarge")
+    for button, name in ((one, "spring mass"), (two, "pendulum")):
+        button.click()
+        (said,) = each(browser, ".plot.large", "node.ariaLabel")
+        assert said.startswith(f"{name}: error in")
+        assert button.get_attribute("aria-expanded") == "true"
+        assert max(each(browser, ".panel svg.plot", "node.clientWidth")) > 1.5 * max(before)
+    browser.switch_to.active_element.send_keys(Keys.ESCAPE)
+    assert each(browser, ".plot.large", "1") == []
+    assert each(browser, ".panel svg.plot", "node.clientWidth") == before
+    assert two == browser.switch_to.active_element
     assert browser.get_log("browser") == []
