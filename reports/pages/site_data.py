@@ -13,7 +13,7 @@ from bench.results.quantities import ASKED, COSTS, ERROR_NAMES, NORM, NORMS, RAN
 from bench.results.records import NOT_TRIED, Record, SceneRecord
 from bench.results.timings import FEWEST, LEAST_OF_FEW, median_interval
 from reports.charts.mechanism import little_picture
-from reports.formatting import tie_text
+from reports.formatting import number, tie_text
 from reports.names import family_name, form_name, scene_name
 from reports.pages.report import Report
 from reports.pages.site import method_page, scene_page
@@ -130,7 +130,14 @@ def _runs(series: Series, places: Mapping[str, int], columns: Sequence[str]) -> 
         "resolutions": [_short(step_or_tolerance(r), 6) for r in series.records],
         "columns": [own if any(own) else None for own in found],
         "spread": [_spread(r) for r in series.records],
+        "phi": [_violation(r) for r in series.records],
     } | ({"endings": endings} if {*endings} != {"ok"} else {})
+
+
+def _violation(record: Record) -> str:
+    """The largest |Φ| with its unit; nothing of a run without constraints."""
+    size = record.constraint.get("position")
+    return "" if size is None else f"{number(size)} {record.constraint_unit}".rstrip()
 
 
 def _spread(record: Record) -> list[float] | None:

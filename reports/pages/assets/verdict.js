@@ -48,7 +48,7 @@
     }
     const run = (m) => {
       const [, k, cost] = own.states[m], runs = runsOf(scene, m), off = stepbench.columnOf(runs, "constraint")?.[k], { form, short } = data.methods[m];
-      const held = off > 0 ? `; ${form && !short.endsWith(form) ? `${form}; ` : ""}relative violation of Φ ${stepbench.number(off)}${off > Number(question.target) ? ` > ${question.target}` : ""}` : "";
+      const held = off > 0 ? `; ${form && !short.endsWith(form) ? `${form}; ` : ""}violation of Φ ${runs.phi[k]}${runs.phi[k] ? ", " : ""}relative ${stepbench.number(off)}${off > Number(question.target) ? ` > ${question.target}` : ""}` : "";
       return [stepbench.methodRef(m), ` (${stepbench.costWithUnit(cost, question.cost)} at ${stepbench.resolutionOf(runs, k)}${held}${marks(scene, own, m, question)})`];
     };
     const shown = own.first.slice(0, MOST).map(run), more = own.first.length - shown.length;
@@ -98,12 +98,12 @@
       const runs = runsOf(scene, index), near = state === "far" && nearest(scene, question, index);
       const tried = near ? ` down to ${stepbench.resolutionOf(runs, runs.resolutions.length - 1)}; least error: ${stepbench.number(near.error)}` : "";
       const ends = state === "failed" ? `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}` : "";
-      return html("tr", { class: "out" }, head, ...form, html("td", { colspan: 3 + held + Boolean(mine) }, STATES[state] + tried + ends));
+      return html("tr", { class: "out" }, head, ...form, html("td", { colspan: 3 + 2 * held + Boolean(mine) }, STATES[state] + tried + ends));
     }
     const [multiple, k, cost] = state, runs = runsOf(scene, index), error = stepbench.columnOf(runs, question.group)[k];
     // A violation that is larger than the accuracy is told to be.
     const off = held ? stepbench.columnOf(runs, "constraint")[k] : NaN;
-    const violation = held ? [html("td", {}, stepbench.number(off), off > Number(question.target) ? ` > ${question.target}` : "")] : [];
+    const violation = held ? [html("td", {}, runs.phi[k]), html("td", {}, stepbench.number(off), off > Number(question.target) ? ` > ${question.target}` : "")] : [];
     return html("tr", method.label === question.highlight ? { class: "mine" } : {}, head, ...form,
       html("td", {}, stepbench.costText(cost, question.cost)), html("td", {}, `${stepbench.multiple(multiple)} ×`),
       ...(mine ? [html("td", {}, index === mine.index ? "" : against(runs, k, runsOf(scene, mine.index), mine.k, question.cost))] : []), html("td", {}, stepbench.number(error)), ...violation);
@@ -116,7 +116,7 @@
     table.closest("section").hidden = !found.length;
     const held = data.scenes[scene].groups.includes("constraint"), own = data.methods.findIndex(({ label }) => label === question.highlight);
     const mine = Array.isArray(states[own]) ? { index: own, k: states[own][1] } : null;
-    const head = ["method", ...(held ? ["form"] : []), stepbench.costName(question), "multiple of the best", ...(mine ? [`multiple of ${data.methods[own].short}`] : []), `error in ${data.group_names[question.group].split(" ").at(-1)}`, ...(held ? ["violation of Φ, relative"] : [])];
+    const head = ["method", ...(held ? ["form"] : []), stepbench.costName(question), "multiple of the best", ...(mine ? [`multiple of ${data.methods[own].short}`] : []), `error in ${data.group_names[question.group].split(" ").at(-1)}`, ...(held ? ["violation of Φ", "relative"] : [])];
     table.replaceChildren(
       html("caption", {}, `Cheapest run of each with an error of at most ${question.target} in ${data.group_names[question.group]}, ${stepbench.norm()}${mine ? "" : "; highlight a method to compare all with it"}`),
       html("thead", {}, html("tr", {}, ...head.map((name) => html("th", { scope: "col" }, name)))),
