@@ -31,31 +31,34 @@ def _afresh(monkeypatch):
     forget()
 
 
-@pytest.mark.parametrize(
-    ("file", "all_change", "references_change"),
-    [
-        ("problems/scenes/damper.py", True, True),
-        ("integrators/native/newton.py", True, False),
-        ("bench/running/errors.py", True, False),
-        ("bench/commands/main.py", False, False),
-        ("reports/series.py", False, False),
-    ],
-)
-def test_an_edit_changes_what_it_takes_part_in(
-    tmp_path, monkeypatch, file, all_change, references_change
-):
+#: A file that is edited, and whether all fingerprints and those of references change.
+EDITS = {
+    "problems/scenes/damper.py": (True, True),
+    "integrators/native/newton.py": (True, False),
+    "bench/running/errors.py": (True, False),
+    "bench/commands/main.py": (False, False),
+    "reports/series.py": (False, False),
+}
+
+
+def test_an_edit_changes_what_it_takes_part_in(tmp_path, monkeypatch):
     project, registry = fingerprints._PROJECT, Registry()
+    for file in EDITS:
+        assert (project / file).is_file()
     for folder in ("problems", "integrators", "bench", "reports"):
         shutil.copytree(project / folder, tmp_path / folder)
     monkeypatch.setattr(fingerprints, "_PROJECT", tmp_path)
-    before = fingerprint(Pendulum), reference_file(registry, Pendulum(), 1.0)
-    with (tmp_path / file).open("a") as edited:
-        edited.write("# edited\n")
-    # A run has one fingerprint from beginning to end.
-    assert (fingerprint(Pendulum), reference_file(registry, Pendulum(), 1.0)) == before
-    forget()
-    assert (fingerprint(Pendulum) != before[0]) == all_change
-    assert (reference_file(registry, Pendulum(), 1.0) != before[1]) == references_change
+
+    def both():
+        return fingerprint(Pendulum), reference_file(registry, Pendulum(), 1.0)
+
+    for file, changes in EDITS.items():
+        before = both()
+        with (tmp_path / file).open("a") as edited:
+            edited.write("# edited\n")
+        assert both() == before  # a run has one fingerprint from beginning to end
+        forget()
+        assert tuple(a != b for a, b in zip(both(), before, strict=True)) == changes, file
 
 
 def test_a_plugin_takes_part_with_all_beside_it_in_any_folder(tmp_path):

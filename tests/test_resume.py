@@ -170,12 +170,6 @@ def test_what_went_wrong_otherwise_is_not_run_again(store):
     assert missing(store, budget_s=20.0, memory_gib=8.0) == (0, 0)
 
 
-def test_a_memory_that_an_earlier_version_did_not_keep_is_not_raised(store):
-    keep(store, budget_s=10.0)
-    assert missing(store, memory_gib=8.0) == (0, 0)
-    assert missing(store, budget_s=20.0) == (1, 1)
-
-
 def test_a_scene_is_described_again_when_the_code_of_its_record_changes(store, monkeypatch):
     keep(store)
     monkeypatch.setattr("bench.running.inventory.fingerprint", lambda made: "other")

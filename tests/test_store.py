@@ -8,13 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 from numpy.random import random
 from small_stores import A_DAMPING, A_SCENE, NO_ROWS, a_record, change, filled
 
-from bench.results.records import Damping, Environment, Plan, Record, Rows, Study
+from bench.results.records import Damping, Environment, Plan, Rows, Study
 from bench.results.store import FILE, Store, StoreError
 
 NOT_A_DATABASE = "not a database, but long enough to have a header" * 50
@@ -89,14 +88,6 @@ def test_what_cannot_be_read_is_named_with_the_way_out(tmp_path):
             Store(folder)
         assert (folder / FILE).read_bytes() == before
         assert [file.name for file in folder.iterdir()] == [FILE]
-
-
-def test_values_that_were_not_compressed_are_read(tmp_path):
-    with Store(filled(tmp_path)) as store:
-        records, raw = store.records(), msgspec.json.encode(store.values(Record)["k"]).hex()
-    change(tmp_path, f"UPDATE results SET value = X'{raw}' WHERE kind = 'Record'")
-    with Store(tmp_path) as store:
-        assert store.records() == records
 
 
 def test_a_result_that_cannot_be_read_again_is_kept_as_crashed_with_the_reason(tmp_path):

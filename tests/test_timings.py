@@ -8,7 +8,6 @@ import os
 import subprocess
 import sys
 import time
-from pathlib import Path
 from threading import Event, Thread
 from types import SimpleNamespace
 
@@ -27,9 +26,6 @@ from bench.running.runner import Runner, time_task
 from bench.running.session import time_suite
 from bench.running.worker import Worker
 from integrators.resolutions import Steps
-from reports.questions.question import TABLE_GROUPS, TABLE_TARGETS
-from reports.ranking import answers
-from reports.series import series_of
 
 
 def test_the_interval_of_the_median_is_that_of_the_sign_test():
@@ -218,12 +214,6 @@ def test_few_samples_of_either_need_a_factor_of_two():
             assert (found.least, found.differs) == (least, differs)
 
 
-def test_samples_of_an_earlier_version_belong_to_the_invocation_of_their_cell(tmp_path):
-    one = [(n, 10.0**-n) for n in range(6)]
-    two = [(n, 3 * 10.0**-n, 7 if n % 2 else None) for n in range(6)]
-    assert quotient(*two_records(tmp_path, one, two)).differs
-
-
 def test_the_rounds_that_are_missing_are_taken_once(tmp_path):
     for taken in [(0, 1, 3), (0, 3, 4), (0, 2, 3, 4, 8)]:
         study = StudyFile(problems=["pendulum"], integrators=["newmark"], steps=[0.01])
@@ -276,31 +266,3 @@ def test_long_runs_that_may_win_get_as_many_samples_as_an_interval_takes(tmp_pat
         counts = {r.h: len(r.run_s) for r in store.records().values()}
     assert counts == {h: n + (h == 0.1) for h, (*_, n) in found.items()}
     assert len(runner.asked) == sum(counts.values())
-
-
-def cheapest(folder: Path) -> dict[tuple, set[str]]:
-    """Integrators that win or tie, by group, accuracy, scene and cost."""
-    with Store(folder) as store:
-        records = list(store.records().values())
-    names = dict.fromkeys(r.problem for r in records)
-    series = {n: series_of(r for r in records if r.problem == n) for n in names}
-    return {
-        (question.group, question.target, scene, question.cost): {s.label for s in own.first}
-        for question, found in answers(series, TABLE_GROUPS, TABLE_TARGETS).items()
-        for scene, own in found.scenes.items()
-        if len(own.series) > 1
-    }
-
-
-@pytest.mark.long
-def test_two_runs_of_quick_name_the_same_winners_or_ties(stepbench, tmp_path):
-    found = []
-    for name in ("one", "two"):
-        result = stepbench("run", "quick", "--out", tmp_path / name)
-        assert result.exit_code == 0, result.output
-        found.append(cheapest(tmp_path / name))
-    one, two = found
-    assert one.keys() == two.keys()
-    for key, winners in one.items():
-        assert winners & two[key] or not winners | two[key], (key, winners, two[key])
-        assert winners == two[key] or "seconds" in key  # counts are the same to the digit

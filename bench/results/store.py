@@ -310,9 +310,9 @@ def _encoded(value: Any) -> bytes:
 
 
 def _decoded(raw: bytes, kind: type[T]) -> T:
-    """Read a value, also one that was not compressed; ValueError if it is not of this kind."""
+    """Read a value; ValueError if it is not of this kind."""
     try:
-        return msgspec.json.decode(raw if raw[:1] == b"{" else zlib.decompress(raw), type=kind)
+        return msgspec.json.decode(zlib.decompress(raw), type=kind)
     except (zlib.error, msgspec.DecodeError, TypeError) as error:
         raise ValueError(str(error)) from error
 

@@ -36,7 +36,7 @@ IMPORTS = {
 #: Code in the body of the class, fate, words of the reason.
 FACTS = {
     "family_raises": ("@property\ndef family(self): 1 / 0", "crashed", "ZeroDivisionError"),
-    "family_leaves": ("@property\ndef family(self): sys.exit(0)", "crashed", "family"),
+    "family_leaves": ("@property\ndef family(self): sys.exit(0)", "lost", "SystemExit: 0"),
     "affinity_number": ("affinity = 3", "crashed", "affinity"),
     "controls_odd": ("controls = 'whatever'", "crashed", "controls"),
     "spec_raises": ("@property\ndef spec(self): 1 / 0", "lost", "ZeroDivisionError"),
