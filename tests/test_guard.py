@@ -15,7 +15,6 @@ import psutil
 import pytest
 
 from bench.guard import process as limits
-from bench.guard import process as process_module
 from bench.guard.process import (
     GuardedProcess,
     Limits,
@@ -72,7 +71,7 @@ def test_a_job_that_fails_has_a_fate_and_the_next_one_an_answer(guarded):
     assert (type(refusal), refusal.message) == (Refused, "No such thing.")
 
 
-def test_a_job_that_takes_too_much_memory_or_does_nothing_is_told_so(monkeypatch):
+def test_a_job_that_takes_too_much_or_does_nothing_or_is_not_prepared_is_told_so(monkeypatch):
     monkeypatch.setattr(limits, "STILL_SECONDS", 2.0)
     for job, words in (
         (jobs.hoards, "budget of 0.3 GiB; take a smaller scene"),
@@ -81,9 +80,6 @@ def test_a_job_that_takes_too_much_memory_or_does_nothing_is_told_so(monkeypatch
         fate = GuardedProcess(jobs.prepare, (10,), Limits(60.0, 0.3, advice="so it goes")).ask(job)
         assert fate.status == "budget_exceeded"
         assert words in fate.message
-
-
-def test_what_cannot_be_prepared_is_the_reason_of_its_job():
     fate = GuardedProcess(jobs.raises, ()).ask(jobs.add, 1)
     assert fate.phase == LOADING
     assert "while loading this program (exit code 1). Its last words: ValueError" in fate.message
@@ -161,7 +157,7 @@ def test_who_closes_its_output_keeps_nobody_awake(guarded):
     while guarded().poll() is None:
         wait_for_any([guarded()])
         looks += 1
-    assert looks < 5 + (time.monotonic() - begun) / process_module._BETWEEN
+    assert looks < 5 + (time.monotonic() - begun) / limits._BETWEEN
 
 
 # ---- budgets -------------------------------------------------------------------------------
@@ -187,11 +183,16 @@ class Watched:
 
 def test_a_budget_is_processor_time(monkeypatch):
     watched = Watched(monkeypatch, Limits(3.0, advice="so it goes"))
+    assert watched.pass_by(1, apart=3600.0) == ""  # this process was halted
     assert watched.pass_by(100, 0.01) == ""  # others have the processors
     excess = watched.pass_by(100, 0.5)
     assert excess == "it took more than 3 s of processor time, its budget; so it goes"
     loading = Watched(monkeypatch, Limits(3.0, advice="so it goes"), LOADING)
     assert loading.pass_by(200, 0.5).endswith("top level, or bodies out of its model")
+    large = Watched(monkeypatch, Limits(1.0, 1.0, advice="take larger steps"))
+    large.memory = 2**31
+    excess = large.pass_by(2, 9.0)
+    assert excess.startswith("it used more memory than the budget of 1 GiB; take a smaller scene")
 
 
 def test_who_does_nothing_for_a_minute_ends_within_any_budget(monkeypatch):
@@ -204,18 +205,6 @@ def test_who_does_nothing_for_a_minute_ends_within_any_budget(monkeypatch):
         watched = Watched(monkeypatch, Limits(1e6), phase)
         assert watched.pass_by(119, computed) == ""
         assert ("it did nothing for 60 s" in watched.pass_by(20, computed)) == ends
-
-
-def test_a_halt_of_this_process_counts_a_second(monkeypatch):
-    watched = Watched(monkeypatch, Limits(3.0))
-    assert watched.pass_by(1, apart=3600.0) == ""
-
-
-def test_who_takes_too_much_memory_is_not_told_to_take_larger_steps(monkeypatch):
-    watched = Watched(monkeypatch, Limits(1.0, 1.0, advice="take larger steps"))
-    watched.memory = 2**31
-    excess = watched.pass_by(2, 9.0)
-    assert excess.startswith("it used more memory than the budget of 1 GiB; take a smaller scene")
 
 
 def test_a_phase_that_begins_again_goes_on_counting_and_a_job_begins_anew(monkeypatch):

@@ -191,26 +191,6 @@ def test_a_working_directory_that_is_gone_is_a_sentence(tmp_path, command):
 
 
 # ---- limits ----------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    "most", [pytest.param(8, marks=pytest.mark.long), pytest.param(12, marks=attack)]
-)
-def test_too_few_open_files_are_a_sentence(tmp_path, profile, most):
-    few = limit(resource.RLIMIT_NOFILE, most)
-    code, text = ask("run", profile, "--out", tmp_path / "out", "--jobs", 1, limits=few)
-    assert code == 1
-    assert "Too many open files" in text or "unable to open database file" in text
-
-
-@attack
-@pytest.mark.parametrize("most", [20, 40])
-def test_few_open_files_cost_no_result(tmp_path, profile, most):
-    few = limit(resource.RLIMIT_NOFILE, most)
-    code, text = ask("run", profile, "--out", tmp_path / "out", "--jobs", 1, limits=few)
-    assert OK in text
-    assert code == 0 or "The results are stored." in text
-    assert len(stored(tmp_path / "out")) == 2
-
-
 @attack
 @pytest.mark.parametrize(
     ("which", "most"),
@@ -228,25 +208,6 @@ def test_too_little_memory_or_time_is_no_success(tmp_path, profile, which, most)
     # The same command measures what was lost, once there is room.
     code, text = ask("run", profile, "--out", out, "--jobs", 1, "--fresh")
     assert (code, OK in text) == (0, True), text
-
-
-@attack
-@pytest.mark.parametrize("closed", [(1,), (0, 2)], ids=str)
-def test_closed_descriptors_cost_no_result(tmp_path, profile, closed):
-    out = tmp_path / "out"
-
-    def close() -> None:
-        for descriptor in closed:
-            os.close(descriptor)
-
-    code, text = ask("run", profile, "--out", out, "--jobs", 1, limits=close)
-    if 1 in closed:  # it could not tell its results, and says so before it begins
-        assert code == 1
-        assert not out.exists()
-        return
-    assert (code, OK in text) == (0, True), text
-    assert len(stored(out)) == 2
-    assert (out / "report" / "vega.js").stat().st_size > 100_000
 
 
 # ---- variables -------------------------------------------------------------------------
