@@ -92,72 +92,55 @@ def test_the_page_shows_what_the_run_found(folder):
     assert cell in whole_markdown(folder / "out")
 
 
-def test_who_never_came_to_the_end_or_chooses_its_steps_is_not_asked(folder):
+@pytest.fixture
+def again(folder, tmp_path):
+    """The suite, its inventory, and a copy of its store."""
+    shutil.copytree(folder / "out", tmp_path / "out")
     registry = Inventory()
     suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
-    with Store(folder / "out") as store:
-        scenes, records = store.scenes(), store.records()
-    names = {task.arguments[0] for task in analysis.missing(suite, {}, scenes, records, registry)}
-    assert names == {"newmark[beta=0.25,gamma=0.5]", "generalized_alpha[rho_inf=0.5]"}
+    with Store(tmp_path / "out", create=True) as store:
+        yield suite, registry, store
+
+
+def test_methods_are_asked_that_came_to_the_end_at_all_frequencies_that_are_known(again):
+    suite, registry, store = again
+    scenes, records = store.scenes(), store.records()
+
+    def asked(known):
+        found = analysis.missing(suite, known, scenes, records, registry)
+        return {task.arguments[0]: task.arguments[1] for task in found}
+
+    plain, damped = "newmark[beta=0.25,gamma=0.5]", "generalized_alpha[rho_inf=0.5]"
+    first = asked({})
+    assert first.keys() == {plain, damped}  # ida chooses its steps
+    assert asked({plain: Damping(omega_h=[5.0])})[plain] == (*first[plain], 5.0)
     for record in records.values():
-        if record.integrator.startswith("generalized"):
+        if record.integrator == damped:
             record.status = "crashed"
-    (task,) = analysis.missing(suite, {}, scenes, records, registry)
-    assert task.arguments[0] == "newmark[beta=0.25,gamma=0.5]"
+    assert asked({}).keys() == {plain}
 
 
-def test_frequencies_of_another_suite_are_asked_for_again(folder):
-    registry, name = Inventory(), "newmark[beta=0.25,gamma=0.5]"
-    suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
-    with Store(folder / "out") as store:
-        scenes, records = store.scenes(), store.records()
-    known = {name: Damping(omega_h=[5.0])}
-    tasks = analysis.missing(suite, known, scenes, records, registry)
-    (asked,) = [task.arguments[1] for task in tasks if task.arguments[0] == name]
-    (again,) = [
-        task.arguments[1]
-        for task in analysis.missing(suite, {}, scenes, records, registry)
-        if task.arguments[0] == name
-    ]
-    assert asked == (*again, 5.0)
+def test_damping_is_kept_until_the_source_of_the_method_or_the_analysis_changes(again, monkeypatch):
+    (suite, registry, store), name = again, "newmark[beta=0.25,gamma=0.5]"
 
-
-def test_damping_is_kept_until_the_source_of_the_method_changes(folder, tmp_path):
-    shutil.copytree(folder / "out", tmp_path / "out")
-    registry, name = Inventory(), "newmark[beta=0.25,gamma=0.5]"
-    suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
-
-    def complete(store, budget_s):
+    def complete(budget_s):
         with Runner(1, Limits(budget_s, 4.0)) as runner:
             analysis.complete_damping(suite, store, registry, runner)
         return store.damping()
 
-    with Store(tmp_path / "out", create=True) as store:
-        known = store.damping()
-        assert complete(store, 60.0) == known
-        store.keep(Damping(omega_h=known[name].omega_h, fingerprint="other"), name)
-        assert complete(store, 60.0) == known
-        store.forget(Damping, name)
-        lost = complete(store, 1e-9)[name]
-        assert lost.omega_h == known[name].omega_h
-        assert (
-            "Stopped while running because it took more than 1e-09 s of processor time"
-            in lost.message
-        )
-        assert complete(store, 60.0)[name] == lost
-
-
-def test_damping_is_forgotten_when_the_code_of_the_analysis_changes(folder, tmp_path, monkeypatch):
-    shutil.copytree(folder / "out", tmp_path / "out")
-    registry, runner = Inventory(), Mock(run=lambda groups: [])
-    suite = make_suite(*read_profile(str(folder / "profile.toml")), registry)
-    with Store(tmp_path / "out", create=True) as store:
-        analysis.complete_damping(suite, store, registry, runner)
-        assert len(store.damping()) == 2
-        monkeypatch.setattr("bench.running.inventory.fingerprint", lambda made: "other")
-        monkeypatch.setattr(registry, "_known", {})
-        analysis.complete_damping(suite, store, registry, runner)
-        assert store.damping() == {}
+    known = store.damping()
+    assert complete(60.0) == known
+    store.keep(Damping(omega_h=known[name].omega_h, fingerprint="other"), name)
+    assert complete(60.0) == known
+    store.forget(Damping, name)
+    lost = complete(1e-9)[name]
+    assert lost.omega_h == known[name].omega_h
+    assert "running because it took more than 1e-09 s of processor time" in lost.message
+    assert complete(60.0)[name] == lost
+    monkeypatch.setattr("bench.running.inventory.fingerprint", lambda made: "other")
+    monkeypatch.setattr(registry, "_known", {})
+    analysis.complete_damping(suite, store, registry, Mock(run=lambda groups: []))
+    assert store.damping() == {}
 
 
 def test_every_ending_has_its_words():
