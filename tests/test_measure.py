@@ -8,9 +8,9 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 from helpers import long
+from small_stores import a_record
 
 from bench.results.quantities import GROUPS, NORMS
-from bench.results.records import Record
 from bench.results.store import Store
 from bench.running.errors import norms, relative_errors
 from bench.running.linearisation import rates
@@ -60,20 +60,8 @@ def test_rows_end_before_the_first_that_is_not_finite_and_can_be_read_back(tmp_p
             rows = stored_rows(trajectory(**{group: whole}))
             assert rows.t == TIMES[:3].tolist()
             assert {len(values) for values in rows.values.values()} == {3}
-            record = Record(
-                key="k",
-                problem="p",
-                integrator="i",
-                family="f",
-                formulation="ode",
-                controls="step",
-                h=0.1,
-                t0=0.0,
-                t_end=0.4,
-                status="diverged",
-            )
             with Store(tmp_path, create=True) as store:
-                store.save(record, rows)
+                store.save(a_record(status="diverged"), rows)
                 assert store.rows("k") == rows
 
 
@@ -173,29 +161,17 @@ def test_a_group_is_judged_by_its_worst_component_and_every_norm_has_one_denomin
     assert floors["|q|"]["end"] == pytest.approx(np.sqrt(17) * 1e-3 / 10, rel=1e-15)
 
 
-def test_a_natural_size_replaces_the_largest_value_of_its_component():
+def test_a_component_is_measured_by_its_natural_size_or_its_largest_value(monkeypatch):
     errors, floors, components, _ = errors_of(Scaled(), [[0.0, 0.0], [3.0, 0.01], [0.0, -0.02]])
     assert components["q"]["max"] == [3 / 8, 0.02 / 0.5]
-    assert errors["q"]["max"] == 3 / 8
-    assert errors["q"]["end"] == 0.02 / 0.5
+    assert (errors["q"]["max"], errors["q"]["end"]) == (3 / 8, 0.02 / 0.5)
     assert floors["q"]["max"] == 4e-3 / 0.5
-
-
-def test_a_component_that_hardly_moves_is_measured_by_its_group(monkeypatch):
-    monkeypatch.setattr(Known, "exact", np.array([[10.0, 1e-9], [0.0, -1e-12], [1.0, 0.0]]))
-    components = errors_of(Named(), [[0.0, 1e-6], [0.0, 0.0], [0.0, 0.0]]).components
-    assert components["q"]["max"] == [0.0, pytest.approx(1e-7)]
-
-
-def test_a_component_has_its_own_size_from_a_millionth_of_its_group_on(monkeypatch):
-    for largest, size in [(1.1e-5, 1.1e-5), (0.9e-5, 10.0)]:
+    # One that hardly moves is measured by its group, up to a millionth of that.
+    for largest, size in [(1e-9, 10.0), (0.9e-5, 10.0), (1.1e-5, 1.1e-5)]:
         monkeypatch.setattr(Known, "exact", np.array([[10.0, largest], [0.0, 0.0], [1.0, 0.0]]))
         components = errors_of(Named(), [[0.0, 1e-6], [0.0, 0.0], [0.0, 0.0]]).components
         assert components["q"]["max"] == [0.0, pytest.approx(1e-6 / size)]
-
-
-def test_errors_of_a_group_that_vanishes_are_absolute(monkeypatch):
-    monkeypatch.setattr(Known, "exact", np.zeros((3, 2)))
+    monkeypatch.setattr(Known, "exact", np.zeros((3, 2)))  # of a group that vanishes: absolute
     errors, floors, components, _ = errors_of(Named(), [[0.0, 0.0], [3.0, 4.0], [0.0, -2.0]])
     assert components["q"]["max"] == [3.0, 4.0]
     assert (errors["q"]["max"], errors["|q|"]["max"], floors["q"]["max"]) == (4.0, 5.0, 4e-3)

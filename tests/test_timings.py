@@ -166,17 +166,11 @@ def test_a_sample_is_the_least_run_whatever_disturbs_others_and_however_short(mo
             machine = _Machine(monkeypatch, often=max(often, 1.5 * seconds))
             # Reading the clock takes a part of a reading, which has to be long enough for that.
             assert machine.sample(seconds) == pytest.approx(seconds, rel=0.04)
-
-
-def test_a_clock_that_hardly_moves_gives_times_above_zero(monkeypatch):
-    assert 1e-5 < _Machine(monkeypatch, ticks=4e-3).sample(3e-5) < 1e-4
-
-
-def test_a_run_that_fills_a_sample_is_repeated_while_that_is_cheap(monkeypatch):
+    assert 1e-5 < _Machine(monkeypatch, ticks=4e-3).sample(3e-5) < 1e-4  # it hardly moves
     for seconds, runs in [(4e-3, 3), (9e-3, 3), (2e-2, 2), (0.1, 1)]:
         machine = _Machine(monkeypatch)
         machine.sample(seconds)
-        assert machine.runs == runs
+        assert machine.runs == runs  # repeated while that is cheap
 
 
 def two_records(tmp_path, one, two):
