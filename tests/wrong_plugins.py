@@ -125,85 +125,66 @@ class Nameless(Wrong):
         return "nameless"
 
 
-@dataclass(frozen=True)
-class NanSample(SampledPd):
-    """A controller whose demand is no number."""
-
-    def sample(self, z):
-        return {"demand": jnp.nan}
+# ---- scenes with one fault each ------------------------------------------------------------
+def wrong_start(self):
+    q, v, x = Pendulum.initial_state(self)
+    return State(1.25 * q, v, x)
 
 
-@dataclass(frozen=True)
-class LongSample(SampledPd):
-    """A controller that gives a vector for a number."""
-
-    def sample(self, z):
-        return {"demand": z.q}
+def straight(self, q, w):
+    """A movement that goes straight on while the body turns."""
+    there = q[:3] + rotated(q[3:], w[:3])
+    return jnp.concatenate([there, turned(q[3:], w[3:])])
 
 
-@dataclass(frozen=True)
-class ScalarEvents(BouncingBall):
-    """A ball whose events are no vector."""
-
-    def events(self, z):
-        return z.q[0]
-
-
-@dataclass(frozen=True)
-class NanEvents(BouncingBall):
-    """A ball whose height is no number."""
-
-    def events(self, z):
-        return z.q * jnp.nan
-
-
-@dataclass(frozen=True)
-class MisspeltJump(BouncingBall):
-    """A ball whose jump gives a value that does not exist."""
-
-    def jump(self, z, event):
-        return {"velocity": -z.v}
-
-
-@dataclass(frozen=True)
-class WrongEnergy(Pendulum):
-    """Potential energy of the wrong sign."""
-
-    def energy(self, q, v):
-        return 0.5 * self.m * (v @ v) - self.m * self.g * q[1]
-
-
-@dataclass(frozen=True)
-class WrongMomentum(Pendulum):
-    """An angular momentum that gravity changes."""
-
-    def momentum(self, q, v):
-        return self.m * jnp.array([q[0] * v[1] - q[1] * v[0]])
-
-
-@dataclass(frozen=True)
-class LopsidedMass(Pendulum):
-    """A mass matrix that is not symmetric."""
-
-    def mass(self, q):
-        return self.m * jnp.array([[1.0, 0.1], [0.0, 1.0]])
-
-
-@dataclass(frozen=True)
-class TwiceHeld(Pendulum):
-    """The same constraint twice."""
-
-    def constraint(self, q, t):
-        return jnp.repeat(super().constraint(q, t), 2)
-
-
-@dataclass(frozen=True)
-class WrongExact(Pendulum):
-    """A closed form with the acceleration of a lighter world."""
-
-    def exact(self, t):
-        values = super().exact(t)
-        return values | {"a": values["a"] * [1.0, 1.01]}
+#: By name of the class: its base, and the blocks that are wrong.
+SCENES = {
+    "NanSample": (SampledPd, {"sample": lambda self, z: {"demand": jnp.nan}}),
+    "LongSample": (SampledPd, {"sample": lambda self, z: {"demand": z.q}}),
+    "ScalarEvents": (BouncingBall, {"events": lambda self, z: z.q[0]}),
+    "NanEvents": (BouncingBall, {"events": lambda self, z: z.q * jnp.nan}),
+    "MisspeltJump": (BouncingBall, {"jump": lambda self, z, event: {"velocity": -z.v}}),
+    "WrongEnergy": (
+        Pendulum,
+        {"energy": lambda self, q, v: 0.5 * self.m * (v @ v) - self.m * self.g * q[1]},
+    ),
+    "WrongMomentum": (  # gravity changes it
+        Pendulum,
+        {"momentum": lambda self, q, v: self.m * jnp.array([q[0] * v[1] - q[1] * v[0]])},
+    ),
+    "LopsidedMass": (
+        Pendulum,
+        {"mass": lambda self, q: self.m * jnp.array([[1.0, 0.1], [0.0, 1.0]])},
+    ),
+    "TwiceHeld": (
+        Pendulum,
+        {"constraint": lambda self, q, t: jnp.repeat(Pendulum.constraint(self, q, t), 2)},
+    ),
+    "WrongExact": (  # the acceleration of a lighter world
+        Pendulum,
+        {
+            "exact": lambda self, t: (known := Pendulum.exact(self, t))
+            | {"a": known["a"] * [1.0, 1.01]}
+        },
+    ),
+    "OffTheRod": (Pendulum, {"initial_state": wrong_start}),
+    "NumpyForce": (
+        Pendulum,
+        {"force": lambda self, q, v, t: np.array([0.0, -self.m * self.g]) + 0 * np.sin(q)},
+    ),
+    "MoodyForce": (
+        Pendulum,
+        {"force": lambda self, q, v, t: Pendulum.force(self, q, v, t) + RANDOM.normal()},
+    ),
+    "HiddenSlope": (
+        Pendulum,
+        {"force": lambda self, q, v, t: Pendulum.force(self, q, v, t) - jax.lax.stop_gradient(v)},
+    ),
+    "Skidding": (HeavyTopSE3, {"move": straight}),
+}
+for _name, (_base, _blocks) in SCENES.items():
+    _stated = {"__doc__": "A wrong scene.", "__module__": __name__, **_blocks}
+    globals()[_name] = dataclass(frozen=True)(type(_name, (_base,), _stated))
 
 
 @dataclass(frozen=True)
@@ -222,48 +203,6 @@ class WrongSlope(MechatronicSystem):
     def exact(self, t):
         fallen = np.asarray(t)[:, None]
         return {"q": -(fallen**2), "v": -fallen, "a": -np.ones_like(fallen)}
-
-
-@dataclass(frozen=True)
-class OffTheRod(Pendulum):
-    """It starts off its circle."""
-
-    def initial_state(self):
-        q, v, x = super().initial_state()
-        return State(1.25 * q, v, x)
-
-
-@dataclass(frozen=True)
-class NumpyForce(Pendulum):
-    """A force written in NumPy."""
-
-    def force(self, q, v, t):
-        return np.array([0.0, -self.m * self.g]) + 0 * np.sin(q)
-
-
-@dataclass(frozen=True)
-class MoodyForce(Pendulum):
-    """A force that is another at every call."""
-
-    def force(self, q, v, t):
-        return super().force(q, v, t) + RANDOM.normal()
-
-
-@dataclass(frozen=True)
-class Skidding(HeavyTopSE3):
-    """A movement that goes straight on while the body turns."""
-
-    def move(self, q, w):
-        there = q[:3] + rotated(q[3:], w[:3])
-        return jnp.concatenate([there, turned(q[3:], w[3:])])
-
-
-@dataclass(frozen=True)
-class HiddenSlope(Pendulum):
-    """A force whose derivative is hidden."""
-
-    def force(self, q, v, t):
-        return super().force(q, v, t) - jax.lax.stop_gradient(v)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from bench.check.verdicts import (
     shortly,
 )
 from bench.guard.process import GuardedProcess, Limits, NoAnswer
-from bench.plugins.registry import SUFFIXES, Plugin, Registry, Sources
+from bench.plugins.registry import SUFFIXES, Plugin, Registry
 from bench.running.inventory import Inventory, load_registry
 from problems import spec
 from problems.plain_text import said
@@ -82,52 +82,29 @@ def is_file(text: str) -> bool:
     return text.endswith((".py", *SUFFIXES)) or os.sep in text
 
 
-class Checker:
-    """Runs checks in a process of its own; use as a context manager.
+def run_checks(registry: Inventory, kind: str, text: str, budget_s: float) -> Iterator[CheckResult]:
+    """Yield the result of each check on the plugin written as ``text``, which may take so many s.
 
-    Parameters
-    ----------
-    registry
-        Where the plugins are found; the process makes its own from the same files.
-    budget_s
-        Seconds that one check may take.
+    They run in a process of their own, which loads the plugin from its file.
     """
-
-    def __init__(self, registry: Inventory, budget_s: float) -> None:
-        self._registry, self._budget_s = registry, budget_s
-        self._process: GuardedProcess | None = None
-        self._sources = Sources()
-
-    def __enter__(self) -> Checker:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._process:
-            self._process.end()
-
-    def check(self, kind: str, text: str) -> Iterator[CheckResult]:
-        """Yield the result of each check of this kind on the plugin written as ``text``."""
-        plugin = self._plugin(kind, text)
-        if plugin.reason:
-            yield CheckResult("loads", FAILED, f"It is unavailable: {plugin.reason}")
-            return
+    plugins = getattr(registry, kind)
+    # A name that cannot be used is listed with its origin, which is no name with options.
+    plugin: Plugin = plugins.get(text) or plugins[spec.split_spec(text)[0]]
+    if plugin.reason:
+        yield CheckResult("loads", FAILED, f"It is unavailable: {plugin.reason}")
+        return
+    process: GuardedProcess | None = None
+    try:
         for name in CHECKS[kind]:
-            if self._process and self._sources != plugin.sources:
-                self._process.end()
-            if self._process is None or not self._process.alive:
-                limits = Limits(self._budget_s)
-                self._process = GuardedProcess(load_registry, (plugin.sources,), limits)
-                self._sources = plugin.sources
-            answer = self._process.ask(examine, kind, text, name)
+            if process is None or not process.alive:
+                process = GuardedProcess(load_registry, (plugin.sources,), Limits(budget_s))
+            answer = process.ask(examine, kind, text, name)
             if isinstance(answer, NoAnswer):
                 advice = "Look for a crash in compiled code or for an exit."
                 if answer.status == "budget_exceeded":
                     advice = "End such a run with the status budget_exceeded, or raise --budget."
-                reason = answer.message.rstrip(".")
-                answer = CheckResult(name, FAILED, f"{reason}. {advice}")
+                answer = CheckResult(name, FAILED, f"{answer.message.rstrip('.')}. {advice}")
             yield answer
-
-    def _plugin(self, kind: str, text: str) -> Plugin:
-        plugins = getattr(self._registry, kind)
-        # A name that cannot be used is listed with its origin, which is no name with options.
-        return plugins.get(text) or plugins[spec.split_spec(text)[0]]
+    finally:
+        if process is not None:
+            process.end()

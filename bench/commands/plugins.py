@@ -64,24 +64,23 @@ def check(o: Given) -> None:
       stepbench check my_method.py my_scene.py
       stepbench check --all --json
     """
-    from bench.check.checker import Checker, chosen, is_file
+    from bench.check.checker import chosen, is_file, run_checks
     from bench.commands.terminal import say
 
     registry = Inventory([*o.plugins, *filter(is_file, o.names)])
     answers, count, failed = [], 0, 0
-    with Checker(registry, o.budget) as checker:
-        for kind, text in chosen(registry, o.names, o.everything):
+    for kind, text in chosen(registry, o.names, o.everything):
+        if not o.as_json:
+            say(f"{WORDS[kind]} {text}")
+        results = []
+        for result in run_checks(registry, kind, text, o.budget):
+            results.append(result)
             if not o.as_json:
-                say(f"{WORDS[kind]} {text}")
-            results = []
-            for result in checker.check(kind, text):
-                results.append(result)
-                if not o.as_json:
-                    say(_line(result))
-            wrong = sum(result.verdict == FAILED for result in results)
-            count, failed = count + len(results), failed + wrong
-            about = {"name": text, "kind": WORDS[kind], "passed": not wrong}
-            answers.append(about | {"checks": [vars(result) for result in results]})
+                say(_line(result))
+        wrong = sum(result.verdict == FAILED for result in results)
+        count, failed = count + len(results), failed + wrong
+        about = {"name": text, "kind": WORDS[kind], "passed": not wrong}
+        answers.append(about | {"checks": [vars(result) for result in results]})
     if o.as_json:
         options.print_json(answers)
     if failed:
