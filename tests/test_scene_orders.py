@@ -10,6 +10,7 @@ from helpers import long, reference, slope
 from scipy.integrate import solve_ivp
 from test_wider_scenes import Rubbing, SleighOfRates, Turret
 
+from bench.plugins.registry import Registry
 from bench.running.errors import relative_errors
 from integrators import Steps, Tolerances
 from integrators.adapters.cvode import CVODE
@@ -21,36 +22,19 @@ from integrators.methods.radau_iia import RadauIIA
 from integrators.methods.rodas5p import Rodas5P
 from problems import formulations, jax
 from problems.initial_values import consistent_start
-from problems.scenes.bicycle import Bicycle
-from problems.scenes.car_axis import CarAxis
-from problems.scenes.chain import Chain
-from problems.scenes.chaplygin_sleigh import ChaplyginSleigh
-from problems.scenes.driven_springs import DrivenSprings
-from problems.scenes.duffing import Duffing
-from problems.scenes.friction import Friction
-from problems.scenes.full_car import FullCar
-from problems.scenes.heavy_top import HeavyTop
-from problems.scenes.oscillator import Oscillator
-from problems.scenes.quarter_car import QuarterCar
-from problems.scenes.rolling_disc import RollingDisc
-from problems.scenes.slider_crank import (
-    SliderCrank,
-    SliderCrankDriven,
-    SliderCrankFriction,
-    SliderCrankMinimal,
-)
-from problems.scenes.slider_crank_flexible import SliderCrankFlexible
-from problems.scenes.spatial_four_bar import SpatialFourBar
-from problems.scenes.stiff_bar import StiffBar
 
 PLAIN, ALPHA = GeneralizedAlpha(), GeneralizedAlpha(rho_inf=0.8)
 STABILISED = GeneralizedAlpha(rho_inf=0.8, formulation="stabilised_index2")
 #: Its errors fall from the first step on.
 SMOOTH = GeneralizedAlpha(formulation="stabilised_index2", start="corrected")
 #: The lane change early and quick, so that a short run meets it.
-CAR = FullCar(t_left=0.5, t_right=1.0, pulse=0.2)
+CAR = "full_car[t_left=0.5,t_right=1.0,pulse=0.2]"
 #: Groups that the constraints alone determine: they are exact at any step and have no order.
 EXACT = {"slider_crank_driven": ("q", "v")}
+
+
+def made(scene):
+    return Registry([]).problem(scene) if isinstance(scene, str) else scene
 
 
 def errors_of(method, scene, t_end, steps, norm="max"):
@@ -72,32 +56,32 @@ def halved(coarsest, count=4):
 #: Method, scene, end, steps in the asymptotic range, and the norm: the largest error, or that of
 #: the last quarter, where the transient of the start is over.
 ORDER_TWO = [
-    (SMOOTH, Duffing(), 3.0, halved(0.0125), "max"),
-    (SMOOTH, Friction(eps=1.0), 5.0, halved(0.02), "max"),
-    (ALPHA, SpatialFourBar(), 0.5, halved(0.005, 3), "settled"),
-    (ALPHA, ChaplyginSleigh(), 2.0, halved(0.025, 3), "settled"),
+    (SMOOTH, "duffing", 3.0, halved(0.0125), "max"),
+    (SMOOTH, "friction[eps=1.0]", 5.0, halved(0.02), "max"),
+    (ALPHA, "spatial_four_bar", 0.5, halved(0.005, 3), "settled"),
+    (ALPHA, "chaplygin_sleigh", 2.0, halved(0.025, 3), "settled"),
     (ALPHA, Rubbing(), 1.0, halved(0.02, 3), "settled"),
 ]
 MORE = [
-    (SMOOTH, Oscillator(), 5.0, halved(0.1), "max"),
-    (SMOOTH, DrivenSprings(k1=100.0), 2.0, halved(4e-3), "max"),
-    (SMOOTH, CarAxis(), 1.0, halved(1.25e-3), "max"),
-    (SMOOTH, Chain(), 0.5, halved(2.5e-3), "max"),
-    (SMOOTH, HeavyTop(), 0.2, halved(1.25e-4), "max"),
-    (SMOOTH, SliderCrank(), 1.0, halved(6.25e-4), "max"),
-    (SMOOTH, SliderCrankMinimal(), 1.0, halved(6.25e-4), "max"),
-    (SMOOTH, SliderCrankDriven(), 0.05, halved(1.25e-4), "max"),
-    (SMOOTH, StiffBar(stretch=1.0), 10.0, halved(0.01), "max"),
+    (SMOOTH, "oscillator", 5.0, halved(0.1), "max"),
+    (SMOOTH, "driven_springs[k1=100.0]", 2.0, halved(4e-3), "max"),
+    (SMOOTH, "car_axis", 1.0, halved(1.25e-3), "max"),
+    (SMOOTH, "chain", 0.5, halved(2.5e-3), "max"),
+    (SMOOTH, "heavy_top", 0.2, halved(1.25e-4), "max"),
+    (SMOOTH, "slider_crank", 1.0, halved(6.25e-4), "max"),
+    (SMOOTH, "slider_crank_minimal", 1.0, halved(6.25e-4), "max"),
+    (SMOOTH, "slider_crank_driven", 0.05, halved(1.25e-4), "max"),
+    (SMOOTH, "stiff_bar[stretch=1.0]", 10.0, halved(0.01), "max"),
     # Steps that resolve its highest frequency; see the scene for larger ones.
-    (SMOOTH, SliderCrankFlexible(), 0.004, halved(2e-6), "max"),
-    (STABILISED, RollingDisc(), 1.0, halved(RollingDisc.nominal_step / 2, 3), "settled"),
-    (STABILISED, SliderCrankFriction(), 0.2, halved(0.00125, 3), "settled"),
-    (STABILISED, Bicycle(speed=4.6, lean_rate=0.5), 1.0, halved(0.01, 3), "settled"),
-    (GeneralizedAlpha(rho_inf=0.9), QuarterCar(), 1.2, halved(5e-4, 3), "settled"),
+    (SMOOTH, "slider_crank_flexible", 0.004, halved(2e-6), "max"),
+    (STABILISED, "rolling_disc", 1.0, halved(0.005, 3), "settled"),
+    (STABILISED, "slider_crank_friction", 0.2, halved(0.00125, 3), "settled"),
+    (STABILISED, "bicycle[speed=4.6,lean_rate=0.5]", 1.0, halved(0.01, 3), "settled"),
+    (GeneralizedAlpha(rho_inf=0.9), "quarter_car", 1.2, halved(5e-4, 3), "settled"),
     (GeneralizedAlpha(rho_inf=0.9), CAR, 0.6, [2.5e-4 * 2.0 ** (-k / 2) for k in range(3)],
      "settled"),
     *((method, scene, 1.0, halved(0.02, 3), "settled")
-      for scene in (SleighOfRates(), Turret(), ChaplyginSleigh(), Rubbing())
+      for scene in (SleighOfRates(), Turret(), "chaplygin_sleigh", Rubbing())
       for method in (ALPHA, Bathe(formulation="stabilised_index2"), STABILISED)),
 ]  # fmt: skip
 
@@ -105,6 +89,7 @@ MORE = [
 @pytest.mark.parametrize("cases", [ORDER_TWO, *long(*([case] for case in MORE))])
 def test_order_two_is_seen_in_every_group(cases):
     for method, scene, t_end, steps, norm in cases:
+        scene = made(scene)
         for group, errors in errors_of(method, scene, t_end, steps, norm).items():
             if group in EXACT.get(scene.name, ()):
                 assert max(errors) < 1e-13
@@ -117,25 +102,25 @@ def test_order_two_is_seen_in_every_group(cases):
 def test_the_start_shows_what_index_3_loses_in_the_multipliers():
     # The start has velocity and jerk, so that an uncorrected one is first order in lam.
     for _, scene, t_end, steps, _ in MORE[2:6]:
-        errors = errors_of(PLAIN, scene, t_end, steps)
+        errors = errors_of(PLAIN, made(scene), t_end, steps)
         assert slope(steps, errors["lam"]) == pytest.approx(1.0, abs=0.25)
         assert slope(steps, errors["q"]) == pytest.approx(2.0, abs=0.1)
 
 
 def test_a_vibrating_stiff_bar_hides_the_order_of_the_acceleration():
     steps = halved(0.01)
-    errors = errors_of(SMOOTH, StiffBar(), 2.5, steps)
+    errors = errors_of(SMOOTH, made("stiff_bar"), 2.5, steps)
     assert slope(steps, errors["q"]) == pytest.approx(2.0, abs=0.2)
     assert min(errors["a"]) > 0.3  # as large as the vibration itself
 
 
 TIGHT = IDA(), PHEM56()
 SCENES = [
-    (ChaplyginSleigh(), 2.0),
-    (RollingDisc(), 1.0),
-    (SliderCrankFriction(), 0.2),
-    (Bicycle(speed=4.6, lean_rate=0.5), 1.0),
-    (SpatialFourBar(), 0.5),
+    ("chaplygin_sleigh", 2.0),
+    ("rolling_disc", 1.0),
+    ("slider_crank_friction", 0.2),
+    ("bicycle[speed=4.6,lean_rate=0.5]", 1.0),
+    ("spatial_four_bar", 0.5),
     (SleighOfRates(), 1.0),
     (Rubbing(), 1.0),
     (Turret(), 1.0),
@@ -149,6 +134,7 @@ SCENES = [
            *(((CVODE(), Rodas5P(), RadauIIA()), *case) for case in SCENES[5:]))],
 )  # fmt: skip
 def test_tolerances_are_followed(methods, scene, t_end):
+    scene = made(scene)
     for method in methods:
         if method.why_not(scene):
             continue
@@ -164,10 +150,11 @@ def test_tolerances_are_followed(methods, scene, t_end):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("scene", "t_end", "rtol"), [(QuarterCar(), 1.2, 3e-10), (CAR, 0.3, 1e-9)], ids=str
+    ("scene", "t_end", "rtol"), [("quarter_car", 1.2, 3e-10), (CAR, 0.3, 1e-9)], ids=str
 )
 def test_an_implicit_method_of_scipy_finds_the_reference(scene, t_end, rtol):
     """They have nothing in common but the scene; stiffness would show in an explicit method."""
+    scene = made(scene)
     start, t = consistent_start(scene).z, np.linspace(0, t_end, 20)
     rate = jax.jit(partial(formulations.ode_rate, scene))
     slopes = jax.jit(jax.jacfwd(rate, 1))
