@@ -78,27 +78,19 @@ class _Far(ImpactStop):
 
 
 @pytest.mark.long
-def test_ida_passes_impacts_that_it_locates_by_its_tolerance():
-    found = run(IDA(), _Far(), Tolerances(1e-8))
-    assert found.status == "ok"
-    assert found.events[:, 0] == pytest.approx(Reference(_Far(), 4.0).events[:, 0], abs=1e-5)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("method", "tolerance"), [(PHEM56(), Tolerances(1e-10)), (RadauIIA(), Tolerances(1e-9))]
-)
-def test_methods_of_two_families_find_the_impacts_of_the_stop(method, tolerance):
-    exact = impacts_of_stop(ImpactStop(), 4.0)
-    found = run(method, ImpactStop(), tolerance)
-    assert found.events[:, 0] == pytest.approx(exact[:, 0], abs=1e-9)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("theta", [0.5, 1.0])
-def test_the_stop_has_order_one_through_impacts(theta):
-    sizes, errors = stepped(ImpactStop(), 4.0, 0.005, 2.5e-4, 16, theta=theta)
-    assert [order(sizes, e) for e in errors.T] == pytest.approx([1, 1, 1], abs=0.2)
+def test_methods_find_the_impacts_of_the_stop_or_pass_them_by_order_one():
+    exact = impacts_of_stop(ImpactStop(), 4.0)[:, 0]
+    for method, scene, rtol, wanted, error in (
+        (PHEM56(), ImpactStop(), 1e-10, exact, 1e-9),
+        (RadauIIA(), ImpactStop(), 1e-9, exact, 1e-9),
+        (IDA(), _Far(), 1e-8, Reference(_Far(), 4.0).events[:, 0], 1e-5),
+    ):
+        found = run(method, scene, Tolerances(rtol))
+        assert found.status == "ok"
+        assert found.events[:, 0] == pytest.approx(wanted, abs=error)
+    for theta in (0.5, 1.0):
+        sizes, errors = stepped(ImpactStop(), 4.0, 0.005, 2.5e-4, 16, theta=theta)
+        assert [order(sizes, e) for e in errors.T] == pytest.approx([1, 1, 1], abs=0.2)
 
 
 # ---- sliding, then rolling -----------------------------------------------------------------------

@@ -26,13 +26,8 @@ class _Toy:
     or sticks (0).
     """
 
-    mass = np.array(
-        [
-            [4.8e-3, 4.5e-5, 6.75e-5],
-            [4.5e-5, 5e-9 + 4.5e-7, 6.75e-7],
-            [6.75e-5, 6.75e-7, 7e-7 + 4.5e-3 * 0.015**2],
-        ]
-    )
+    mass = np.array([[4.8e-3, 4.5e-5, 6.75e-5], [4.5e-5, 5e-9 + 4.5e-7, 6.75e-7],
+                     [6.75e-5, 6.75e-7, 7e-7 + 4.5e-3 * 0.015**2]])  # fmt: skip
     inverse = np.linalg.inv(mass)
     normals = np.array([[0, 0, -0.02], [0, 5.8e-3, 0], [0, -5.8e-3, 0]])
     tangents = np.array([[1, 0.01, 0.015 - 0.0201], [1, 3.1e-3, 0], [1, 3.1e-3, 0]])
@@ -190,40 +185,27 @@ def test_impacts_of_two_contacts_are_those_of_the_only_consistent_state():
         left += known[1] == 0 or known[0] == 0
     assert 0 < left < len(v)
 
-
-@pytest.mark.long
-def test_a_strike_of_the_beak_ends_the_contact_of_the_sleeve():
-    scene, toy = Woodpecker(side=1.0), _Toy()
+    # A strike of the beak ends the contact of the sleeve.
     v = np.array([-0.01, 0.0, 10.0])
-    z = at([0.0, -6e-4 / 5.8e-3, 0.12], v)
-    new = compiled(scene).jumps[0](scene.parameters(), z)
+    struck = Woodpecker(side=1.0)
+    new = compiled(struck).jumps[0](struck.parameters(), at([0.0, -6e-4 / 5.8e-3, 0.12], v))
     exact, impulses = toy.impact(v, [0, 1])
     assert impulses[1] == 0
     assert new["v"] == pytest.approx(exact, abs=1e-10)
     assert (new["side"], new["slides"]) == (0, 2)
 
 
-@pytest.fixture(scope="module")
-def toy():
-    return _Toy().follow(0.3)
-
-
 @pytest.mark.long
-def test_the_reference_of_the_woodpecker_is_that_of_matrix_exponentials(toy):
-    events, end = toy
-    reference = Reference(Woodpecker(), 0.3)
+def test_the_reference_and_methods_follow_the_woodpecker():
+    events, end = _Toy().follow(0.3)
+    times, reference = [t for t, _ in events], Reference(Woodpecker(), 0.3)
     assert [int(e) for e in reference.events[:, 1]] == [e for _, e in events]
-    assert reference.events[:, 0] == pytest.approx([t for t, _ in events], abs=1e-10)
-    known = reference(np.array([0.3]))
-    assert known["q"][0] == pytest.approx(end[:3], abs=1e-9)
-    assert known["v"][0] == pytest.approx(end[3:6], abs=1e-7)
-
-
-@pytest.mark.long
-def test_methods_follow_the_woodpecker(toy):
-    events, end = toy
+    assert reference.events[:, 0] == pytest.approx(times, abs=1e-10)
+    last = reference(np.array([0.3]))
+    assert last["q"][0] == pytest.approx(end[:3], abs=1e-9)
+    assert last["v"][0] == pytest.approx(end[3:6], abs=1e-7)
     located = run(PHEM56(), Woodpecker(), Tolerances(1e-8))
-    assert located.events[:, 0] == pytest.approx([t for t, _ in events], abs=1e-7)
+    assert located.events[:, 0] == pytest.approx(times, abs=1e-7)
     assert located.q[-1] == pytest.approx(end[:3], abs=1e-6)
     errors = []
     for h in (4e-5, 1e-5, 2.5e-6):
