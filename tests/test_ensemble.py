@@ -26,7 +26,7 @@ from problems.runtime import SPARE_THREADS
 from problems.spec import SpecError, split_spec
 
 REGISTRY = Registry()
-ADAPTIVE = "generalized_alpha_adaptive"
+ADAPTIVE, ENDS = "generalized_alpha_adaptive", r"(q|v|a|lam|x|xdot|y)(\d+)"
 
 
 def alone(problem, integrator, h, t_end=None):
@@ -36,7 +36,7 @@ def alone(problem, integrator, h, t_end=None):
 
 def ends_of(found):
     """The end values by group, a row per member."""
-    names = [*filter(None, (re.fullmatch(r"([a-z]+)(\d+)", name) for name in found.values))]
+    names = [*filter(None, (re.fullmatch(ENDS, name) for name in found.values))]
     return {
         group: np.stack([found.values[n[0]] for n in names if n[1] == group], axis=1)
         for group in dict.fromkeys(name[1] for name in names)
@@ -229,7 +229,7 @@ def test_a_budget_stops_between_blocks(monkeypatch):
     scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
     found = ensemble(scene, method, {"h": np.linspace(0.01, 0.1, 12)}, budget=0.0)
     assert Counter(found.status) == {"ok": 4, "budget_exceeded": 8}
-    assert member_rows(found.columns())[-1]["q1"] is None
+    assert member_rows(found.values)[-1]["q1"] is None
 
 
 # ---- the command -------------------------------------------------------------------------

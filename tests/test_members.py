@@ -107,9 +107,9 @@ def test_parts_in_any_order_are_the_ensemble_in_one_program(asked):
     wanted = ensemble(scene, method, drawn(ranges, 7, 0, COUNT), Steps(0.1), END)
     assert (fault, found.not_run) == ("", 0)
     assert (found.problem, found.integrator) == (wanted.problem, wanted.integrator)
-    for name, column in wanted.columns().items():
+    for name, column in wanted.values.items():
         equal_nan = column.dtype.kind == "f"
-        assert np.array_equal(found.columns()[name], column, equal_nan=equal_nan), name
+        assert np.array_equal(found.values[name], column, equal_nan=equal_nan), name
     assert set(found.status) == {"ok", "diverged"}
     good = np.array(found.status) == "ok"
     assert list(found.summary()) == ["q1", "v1", "a1", "x1", "xdot1", "y1", "y2"]
@@ -120,7 +120,7 @@ def test_parts_in_any_order_are_the_ensemble_in_one_program(asked):
 def test_a_part_that_dies_is_missing_alone(asked):
     found, fault = run_all(asked, None, DIED)
     assert fault.endswith("members 13 to 25: The process died.")
-    assert found.member.tolist() == [*range(13), *range(26, 40)]
+    assert found.values["member"].tolist() == [*range(13), *range(26, 40)]
     with pytest.raises(SpecError, match="members 26 to 39: The process died"):
         run_all(asked, DIED)  # before any has succeeded
 
@@ -201,7 +201,7 @@ def test_what_is_not_finite_is_no_value(tmp_path):
 def test_files_hold_the_same_members(asked, tmp_path, monkeypatch):
     pytest.importorskip("pyarrow")
     monkeypatch.setattr(members, "_ROWS", 16)
-    columns = run_all(asked)[0].columns()
+    columns = run_all(asked)[0].values
     files = [tmp_path / "members.csv", tmp_path / "members.parquet"]
     for file in files:
         write_members(file, columns)

@@ -165,7 +165,7 @@ def solve_ensemble(o: Given) -> None:
     else:
         show(*_shown(found, time.perf_counter() - began))
     if o.out:
-        ensemble.write_members(o.out, found.columns())
+        ensemble.write_members(o.out, found.values)
         click.echo(f"{len(found.status)} members in {o.out}", err=o.as_json)
     if "ok" not in found.status:
         raise click.ClickException(f"No member succeeded. The first: {found.message[0]}")
@@ -190,8 +190,9 @@ def _shown(found: Ensemble, seconds: float) -> list[Table | str]:
     lines = [", ".join(f"{number} {status}" for status, number in statuses.items())]
     for status in statuses:
         k = found.status.index(status)
+        member = found.values["member"][k]
         if status != "ok":
-            lines.append(f"{status}, first member {found.member[k]}: {found.message[k]}")
+            lines.append(f"{status}, first member {member}: {found.message[k]}")
     work = ", ".join(f"{name} {counts}" for name, counts in found.work.items())
     times = (
         f"{count} members in {seconds:.3g} s: {count / seconds:.3g} members/s (all parts together: "

@@ -61,40 +61,34 @@ Columns = Mapping[str, np.ndarray]
 class Ensemble:
     """Results of an ensemble, with one entry per member in the order of the values.
 
-    Printed names are without the quantities that vary, times in s. ``member`` is the number of
-    each, ``vary`` has the values of each quantity by name; ``status`` and ``message`` are as of a
-    single run. ``values`` are arrays by name: "t", the time that was reached; values at t_end,
-    "q1", "q2" ..., NaN where a run failed; counts, "work_steps" and so on.
+    Printed names are without the quantities that vary, times in s. ``values`` are columns by name,
+    as for pandas: "member", its number; the quantities that vary; "status" and "message", as of a
+    single run; "t", the time that was reached; values at t_end, "q1", "q2" ..., NaN where a run
+    failed; counts, "work_steps" and so on.
     """
 
     problem: str
     integrator: str
     t_end: float
-    member: np.ndarray
-    vary: dict[str, np.ndarray]
-    status: list[str]
-    message: list[str]
     values: dict[str, np.ndarray]
     compile_s: float
     run_s: float
 
-    def columns(self) -> dict[str, np.ndarray]:
-        """Return all as a table for pandas."""
-        texts = {"status": self.status, "message": self.message}
-        return {
-            "member": self.member,
-            **self.vary,
-            **{name: np.array(own, dtype=object) for name, own in texts.items()},
-            **self.values,
-        }
+    @property
+    def status(self) -> list[str]:
+        """How each member ended."""
+        return self.values["status"].tolist()
+
+    @property
+    def message(self) -> list[str]:
+        """The reason of each member that failed."""
+        return self.values["message"].tolist()
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Return "min", "median" and "max" of each end value over the members that are ok."""
-        ok, rules = (
-            np.array(self.status) == "ok",
-            {"min": np.min, "median": np.median, "max": np.max},
-        )
-        ends = [name for name in self.values if name != "t" and not name.startswith(WORK)]
+        rules, names = {"min": np.min, "median": np.median, "max": np.max}, list(self.values)
+        ends = [n for n in names[names.index("t") + 1 :] if not n.startswith(WORK)]
+        ok = self.values["status"] == "ok"
         return {
             name: {rule: float(of(self.values[name][ok])) for rule, of in rules.items()}
             for name in (ends if ok.any() else ())
@@ -103,11 +97,8 @@ class Ensemble:
     @property
     def work(self) -> dict[str, int]:
         """Counts of work of all members together."""
-        return {
-            name.removeprefix(WORK): int(column.sum())
-            for name, column in self.values.items()
-            if name.startswith(WORK)
-        }
+        counts = {k: column for k, column in self.values.items() if k.startswith(WORK)}
+        return {name.removeprefix(WORK): int(column.sum()) for name, column in counts.items()}
 
     @property
     def not_run(self) -> int:
@@ -117,18 +108,10 @@ class Ensemble:
 
 def joined(parts: Sequence[Ensemble]) -> Ensemble:
     """Return the members of several parts of an ensemble, one part after the other."""
-
-    def table(name: str) -> dict[str, np.ndarray]:
-        tables = [getattr(part, name) for part in parts]
-        return {key: np.concatenate([own[key] for own in tables]) for key in tables[0]}
-
+    tables = [part.values for part in parts]
     return replace(
         parts[0],
-        member=np.concatenate([part.member for part in parts]),
-        vary=table("vary"),
-        status=[status for part in parts for status in part.status],
-        message=[message for part in parts for message in part.message],
-        values=table("values"),
+        values={name: np.concatenate([table[name] for table in tables]) for name in tables[0]},
         compile_s=sum(part.compile_s for part in parts),
         run_s=sum(part.run_s for part in parts),
     )
@@ -182,11 +165,11 @@ def ensemble(
     fixed = resolution or resolution_of(scene, method)
     batch = Batch(runs_with(scene, method, fixed, quantities), end)
     count = shape[0]
-    status, message = ["budget_exceeded"] * count, [OUT_OF_TIME] * count
+    status = np.full(count, "budget_exceeded", dtype=object)
+    message = np.full(count, OUT_OF_TIME, dtype=object)
     t, ends, work = np.full(count, scene.interval[0]), {}, {}
     for block in batch.blocks(budget=budget, begun=begun):
-        for k, *ending in zip(block.members, block.status, block.message, strict=True):
-            status[k], message[k] = ending
+        status[block.members], message[block.members] = block.status, block.message
         t[block.members] = block.t_last
         for group, rows in block.values.items():
             for i, column in enumerate(rows[:, -1].T, 1):
@@ -199,11 +182,8 @@ def ensemble(
         spec_without(scene, quantities),
         spec_without(method, quantities),
         end,
-        first + np.arange(count),
-        values,
-        status,
-        message,
-        {"t": t, **ends, **work},
+        {"member": first + np.arange(count), **values}
+        | {"status": status, "message": message, "t": t, **ends, **work},
         compiled - started,
         done - compiled,
     )
@@ -292,7 +272,7 @@ def run_members(runner: Runner, request: EnsembleRequest, sources: Sources) -> t
                 raise SpecError(fault)
         runner.progress.advance()
     remark("")
-    return joined(sorted(parts, key=lambda part: part.member[0])), fault
+    return joined(sorted(parts, key=lambda part: part.values["member"][0])), fault
 
 
 # ---- files for the user ------------------------------------------------------------------
