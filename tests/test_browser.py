@@ -6,7 +6,7 @@ import csv
 import shutil
 
 import pytest
-from chromium import waited
+from chromium import each, waited
 
 from bench.results.store import Store
 from reports.formatting import cost_text, number, times
@@ -56,7 +56,9 @@ def chart(browser, name):
     )
 
 
-def test_a_chart_shows_the_errors_of_the_store(browser, site):
+def test_a_chart_shows_tells_isolates_and_hands_out_the_errors_of_the_store(browser, site):
+    from selenium.webdriver.common.action_chains import ActionChains
+
     points = """
         return [...arguments[0].querySelectorAll("path")].map((path) => path.__data__)
           .filter((item) => item?.mark?.marktype === "symbol" && item.datum?.run)
@@ -66,77 +68,41 @@ def test_a_chart_shows_the_errors_of_the_store(browser, site):
     place = chart(browser, EXPLORER)
     with Store(site) as store:
         records = [r for r in store.records().values() if r.problem == "pendulum"]
-    assert {tuple(point) for point in browser.execute_script(points, place)} == {
+    good = [r for r in records if r.status == "ok" and r.controls == "step"]
+    wanted = {
         (r.integrator, group, r.h, float(f"{errors['max']:.5g}"))
-        for r in records
-        if r.status == "ok" and r.controls == "step"
+        for r in good
         for group, errors in r.errors.items()
     }
-
-
-def test_a_point_tells_its_numbers(browser, site):
-    from selenium.webdriver.common.action_chains import ActionChains
-    from selenium.webdriver.common.by import By
-
-    place = chart(browser, EXPLORER)
-    points = place.find_elements(By.CSS_SELECTOR, "g.mark-symbol.role-mark path")
-    ActionChains(browser).move_to_element(points[0]).perform()
-    text = waited(lambda: browser.find_element(By.ID, "vg-tooltip-element").text)
-    with Store(site) as store:
-        records = [r for r in store.records().values() if r.problem == "pendulum"]
-    assert any(r.integrator in text and r.resolution in text for r in records)
-
-
-def test_a_click_on_the_legend_isolates_a_method(browser):
-    from selenium.webdriver.common.by import By
-
-    place = chart(browser, EXPLORER)
-
-    def opacities():
-        return {
-            float(p.get_attribute("opacity") or 1)
-            for p in place.find_elements(By.CSS_SELECTOR, "g.mark-symbol.role-mark path")
-        }
-
-    assert opacities() == {1.0}
-    label = place.find_element(By.CSS_SELECTOR, "g.role-legend-label text")
+    assert {tuple(point) for point in browser.execute_script(points, place)} == wanted
+    marks = place.find_elements("css selector", "g.mark-symbol.role-mark path")
+    ActionChains(browser).move_to_element(marks[0]).perform()
+    text = waited(lambda: browser.find_element("id", "vg-tooltip-element").text)
+    assert any(r.integrator in text and r.resolution in text for r in good)
+    # A click on the legend isolates a method.
+    opacity = "Number(node.getAttribute('opacity') ?? 1)"
+    selector = f"#{EXPLORER} g.mark-symbol.role-mark path"
+    assert set(each(browser, selector, opacity)) == {1}
+    label = place.find_element("css selector", "g.role-legend-label text")
     # Below the bar that stays in sight.
     browser.execute_script("arguments[0].scrollIntoView({ block: 'center' })", label)
     label.click()
-    waited(lambda: len(opacities()) == 2)
-    assert min(opacities()) < 0.1
-
-
-def test_the_data_of_a_chart_can_be_taken_along(browser, site):
-    from selenium.webdriver.common.by import By
-
-    place = chart(browser, EXPLORER)
-    (link,) = [
-        a
-        for a in place.find_elements(By.XPATH, "../following-sibling::p[@class='data'][1]/a")
-        if a.text == "runs.csv"
-    ]
+    waited(lambda: min(each(browser, selector, opacity)) < 0.1)
+    assert max(each(browser, selector, opacity)) == 1
+    # Its data can be taken along.
+    (link,) = place.find_elements("xpath", "../following-sibling::p[@class='data'][1]/a")
+    assert link.text == "runs.csv"
     browser.execute_script("arguments[0].click()", link)
     file = browser.downloads / "runs.csv"
     waited(file.exists)
     rows = list(csv.DictReader(file.open()))
-    with Store(site) as store:
-        records = [r for r in store.records().values() if r.problem == "pendulum"]
-    good = [r for r in records if r.status == "ok" and r.controls == "step"]
     assert len(rows) == len(good)
-    assert {row["series"] for row in rows} == {r.integrator for r in good}
-    assert {float(row["a_max"]) for row in rows} == {
-        float(f"{r.errors['a']['max']:.5g}") for r in good
-    }
-
-
-def pages(site):
-    return [site / "report.html", *sorted((site / "report").glob("*.html"))]
+    assert {(r["series"], "a", float(r["h"]), float(r["a_max"])) for r in rows} <= wanted
 
 
 def test_nothing_is_asked_of_the_network_and_nothing_is_complained_of(browser, site):
     browser.get_log("browser")
-    for page in pages(site):
+    for page in [site / "report.html", *sorted((site / "report").glob("*.html"))]:
         browser.get(page.as_uri())
         names = browser.execute_script(
             "return [...document.querySelectorAll('[data-chart]')].map(n => n.dataset.chart)"
@@ -239,25 +205,13 @@ def test_tabs_follow_the_arrow_keys_and_links_open_them(browser, site):
 
 
 def test_tabs_stand_under_the_verdict_and_the_legend_beside_the_lines(browser, site):
-    verdict, bar = browser.execute_script(
-        """
-        const box = (name) => document.querySelector(name).getBoundingClientRect();
-        return [box(".beside").bottom, box(".tabbar").top];
-        """
-    )
-    assert 0 < bar - verdict < 50
-    verdict, command, *ends = browser.execute_script(
-        """
-        const all = (name) => [...document.querySelectorAll(name)];
-        const ends = all(".beside > *").map((column) => column.lastElementChild);
-        const [verdict, command] = all(".beside > .stack > .card");
-        return [verdict.getBoundingClientRect().bottom, command.getBoundingClientRect().top,
-          ...ends.map((node) => node.getBoundingClientRect().bottom)];
-        """
-    )
-    assert 0 < command - verdict < 50
-    assert len(ends) == 2
-    assert ends[0] == pytest.approx(ends[1], abs=1)
+    box = "(({ top, bottom }) => [top, bottom])(node.getBoundingClientRect())"
+    (beside,), (bar,) = each(browser, ".beside", box), each(browser, ".tabbar", box)
+    assert 0 < bar[0] - beside[1] < 50
+    verdict, command = each(browser, ".beside > .stack > .card", box)
+    assert 0 < command[0] - verdict[1] < 50
+    left, right = each(browser, ".beside > * > :last-child", box)
+    assert left[1] == pytest.approx(right[1], abs=1)
     place = chart(browser, "scene-2-1-accuracy")
     lines, legend = browser.execute_script(
         """
