@@ -88,7 +88,7 @@ def html(
         policy=POLICY,
         names=names,
         address=address or "#{}".format,
-        prose=_prose(address) if address else _doi,
+        prose=_prose(address),
         **values,
     )
     own = [] if assets is None else ["'self'"]
@@ -105,8 +105,8 @@ def html(
     return text.replace(POLICY, stated, 1)
 
 
-def _prose(address: Callable[[str], str]) -> Callable[[object], Markup]:
-    """A filter that makes links of DOIs, and of the first use of each term on a page.
+def _prose(address: Callable[[str], str] | None) -> Callable[[object], Markup]:
+    """A filter that makes links of DOIs, and with a glossary of the first use of each term.
 
     ``name`` is set as code, and lam as λ.
     """
@@ -121,7 +121,7 @@ def _prose(address: Callable[[str], str]) -> Callable[[object], Markup]:
     def terms(text: str) -> Markup:
         parts, at = [], 0
         for start, end, term in terms_in(text):
-            if term.anchor in used:
+            if address is None or term.anchor in used:
                 continue
             used.add(term.anchor)
             link = _TERM_LINK.format(address(term.anchor), term.definition, text[start:end])
