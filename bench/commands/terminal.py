@@ -27,6 +27,8 @@ from bench.running import progress
 
 #: Tables are never narrower, in characters, however small COLUMNS is.
 _LEAST_WIDTH = 40
+#: Columns of text have so many characters, or as many as they need.
+_LEAST_TEXT = 16
 #: Without a terminal a line is printed this often, in s, instead of a moving bar.
 _LINE_EVERY_SECONDS = 5.0
 
@@ -65,7 +67,11 @@ def _drawn(table: Table) -> rich_table.Table:
     for j, head in enumerate(table.head):
         style, number = "" if j else "cyan", j in table.numbers
         justify = "right" if number else "left"
-        drawn.add_column(Text(head), style=style, justify=justify, no_wrap=number, overflow="fold")
+        longest = max(len(cell) for cell in (head, *(row[j] for row in table.rows)))
+        drawn.add_column(
+            Text(head), style=style, justify=justify, no_wrap=number, overflow="fold",
+            min_width=None if number else min(_LEAST_TEXT, longest),
+        )  # fmt: skip
     above = ""
     for i, (name, *others) in enumerate(table.rows):
         cells = ["" if name == above else name, *others]

@@ -154,4 +154,3 @@ def _varied(study: StudyFile) -> StudyFile:
             every = ",".join(f"{key}={value}" for key, value in (options | more).items())
             integrators.append(f"{name}[{every}]" if every else name)
     return msgspec.structs.replace(study, integrators=integrators, vary={})
-

@@ -117,9 +117,14 @@ class Verdict:
         head = ["integrator", "h [s] or rtol", "operations", "error", "time [s]"]
         head += ["energy", "Φ"] if named else []
         why = [f"{c.method.spec}: {c.obstacle}" for c in missed]
-        why.append("fails: the smallest step or tolerance at which a run did not reach the end.")
+        if any(row[-1] != NO_VALUE for row in rows):
+            why.append(
+                "fails: the smallest step or tolerance at which a run did not reach the end."
+            )
         title = f"{self.race.candidates[0].scene.spec}: {self.asked}"
-        return Table(title, [*head, "next digit", "fails"], rows, note="\n".join(why))
+        columns = zip([*head, "next digit", "fails"], *rows, strict=True)
+        head, *rows = map(list, zip(*(c for c in columns if {*c[1:]} != {NO_VALUE}), strict=True))
+        return Table(title, head, rows, note="\n".join(why))
 
     def ratings(self) -> list[dict[str, Any]]:
         """Return a rating of each candidate of the table, and of those that are refused if all
