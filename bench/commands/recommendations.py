@@ -221,9 +221,11 @@ def _in_a_program(verdict: Verdict) -> list[str]:
     """The line that runs the winner in a program, if there is one."""
     if not verdict.order:
         return []
-    run = verdict.best(verdict.order[0])
+    best = verdict.order[0]
+    run, files = verdict.best(best), sorted(best.scene.sources | best.method.sources)
     size = f"step={run.h}" if run.h else f"rtol={run.rtol}"
-    return [f'In a program: bench.solve("{run.problem}", "{run.integrator}", {size})']
+    more = f", plugins={files}" if files else ""
+    return [f'In a program: bench.solve("{run.problem}", "{run.integrator}", {size}{more})']
 
 
 def _scene_in(registry: Inventory, file: str) -> str:
