@@ -1,19 +1,32 @@
-"""Details of a report's pages: options of commands, names in tables, reasons of verdicts."""
+"""Details of a report's pages: commands, names in tables, terms, links; the page of a method."""
 
 from __future__ import annotations
 
+import csv
+import io
+import re
 from pathlib import Path
 
+import altair
 import msgspec
 import pytest
-from planted import edited, everything, plant
+import vl_convert
+from planted import Document, edited, everything, page_data, plant
+from test_ranking import costing as run
+from test_ranking import scenes_of
 
 from bench.results.experiments import CaseResult, PartResult
-from bench.results.records import IntegratorFacts
+from bench.results.records import IntegratorFacts, Plan
 from bench.results.store import Store
+from problems.spec import SpecError
+from reports.charts.all_scenes import method_strip
 from reports.pages.atlas import experiment_chart
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
+from reports.questions.method_card import method_card
+from reports.ranking import answers
+from reports.scenes import StoredRuns
+from reports.text.glossary import TERMS
 
 LONG = "generalized_alpha[rho_inf=0.8,formulation=stabilised_index2,newton=modified]"
 
@@ -34,10 +47,12 @@ def folder(tmp_path_factory) -> Path:
         facts = IntegratorFacts(title="Mine.", files=["my method.py"])
         plan = store.plan()
         known = {r.integrator: facts for r in store.records().values() if r.integrator != LONG}
-        store.keep(msgspec.structs.replace(plan, integrators=known))
+        store.keep(msgspec.structs.replace(plan, integrators=known, mine=LONG))
         for scene in store.scenes().values():
-            text = "Like ``slider_crank_minimal``; a and lam ring."
-            store.keep(msgspec.structs.replace(scene, description=text))
+            scene.description = "Like ``slider_crank_minimal``; a and lam ring."
+            scene.source = "A (1985), doi:10.1016/0377-0427(85)90008-1: <i>; B, doi:10.1/x."
+            scene.equations = ["0 = Phi(q, t)"]
+            store.keep(scene)
     write_html_report(folder)
     write_markdown_report(folder)
     return folder
@@ -48,44 +63,115 @@ def page(folder: Path, name: str) -> str:
     return path.read_text(encoding="utf-8")
 
 
-def test_commands_name_the_file_of_a_plugin(folder):
-    option = " --plugins &#39;my method.py&#39;"
-    assert f"stepbench stability &#34;good[rho_inf=0.8]&#34;{option}" in page(
-        folder, "method-good?rho_inf=0.8?.html"
-    )
+def test_pages_have_commands_code_symbols_terms_and_dois(folder):
+    html, option = page(folder, "scene-pendulum.html"), " --plugins &#39;my method.py&#39;"
+    command = f"stepbench stability &#34;good[rho_inf=0.8]&#34;{option}"
+    assert command in page(folder, "method-good?rho_inf=0.8?.html")
     assert option not in page(folder, "method-generalized_alpha*.html")
     assert option in page(folder, "scene-spring_mass.html")
-
-
-def test_a_description_has_code_and_symbols(folder):
-    html = page(folder, "scene-pendulum.html")
     assert "Like <code>slider_crank_minimal</code>; a and λ ring." in html
-    assert "Like `slider\\_crank" not in page(folder, "scene-pendulum.md")
-    assert "Like `slider_crank_minimal`; a and λ ring." in page(folder, "scene-pendulum.md")
-
-
-def test_a_cell_is_as_wide_as_the_name_that_it_shows(folder):
-    html = page(folder, "scene-pendulum.html")
+    assert "<mi>Φ</mi>" in html
+    # A cell is as wide as the name that it shows.
     assert '<td class=""><a class="named" href="method-' in html
     assert '<td class="name"><a class="named"' not in html
+    link = "https://doi.org/10.1016/0377-0427(85)90008-1"
+    assert f'<a href="{link}" rel="noreferrer">doi:{link[16:]}</a>: &lt;i&gt;;' in html
+    used = re.findall(r'class="term" href="glossary.html#(term-[^"]+)" title="([^"]+)"', html)
+    assert len({anchor for anchor, _ in used}) == len(used) > 5  # the first use alone
+    definitions = {term.anchor: term.definition for term in TERMS}
+    for anchor, said in used:
+        assert said == definitions[anchor].replace("'", "&#39;")
 
 
-def test_a_scene_that_cannot_be_judged_says_so(folder):
+def test_a_page_of_a_method_has_its_chart_and_the_front_page_knows_the_own_one(folder):
+    text = page(folder, "method-generalized_alpha*.html")
+    ((name, chart),) = Document(text).charts.items()
+    assert f'id="{name}"' in text
+    assert f'data-highlight="{LONG}"' in text
+    rows = csv.DictReader(io.StringIO(chart["datasets"]["strip"]))
+    assert {r["scene"] for r in rows} == {"spring mass"}
+    assert page_data(folder)["first"]["highlight"] == LONG
+    plan = Plan(name="", title="", samples=1, budget_s=1.0, studies=[], mine="never_run")
+    assert StoredRuns("", {}, {}, {}, plan=plan).mine == ""
+
+
+def test_markdown_has_short_names_code_and_what_cannot_be_judged(folder):
+    index, scene = (folder / "report.md").read_text("utf-8"), page(folder, "scene-pendulum.md")
     reason = "cannot be judged: the reference's own error there is 2e-5, more than a hundredth of"
-    whole = (folder / "report.md").read_text(encoding="utf-8")
-    for text in (whole, page(folder, "scene-pendulum.md")):
-        assert f"{reason} 1e-4" in text
-
-
-def test_markdown_has_the_short_names_of_the_pages(folder):
-    index = (folder / "report.md").read_text(encoding="utf-8")
-    scene = page(folder, "scene-pendulum.md")
+    assert all(f"{reason} 1e-4" in text for text in (index, scene))
+    assert "Like `slider_crank_minimal`; a and λ ring." in scene
     assert f"- gα 0.8 · GGL · modified: `{LONG}`" in index
     assert index.count(LONG) == 1
-    assert LONG not in scene
-    assert "| good[rho_inf=0.8]" not in scene
+    assert not any(name in scene for name in (LONG, "| good[rho_inf=0.8]"))
     assert "| good 0.8 |" in scene
     assert "| spring mass |" in index
+
+
+def strip(label, records):
+    """{(scene, column): (state, text)} of the strip of an integrator."""
+    scenes = scenes_of(records)
+    found = [a for q, a in answers(scenes, ["a"]).items() if q.cost == "residuals"]
+    own = {k: s for k, series in scenes.items() for s in series if s.label == label}
+    chart = method_strip(label, found, own)
+    if chart is None:
+        return None
+    altair.LayerChart.from_dict(chart, validate=True)
+    assert vl_convert.vegalite_to_svg(chart).count('fill="#1a7f5a"') > 1  # in cells, too
+    rows = csv.DictReader(io.StringIO(chart["datasets"]["strip"]))
+    return {(r["scene"], r["target"]): (r["state"], r["text"]) for r in rows}
+
+
+def test_the_strip_has_a_state_for_each_scene_and_accuracy():
+    records = [
+        *(run("won", n, c) for n, c in (("me", 10), ("other", 25))),
+        *(run("tied", n, 10) for n in ("me", "other")),
+        *(run("lost", n, c) for n, c in (("me", 25), ("other", 10))),
+        run("lost", "me", 5, error=2.0, h=0.1),
+        run("lost", "me", 6, error=2.0, h=0.05, message="It is wrong."),
+        run("died", "me", 1, status="newton_failed"),
+        run("died", "other", 1),
+        run("single_one", "me", 7),
+        run("foreign", "other", 7),
+    ]
+    found = strip("me", records)
+    assert {k: state for (k, t), state in found.items() if t == "1e-4"} == {
+        "won": ("cheapest alone", ""),
+        "tied": ("tied for the cheapest", ""),
+        "lost": ("dearer, by this factor", "2.5"),
+        "died": ("no run reaches the end", ""),
+        "single one": ("reached, with none to compare", ""),
+    }
+    assert found["won", "1e-6"] == ("not reached", "")
+    assert {k: v for k, v in found.items() if k[1] == "wrong"} == {
+        ("lost", "wrong"): ("runs wrong without a note", "1 of 3")
+    }
+    assert len(found) == 5 * 9 + 1
+    assert strip("nobody", records) is None
+
+
+def test_the_card_of_a_method_says_where_it_wins_loses_and_fails(tmp_path):
+    plant(tmp_path, everything())
+    reaches = "reaches 1e-4 in acceleration (largest over time) on"
+    assert method_card(tmp_path, "good[rho_inf=0.8]") == [
+        f"good 0.8 (index 3) {reaches} 2 of 2 scenes tried.",
+        "Cheapest alone by operations: spring mass.",
+        "Dearer than the cheapest by operations: pendulum (1.92 times the cost of adaptive).",
+        "All of its runs reached the end.",
+    ]
+    assert method_card(tmp_path, "poor") == [
+        f"poor {reaches} 0 of 1 scene tried.",
+        "Does not reach it: spring mass (smallest error: 0.00938).",
+        "All of its runs reached the end.",
+        "Wrong without warning: 2 of 6 runs that reached the end "
+        "(error in acceleration above 0.1, largest over time).",
+    ]
+    assert method_card(tmp_path, "fragile")[1:] == [
+        "Fails: pendulum (2 newton failed).",
+        "2 of its 2 runs failed: pendulum (2).",
+    ]
+    assert len(method_card(tmp_path, "good")) == 7  # of two variants
+    with pytest.raises(SpecError, match="did you mean 'poor'"):
+        method_card(tmp_path, "pooor")
 
 
 def test_a_part_of_the_atlas_without_a_sweep_shows_its_numbers():

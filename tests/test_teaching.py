@@ -53,25 +53,6 @@ def test_every_term_is_one_sentence_and_is_found_in_texts():
     assert list(terms_in("reordered in the normal border by order statistics")) == []
 
 
-def test_the_first_use_of_a_term_and_every_doi_are_links(tmp_path):
-    folder = plant(tmp_path, everything())
-    with Store(folder, create=True) as store:
-        for scene in store.scenes().values():
-            scene.source = "A (1985), doi:10.1016/0377-0427(85)90008-1: <i>; B, doi:10.1/x."
-            scene.equations = ["0 = Phi(q, t)"]
-            store.keep(scene)
-    write_html_report(folder)
-    text = (folder / "report" / "scene-pendulum.html").read_text(encoding="utf-8")
-    link = "https://doi.org/10.1016/0377-0427(85)90008-1"
-    assert f'<a href="{link}" rel="noreferrer">doi:{link[16:]}</a>: &lt;i&gt;;' in text
-    assert "<mi>Φ</mi>" in text
-    used = re.findall(r'class="term" href="glossary.html#(term-[^"]+)" title="([^"]+)"', text)
-    assert len({anchor for anchor, _ in used}) == len(used) > 5
-    definitions = {term.anchor: term.definition for term in TERMS}
-    for anchor, said in used:
-        assert said == definitions[anchor].replace("'", "&#39;")
-
-
 def test_one_file_holds_all_pages_and_nothing_beside_it(tmp_path):
     folder = plant(tmp_path, everything())
     write_html_report(folder)
