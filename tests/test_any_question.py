@@ -67,7 +67,10 @@ def odd_runs():
     ]
     records[2].errors["a"]["max"] = 1e-2
     endings = {"two": "newton_failed", "cut": INTERRUPTED, "shy": UNSUPPORTED}
-    records += [run("broken", n, None, status=s, errors={}) for n, s in endings.items()]
+    records += [
+        run("broken", n, None, status=s, errors={}, message="It takes no rods.")
+        for n, s in endings.items()
+    ]
     return records
 
 
@@ -300,3 +303,9 @@ def test_a_highlighted_method_is_compared_with_each(browser, folder):
         cells = {row.split("\t")[0]: row.split("\t") for row in rows}
         assert cells["two"][3] == said
         assert cells["one"][3] == ""
+    visit(browser, folder / "report" / "scene-broken.html", "#group=a&target=1e-4&cost=operations")
+    rows = each(browser, ".methods tbody tr", "node.innerText")
+    cells = dict(row.split("\t")[:2] for row in rows)
+    assert cells["shy"] == "the method does not take the scene: It takes no rods."
+    assert cells["two"] == "no run reached the end: newton failed"
+    assert "cut" not in cells  # it was interrupted

@@ -161,9 +161,7 @@ def write_chapter(chapter: Chapter, folder: Path, programs: Sequence[str] = ("pa
     charts = {name: chart for f in chapter.figures for name, chart in f.charts.items()}
     drawn = {name: picture.svg for name, picture in pictures(charts).items()}
     home = FRONT if (folder / FRONT).is_file() else ""
-    links = [
-        Link(f"#{s.anchor}", s.title.partition(": ")[0]) for s in chapter.sections if s.anchor
-    ]
+    links = [Link(f"#{s.anchor}", s.title.partition(": ")[0]) for s in chapter.sections if s.anchor]
     contents = {"Report": [Link(home, "Overview")] if home else [], "On this page": links}
     text = html(
         "layout.html.j2",

@@ -10,7 +10,7 @@ from itertools import product
 from typing import Any
 
 from bench.results.quantities import ASKED, COSTS, ERROR_NAMES, NORM, NORMS, RANKED_COSTS, TRUST
-from bench.results.records import NOT_TRIED, Record, SceneRecord
+from bench.results.records import NOT_TRIED, UNSUPPORTED, Record, SceneRecord
 from bench.results.timings import FEWEST, LEAST_OF_FEW, median_interval
 from reports.charts.mechanism import little_picture
 from reports.formatting import number, tie_text
@@ -124,6 +124,7 @@ def _runs(series: Series, places: Mapping[str, int], columns: Sequence[str]) -> 
     """The runs of one method on one scene, from coarse to fine; a column is null if empty."""
     found = [[_value(r, name) for r in series.records] for name in columns]
     endings = [r.status for r in series.records]
+    refused = {*endings} == {UNSUPPORTED}
     return {
         "method": places[series.label],
         "control": "h" if series.controls == "step" else "rtol",
@@ -131,7 +132,9 @@ def _runs(series: Series, places: Mapping[str, int], columns: Sequence[str]) -> 
         "columns": [own if any(own) else None for own in found],
         "spread": [_spread(r) for r in series.records],
         "phi": [_violation(r) for r in series.records],
-    } | ({"endings": endings} if {*endings} != {"ok"} else {})
+        **({"endings": endings} if {*endings} != {"ok"} else {}),
+        **({"refused": series.records[0].message} if refused else {}),
+    }
 
 
 def _violation(record: Record) -> str:

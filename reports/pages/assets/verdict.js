@@ -97,7 +97,7 @@
     if (!Array.isArray(state)) {
       const runs = runsOf(scene, index), near = state === "far" && nearest(scene, question, index);
       const tried = near ? ` down to ${stepbench.resolutionOf(runs, runs.resolutions.length - 1)}; least error: ${stepbench.number(near.error)}` : "";
-      const ends = state === "failed" ? `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}` : "";
+      const ends = state === "failed" ? `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}` : state === "refused" ? `: ${runs.refused}` : "";
       return html("tr", { class: "out" }, head, ...form, html("td", { colspan: 3 + 2 * held + Boolean(mine) }, STATES[state] + tried + ends));
     }
     const [multiple, k, cost] = state, runs = runsOf(scene, index), error = stepbench.columnOf(runs, question.group)[k];
@@ -111,7 +111,7 @@
   for (const table of document.querySelectorAll("[data-methods]")) stepbench.onChange((question) => {
     const scene = Number(table.dataset.methods), states = stepbench.answer()[scene]?.states || [];
     const multiple = ([, state]) => Array.isArray(state) ? state[0] : Infinity;
-    const refused = states.length ? data.runs_of[scene].filter((runs) => runs.endings?.every((end) => end === "unsupported")).map((runs) => [runs.method, "refused"]) : [];
+    const refused = states.length ? data.runs_of[scene].filter((runs) => runs.refused !== undefined).map((runs) => [runs.method, "refused"]) : [];
     const found = [...Object.entries(states).filter(([, state]) => state !== null), ...refused].sort((one, two) => multiple(one) - multiple(two) || 0);
     table.closest("section").hidden = !found.length;
     const held = data.scenes[scene].groups.includes("constraint"), own = data.methods.findIndex(({ label }) => label === question.highlight);
