@@ -31,13 +31,9 @@ _TIME = sm.Symbol("t")
 _MODELS_TIME: Any = vars(dynamicsymbols)["_t"]
 #: Tags of scenes, and the blocks that they go with.
 _TAGS = (
-    ("multibody", "mass"),
-    ("constrained", "constraint"),
-    ("constrained", "velocity_constraint"),
-    ("index 3", "constraint"),
-    ("nonholonomic", "velocity_constraint"),
-    ("conservative", "energy"),
-)
+    ("multibody", "mass"), ("constrained", "constraint"), ("constrained", "velocity_constraint"),
+    ("index 3", "constraint"), ("nonholonomic", "velocity_constraint"), ("conservative", "energy"),
+)  # fmt: skip
 
 
 def from_sympy(
@@ -103,6 +99,7 @@ def from_sympy(
     if unknown := units.keys() - symbols.numbers.keys() - {*model.q, *model.v}:
         raise SpecError(f"units names {_listed(unknown)}: neither a constant nor a coordinate.")
     sizes = {"q": len(model.q), "v": len(model.v)}
+    named = {"coordinates": model.q} | ({"velocities": model.v} if model.kinematics else {})
     facts: dict[str, Any] = {
         "name": name,
         "cls": "".join(part[:1].upper() + part[1:] for part in name.split("_")),
@@ -110,15 +107,13 @@ def from_sympy(
         + ", ".join(f"q{k} = {q.name}" for k, q in enumerate(model.q)),
         "interval": tuple(_number("interval", t) for t in np.ravel(interval)),
         "nominal_step": _number("nominal_step", nominal_step),
-        "names": _names_of("coordinates", model.q, units),
+        "names": "".join(_names_of(group, of, units) for group, of in named.items()),
         "fields": "".join(
             f"    {key.name}: float = "
             f"parameter({value!r}, {units.get(key, 'SI')!r}, {f'{key} of the model'!r})\n"
             for key, value in symbols.numbers.items()
         ),
     }
-    if "kinematics" in blocks:
-        facts["names"] += _names_of("velocities", model.v, units)
     for group, size in sizes.items():
         facts[group] = ", ".join(
             code_of(start.get((group, k), sm.Float(0)), "initial") for k in range(size)
@@ -176,16 +171,10 @@ def _lagrange(method: Any) -> _Model:
     q, n, holonomic = list(method.q), len(method.q), method._hol_coneqs
     v = [x.diff(_MODELS_TIME) for x in q]
     no_multipliers = dict.fromkeys(method.lam_vec, 0)
-    return _Model(
-        q,
-        v,
-        _names(q, v),
-        method.mass_matrix[:, :n],
-        method.forcing[:n, :].xreplace(no_multipliers),
-        holonomic,
-        method.coneqs[len(holonomic) :, :],
-        lagrangian=None if method.forcelist else method._L[0],
-    )
+    mass, force = method.mass_matrix[:, :n], method.forcing[:n, :].xreplace(no_multipliers)
+    further, conserved = method.coneqs[len(holonomic) :, :], not method.forcelist
+    lagrangian = method._L[0] if conserved else None
+    return _Model(q, v, _names(q, v), mass, force, holonomic, further, lagrangian=lagrangian)
 
 
 def _kane(method: Any) -> _Model:
