@@ -234,7 +234,7 @@ def test_the_command_keeps_what_has_not_changed(stepbench, tmp_path):
     first = stepbench("atlas", "condition", "--out", tmp_path)
     assert first.exit_code == 0, first.output
     page = (tmp_path / "atlas.html").read_text(encoding="utf-8")
-    assert "As predicted: 5 of 5 as expected." in page
+    assert ">5 of 5 as expected.<" in page
     assert page.count("<svg") >= 2
     assert "http" not in re.sub(r'xmlns(:xlink)?="[^"]*"|http-equiv|<a href="[^"]*"', "", page)
     second = stepbench("atlas", "condition", "--out", tmp_path, "--json")

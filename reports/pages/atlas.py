@@ -40,7 +40,8 @@ def write_atlas_page(found: Sequence[ExperimentResult], folder: Path) -> Path:
 
 
 def _section(f: ExperimentResult) -> Section:
-    verdict = f"{f.verdict.capitalize()}: {expected_counts(f)}."
+    unlike = "" if f.as_predicted else f"{f.verdict.capitalize()}: "
+    verdict = f"{unlike}{expected_counts(f)}."
     parts: list[Any] = [
         Text(" ".join(f.claim.split())),
         Text(verdict, "state" if f.as_predicted else "missing"),
