@@ -11,9 +11,8 @@ from helpers import forget_programs, long
 from test_sparse_newton import assert_agree
 
 from integrators import Steps
-from integrators.lowering.graph import NotLowered
+from integrators.lowering.graph import NotLowered, side_by_side
 from integrators.lowering.programs import lowered
-from integrators.lowering.side_by_side import side_by_side
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.native import fixed_elimination, linear_solvers, small_matrices
 from integrators.native.equations import tangent_pattern
@@ -179,6 +178,7 @@ def test_runs_agree_with_those_by_pivots(scene, fallbacks, monkeypatch):
     assert len(fallbacks) >= (by_pivots.work.newton or 1)
     assert fixed.status == "ok"
     assert_agree(fixed, by_pivots, 40, h)
+
 
 # ---- many runs side by side --------------------------------------------------------------
 def of_pivot(pivot):

@@ -29,10 +29,10 @@ from bench.plugins.registry import Registry
 from bench.results.quantities import PARTS
 from integrators import Integrator, Steps, Tolerances
 from integrators.adapters import dae, ode
+from integrators.adapters.counting import EXPLICIT, IMPLICIT, VECTOR_WORK
 from integrators.adapters.diffrax_methods import Kvaerno5
 from integrators.adapters.ida import IDA
 from integrators.adapters.scipy_ode import Radau
-from integrators.adapters.vector_work import EXPLICIT, IMPLICIT, VECTOR_WORK
 from integrators.contract import Work
 from integrators.lowering.operators import ELEMENTARY
 from integrators.methods.explicit_structural import NohBathe

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from integrators.adapters.counting import run_counted, watch
+from integrators.adapters.counting import EXPLICIT, IMPLICIT, run_counted, watch
 from integrators.adapters.ode import (
     packed_columns,
     packed_parameters,
@@ -18,7 +18,6 @@ from integrators.adapters.ode import (
     packed_rate,
 )
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
-from integrators.adapters.vector_work import EXPLICIT, IMPLICIT
 from integrators.contract import WIDER, PreparedRun, Trajectory, Work
 from integrators.kept_rows import RowKeeper
 from integrators.native.step_method import NativeMethod

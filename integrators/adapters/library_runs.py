@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from integrators.adapters.counting import VECTOR_WORK
 from integrators.adapters.packed_functions import PackedFunction, same_to_rounding
 from integrators.adapters.trajectories import early_end_message
-from integrators.adapters.vector_work import VECTOR_WORK
 from integrators.contract import WIDER, Integrator, PreparedRun, Trajectory, Work, option
 from integrators.kept_rows import RowKeeper, width_of
 from integrators.lowering.graph import NotLowered

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 from integrators.contract import WIDER, option
-from integrators.native.guesses import Guess
 from integrators.native.own_values import Formulated, OwnValues
-from integrators.native.stage_equations import Base, Slopes, stage_equations
+from integrators.native.stage_equations import Base, Guess, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading, Time
 from integrators.native.step_work import StepWork

@@ -8,9 +8,8 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from integrators.contract import option
-from integrators.native.guesses import Guess
 from integrators.native.own_values import OwnValues
-from integrators.native.stage_equations import Base, Slopes, stage_equations
+from integrators.native.stage_equations import Base, Guess, Slopes, stage_equations
 from integrators.native.step_method import ErrorControl, ImplicitStepMethod
 from integrators.native.step_records import Errors, Reading, Scalar, Time
 from integrators.native.step_work import StepWork

@@ -9,9 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from integrators.contract import WIDER, option
-from integrators.native.guesses import Guess
 from integrators.native.own_values import Formulated, RatesMethod, RatesState, rho_inf_option
-from integrators.native.stage_equations import Base, Slopes, stage_equations
+from integrators.native.stage_equations import Base, Guess, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Scalar, Time
 from integrators.native.step_work import StepWork

@@ -8,9 +8,8 @@ from typing import ClassVar, NamedTuple
 
 from integrators.advice import advice
 from integrators.contract import option
-from integrators.native.guesses import Guess
 from integrators.native.own_values import Formulated, OwnValues, RatesMethod, RatesState
-from integrators.native.stage_equations import Base, Slopes, stage_equations
+from integrators.native.stage_equations import Base, Guess, Slopes, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Reading, Scalar, Time
 from integrators.native.step_work import StepWork

@@ -30,8 +30,7 @@ from integrators.methods.generalized_alpha_parameters import (
     smallest_safe_ratio,
     updated_weight,
 )
-from integrators.native.guesses import Guess
-from integrators.native.stage_equations import Base, Slopes, stage_equations
+from integrators.native.stage_equations import Base, Guess, Slopes, stage_equations
 from integrators.native.step_program import StepFunctions
 from integrators.native.step_records import Reading, Scalar, Time
 from integrators.native.step_work import StepWork

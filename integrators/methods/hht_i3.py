@@ -9,9 +9,8 @@ import numpy as np
 
 from integrators.contract import PreparedRun, option
 from integrators.native.adaptive_steps import AdaptiveRun
-from integrators.native.guesses import Guess
 from integrators.native.own_values import Needs, OwnValues
-from integrators.native.stage_equations import Base, Slopes, stage_equations
+from integrators.native.stage_equations import Base, Guess, Slopes, stage_equations
 from integrators.native.step_method import FreeSteps, ImplicitStepMethod
 from integrators.native.step_records import Attempt, Choice, Reading, Scalar, Time
 from integrators.native.step_work import StepWork

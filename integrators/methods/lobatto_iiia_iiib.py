@@ -9,9 +9,8 @@ import numpy as np
 
 from integrators.advice import advice
 from integrators.methods.rattle import refused_control
-from integrators.native.guesses import Guess
 from integrators.native.own_values import StageMethod, StageState
-from integrators.native.stage_equations import Base, Slopes, resting, stage_equations
+from integrators.native.stage_equations import Base, Guess, Slopes, resting, stage_equations
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.native.step_records import Time, largest
 from integrators.native.step_work import StepWork

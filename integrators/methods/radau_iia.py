@@ -35,13 +35,13 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from integrators.contract import option
+from integrators.native.linear_solvers import StageTangents
 from integrators.native.own_values import (
     Formulated,
     OwnValues,
     formulation_option,
 )
 from integrators.native.stage_equations import Base, Slopes, inherited, resting, stage_equations
-from integrators.native.stage_tangents import StageTangents
 from integrators.native.step_method import FreeSteps, ImplicitStepMethod
 from integrators.native.step_records import Errors, Reading, Scalar, Time, largest
 from integrators.native.step_work import StepWork
@@ -60,7 +60,7 @@ _EPS = float(np.finfo(float).eps)
 #: tangent leaves behind points the same way in every step and adds up, which rounding does not.
 _ROUNDED = 0.1
 #: The stages' polynomial gives the next guess if it would have left at most this part of the last
-#: change; see `integrators.native.guesses`.
+#: change; see `integrators.native.stage_equations`.
 _SMOOTH = 0.1
 
 

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias, cast
 
 from integrators.contract import Integrator, option
 from integrators.native import small_matrices
-from integrators.native.guesses import Guess
+from integrators.native.stage_equations import Guess
 from integrators.native.step_records import Errors, Reading, Time
 from integrators.native.step_work import StepWork
 from problems import formulations

@@ -10,9 +10,8 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
-from integrators.native.linear_solvers import DENSE, LinearSolver, Residual
+from integrators.native.linear_solvers import DENSE, LinearSolver, Residual, StageTangents
 from integrators.native.newton import Bounds, newton
-from integrators.native.stage_tangents import StageTangents
 from integrators.native.step_records import COUNTS, PIVOTS, Scalar, StepReport
 from problems.named_equations import turns
 from problems.runtime import Array, Bool, Float, Int, jax, jnp
