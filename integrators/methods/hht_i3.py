@@ -9,6 +9,7 @@ import numpy as np
 
 from integrators.contract import PreparedRun, option
 from integrators.native.adaptive_steps import AdaptiveRun
+from integrators.native.kernel import OnScene
 from integrators.native.own_values import Needs, OwnValues
 from integrators.native.stage_equations import Base, Guess, Slopes, stage_equations
 from integrators.native.step_method import FreeSteps, ImplicitStepMethod
@@ -156,7 +157,7 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
         longest = (t_end - scene.interval[0]) / resolution.count(scene.interval[0], t_end)
         numbers = numbers._replace(method=numbers.method | {"longest": longest})
         anything = Tolerances(1.0)  # no error is tested
-        return AdaptiveRun(program, numbers, (), scene, t_end, anything, self.max_steps)
+        return AdaptiveRun(OnScene(scene, program, numbers), t_end, anything, self.max_steps)
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> HHTState:
         z, shown = start.z, self.reported(scene, start.z, start.xdot)

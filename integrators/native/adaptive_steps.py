@@ -37,6 +37,7 @@ from integrators.native.kernel import (
     Form,
     Kernel,
     LoopRun,
+    OnScene,
     bounded,
     flat_row,
     no_counts,
@@ -156,18 +157,11 @@ class AdaptiveRun(LoopRun):
     """A run whose steps follow a tolerance."""
 
     def __init__(
-        self,
-        program: StepProgram,
-        numbers: Numbers,
-        noted: tuple[str, ...],
-        scene: MechatronicSystem,
-        t_end: float,
-        resolution: Tolerances,
-        max_steps: int,
+        self, method: OnScene, t_end: float, resolution: Tolerances, max_steps: int
     ) -> None:
-        t0 = scene.interval[0]
+        t0 = method.scene.interval[0]
         self._span = Span(t0, float(t_end), resolution.rtol, resolution.atol, max_steps)
-        super().__init__(kernel, program, numbers, noted, scene, self._span)
+        super().__init__(kernel, method, self._span)
         # Of the types that `measure` gives: others would be compiled again.
         self.end_only = jnp.asarray(np.full(self._slots, EVERY_STEP)), jnp.asarray(1)
         # A loop over no time compiles the kernel and costs nothing else.

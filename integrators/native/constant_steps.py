@@ -21,6 +21,7 @@ from integrators.native.kernel import (
     Form,
     Kernel,
     LoopRun,
+    OnScene,
     bounded,
     flat_row,
     no_counts,
@@ -88,18 +89,10 @@ def kept_steps(clock: Clock, steps: int, times: int) -> Int[np.ndarray, " k"]:
 class ConstantStepsRun(LoopRun):
     """A run at constant steps or patterns."""
 
-    def __init__(
-        self,
-        program: StepProgram,
-        numbers: Numbers,
-        noted: tuple[str, ...],
-        scene: MechatronicSystem,
-        t_end: float,
-        resolution: Steps,
-    ) -> None:
-        self._clock, self._steps = grid(scene.interval[0], t_end, resolution)
+    def __init__(self, method: OnScene, t_end: float, resolution: Steps) -> None:
+        self._clock, self._steps = grid(method.scene.interval[0], t_end, resolution)
         self._t_end = float(t_end)
-        super().__init__(kernel, program, numbers, noted, scene, self._clock)
+        super().__init__(kernel, method, self._clock)
         self.end_only = jnp.asarray(np.full(self._slots, self._steps)), jnp.asarray(1)
         # A loop that keeps no row takes no step: it compiles the kernel and costs nothing else.
         jax.block_until_ready(self.kernel(self.arguments, self.end_only[0], jnp.asarray(0)))

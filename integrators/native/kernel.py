@@ -109,6 +109,15 @@ GROWTH_LIMIT = 1e12
 ROW_SLOTS = 1024
 
 
+class OnScene(NamedTuple):
+    """A method on a scene, at whose start a run begins; ``noted`` names the notes of a reading."""
+
+    scene: MechatronicSystem
+    program: StepProgram
+    numbers: Numbers
+    noted: tuple[str, ...] = ()
+
+
 class LoopRun(PreparedRun):
     """A run of a compiled time loop.
 
@@ -116,12 +125,6 @@ class LoopRun(PreparedRun):
     ----------
     kernel
         The time loop of a program on a kind of scene.
-    program, numbers
-        The method.
-    noted
-        Names of the notes of a reading.
-    scene
-        The scene; the run begins at its start.
     times
         Steps or tolerances as the loop takes them.
     """
@@ -132,14 +135,11 @@ class LoopRun(PreparedRun):
     def __init__(
         self,
         kernel: Callable[[StepProgram, MechatronicSystem, Form], Kernel],
-        program: StepProgram,
-        numbers: Numbers,
-        noted: tuple[str, ...],
-        scene: MechatronicSystem,
+        method: OnScene,
         times: Any,
     ) -> None:
-        self._start, self._noted = consistent_start(scene), noted
-        self._program, self._scene = program, scene
+        scene, program, numbers, self._noted = method
+        self._scene, self._program, self._start = scene, program, consistent_start(scene)
         #: Turns of the loops and branches of the run that was measured last.
         self._turns: list[int] = []
         self._parts = scene.parameters(), numbers, self._start

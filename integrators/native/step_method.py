@@ -16,6 +16,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 from integrators.contract import Integrator, PreparedRun, option
 from integrators.native.adaptive_steps import AdaptiveRun
 from integrators.native.constant_steps import ConstantStepsRun
+from integrators.native.kernel import OnScene
 from integrators.native.own_values import Conditional, Needs
 from integrators.native.step_program import (
     Numbers,
@@ -143,10 +144,10 @@ class NativeMethod(Integrator):
                 f"The end {t_end:g} s does not lie after the start {scene.interval[0]:g} s; give a "
                 f"later one."
             )
-        (program, numbers), noted = self.program(scene), self.notes_on(scene)
+        method = OnScene(scene, *self.program(scene), self.notes_on(scene))
         if isinstance(resolution, Steps):
-            return ConstantStepsRun(program, numbers, noted, scene, t_end, resolution)
-        return AdaptiveRun(program, numbers, noted, scene, t_end, resolution, self.step_limit)
+            return ConstantStepsRun(method, t_end, resolution)
+        return AdaptiveRun(method, t_end, resolution, self.step_limit)
 
 
 @dataclass(frozen=True)
