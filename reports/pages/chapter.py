@@ -164,7 +164,7 @@ def write_chapter(chapter: Chapter, folder: Path, programs: Sequence[str] = ("pa
     links = [Link(f"#{s.anchor}", s.title.partition(": ")[0]) for s in chapter.sections if s.anchor]
     contents = {"Report": [Link(home, "Overview")] if home else [], "On this page": links}
     text = html(
-        "layout.html.j2",
+        programs,
         title=chapter.title,
         about=chapter.title,
         home=home,
@@ -172,7 +172,6 @@ def write_chapter(chapter: Chapter, folder: Path, programs: Sequence[str] = ("pa
         contents=[pair for pair in contents.items() if pair[1]],
         pages=[chapter_page(chapter, drawn)],
         single=True,
-        programs=programs,
     )
     put(folder / chapter.file, text)
     return folder / chapter.file

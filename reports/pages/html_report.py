@@ -77,8 +77,14 @@ def _written(site: Site, pages: Sequence[Page], made: Mapping[str, str]) -> str:
     """The text of a file with these pages."""
     here, kind = pages[0].path, pages[0].kind
     asking = _FRONT_SCRIPTS if kind == "front" else _QUESTION_SCRIPTS if kind == "scene" else ()
+    programs = (
+        "kept.js",
+        *(asking if DATA in made else ()),
+        "page.js",
+        *(_DRAWING_SCRIPTS if site.single or kind != "front" else ()),
+    )
     return html(
-        "layout.html.j2",
+        programs,
         assets=None if site.single else FOLDER if kind == "front" else "",
         made=made,
         address=partial(site.address, here=here),
@@ -93,12 +99,6 @@ def _written(site: Site, pages: Sequence[Page], made: Mapping[str, str]) -> str:
         searched=SEARCHED,
         single=site.single,
         data=DATA in made,
-        programs=(
-            "kept.js",
-            *(asking if DATA in made else ()),
-            "page.js",
-            *(_DRAWING_SCRIPTS if site.single or kind != "front" else ()),
-        ),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from html import escape as escape_html
 from importlib import resources
@@ -21,8 +21,6 @@ from reports.formatting import file_name, symbols
 from reports.questions.words import plain
 from reports.text.glossary import terms_in
 
-#: Stands in the head of a page for its content-security policy, until all scripts are known.
-POLICY = "content-security-policy"
 _DOI = re.compile(r"\bdoi:(10\.\d{4,9}/\S+)")
 _DOI_LINK = Markup('<a href="https://doi.org/{}" rel="noreferrer">doi:{}</a>')
 #: A name in the docstring of a scene.
@@ -31,22 +29,21 @@ _TERM_LINK = Markup('<a class="term" href="{}" title="{}">{}</a>')
 
 
 def html(
-    name: str,
+    programs: Sequence[str],
     assets: str | None = None,
     address: Callable[[str], str] | None = None,
     names: Mapping[str, tuple[str, str]] = MappingProxyType({}),
     made: Mapping[str, str] = MappingProxyType({}),
     **values: object,
 ) -> str:
-    """Fill in a template of HTML; all values are escaped.
+    """Fill in the template of a page; all values are escaped.
 
-    The page states a policy for browsers: no network, and no script but those that the template
-    sets with ``call script()`` or ``program(file)``.
+    The page states a policy for browsers: no network, and no script but its own.
 
     Parameters
     ----------
-    name
-        The template.
+    programs
+        Names of its scripts, in their order.
     assets
         Address of the folder of assets, relative to the page, with a slash at its end; None for a
         page that holds what it needs of them.
@@ -60,49 +57,32 @@ def html(
     **values
         For the template.
     """
-    digests: list[str] = []
-
-    def script(caller: Callable[[], str]) -> Markup:
-        text = clean(caller())
-        digest = hashlib.sha256(text.encode()).digest()
-        digests.append(f"'sha256-{base64.b64encode(digest).decode()}'")
-        return Markup(f"<script>{text}</script>")
-
-    def program(file: str) -> Markup:
-        """A script of the folder of assets."""
-        if assets is None:
-            return script(lambda: made.get(file) or asset(file))
-        return Markup(f'<script src="{escape(assets)}{file}" defer></script>')
-
-    def style(file: str) -> Markup:
-        """A style sheet of the folder of assets."""
-        if assets is None:
-            return Markup(f"<style>{asset(file)}</style>")
-        return Markup(f'<link rel="stylesheet" href="{escape(assets)}{file}">')
-
-    text = _filled(
-        name,
-        script=script,
-        program=program,
+    if assets is None:
+        texts = [clean(made.get(file) or _asset(file)) for file in programs]
+        digests = [hashlib.sha256(text.encode()).digest() for text in texts]
+        own = " ".join(f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests)
+        scripts = [Markup(f"<script>{text}</script>") for text in texts]
+        style, styles = Markup(f"<style>{_asset('report.css')}</style>"), ""
+    else:
+        own = styles = "'self'"
+        scripts = [Markup('<script src="{}{}" defer></script>').format(assets, f) for f in programs]
+        style = Markup('<link rel="stylesheet" href="{}report.css">').format(assets)
+    return _filled(
+        "layout.html.j2",
+        scripts=scripts,
         style=style,
-        policy=POLICY,
+        # Vega sets styles of its own.
+        policy=f"default-src 'none'; script-src {own}; style-src {styles} 'unsafe-inline'; "
+        "img-src data: blob:; base-uri 'none'; form-action 'none'",
         names=names,
         address=address or "#{}".format,
         prose=_prose(address),
         **values,
     )
-    own = [] if assets is None else ["'self'"]
-    policy = {
-        "default-src": "'none'",
-        "script-src": " ".join([*own, *digests]) or "'none'",
-        "style-src": " ".join([*own, "'unsafe-inline'"]),  # Vega sets styles of its own
-        "img-src": "data: blob:",
-        "base-uri": "'none'",
-        "form-action": "'none'",
-    }
-    stated = "; ".join(f"{name} {allowed}" for name, allowed in policy.items())
-    # The head comes before every value: the first one is the page's own.
-    return text.replace(POLICY, stated, 1)
+
+
+def _asset(file: str) -> str:
+    return (resources.files("reports.pages") / "assets" / file).read_text(encoding="utf-8")
 
 
 def _prose(address: Callable[[str], str] | None) -> Callable[[object], Markup]:
@@ -144,11 +124,6 @@ def _with_dois(text: str, others: Callable[[str], Markup]) -> Markup:
         parts += [others(text[at : found.start()]), _DOI_LINK.format(name, name)]
         at = found.start(1) + len(name)
     return Markup("").join([*parts, others(text[at:])])
-
-
-def asset(file: str) -> str:
-    """Return the text of a file of assets."""
-    return (resources.files("reports.pages") / "assets" / file).read_text(encoding="utf-8")
 
 
 def markdown(name: str, names: Mapping[str, str] = MappingProxyType({}), **values: object) -> str:
