@@ -127,24 +127,12 @@ def ensemble(
     begun: Callable[[], None] = lambda: None,
     first: int = 0,
 ) -> Ensemble:
-    """Run the members of an ensemble.
+    """Run the members of an ensemble, numbered from the ``first`` on.
 
-    Parameters
-    ----------
-    scene, method, resolution
-        All that does not vary is taken from them; the scene's nominal step or rtol=1e-6 if there is
-        no resolution.
-    vary
-        Values by name, equally many for every name; one member each. Names are those of
-        `bench.sweeps.variation.find_quantity`.
-    t_end
-        End time in s; the scene's own if not given.
-    budget
-        Seconds after which no further members are begun; compiling is not counted.
-    begun
-        Called when everything is compiled.
-    first
-        Number of the first member.
+    ``vary`` has values by name (`bench.sweeps.variation.find_quantity`), equally many for each, one
+    for a member; all else is that of scene, method and resolution (the scene's nominal step or
+    rtol=1e-6 if None). They end at ``t_end`` (s; the scene's own if None); ``begun`` is called when
+    everything is compiled, and ``budget`` seconds later no further members are begun.
 
     Raises
     ------
@@ -224,19 +212,9 @@ def parts_of(count: int) -> list[tuple[int, int]]:
 
 
 def run_members(runner: Runner, request: EnsembleRequest, sources: Sources) -> tuple[Ensemble, str]:
-    """Run all members of an ensemble.
+    """Run all members of an ensemble; a worker of a cluster gets several parts at a time.
 
-    Parameters
-    ----------
-    runner
-        Runs the parts; a worker of a cluster gets several of them at a time.
-    request, sources
-        What is run.
-
-    Returns
-    -------
-    tuple
-        The members, without those of parts that have no answer; and the reason of one of these.
+    Returns the members, without those of parts that have no answer, and the reason of one of these.
 
     Raises
     ------
