@@ -11,6 +11,7 @@ import inspect
 import math
 import reprlib
 from collections.abc import Collection, Iterable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -98,25 +99,19 @@ def array(
 
 def number(value: object, what: str, *, positive: bool = False) -> float:
     """Return a finite number as a float."""
-    expected = "a positive number" if positive else "a finite number"
-    try:
-        result = float(array(value, what, ()))
-    except FalseAnswer:
-        raise refused(what, value, expected) from None
-    if positive and not result > 0:
-        raise refused(what, value, expected)
-    return result
+    with suppress(FalseAnswer):
+        if (result := float(array(value, what, ()))) > 0 or not positive:
+            return result
+    raise refused(what, value, "a positive number" if positive else "a finite number")
 
 
 def whole(value: object, what: str) -> int:
     """Return a whole number of any type, from 0 to 2**53, as an int."""
-    try:
+    with suppress(FalseAnswer):
         result = float(array(value, what, ()))
-    except FalseAnswer:
-        result = -1.0
-    if not 0 <= result <= 2**53 or result != math.floor(result):
-        raise refused(what, value, "a whole number from 0 to 2**53")
-    return int(result)
+        if 0 <= result <= 2**53 and result == math.floor(result):
+            return int(result)
+    raise refused(what, value, "a whole number from 0 to 2**53")
 
 
 # ---- the answers of a scene ------------------------------------------------------------
@@ -168,10 +163,10 @@ def points(value: object, count: int) -> dict[str, Float[np.ndarray, "count n"]]
     """Return named points in ``count`` rows as arrays of floats, in m."""
     named = dictionary(value, "points()", "points by name")
     for name, rows in named.items():
-        text(name, "the name of a point")
-        named[name] = array(rows, f"points()[{name!r}]", (count, "2 or 3"))
+        what = f"points()[{text(name, 'the name of a point')!r}]"
+        named[name] = array(rows, what, (count, "2 or 3"))
         if named[name].shape[1] not in (2, 3):
-            raise refused(f"points()[{name!r}]", rows, "2 or 3 coordinates in m")
+            raise refused(what, rows, "2 or 3 coordinates in m")
     return named
 
 
@@ -210,10 +205,8 @@ def description(scene: Any) -> dict[str, Any]:
 
 def natural_sizes(words: Iterable[str], component: str) -> tuple[float, ...]:
     """Return the natural sizes that a component states, which are positive."""
-    try:
+    with suppress(ValueError):
         sizes = tuple(map(float, words))
-    except ValueError:
-        sizes = (0.0,)
-    if not all(0 < size < math.inf for size in sizes):
-        raise refused("a component", component, "positive numbers after '~'")
-    return sizes
+        if all(0 < size < math.inf for size in sizes):
+            return sizes
+    raise refused("a component", component, "positive numbers after '~'")

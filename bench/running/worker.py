@@ -238,8 +238,6 @@ class Worker:
             if os.environ.get("STEPBENCH_TRACEBACK"):
                 traceback.print_exc()
             return Trajectory.failed("crashed", f"The integrator failed: {why(error)}"), None
-        if wrong := check_runtime():
-            return Trajectory.failed("crashed", wrong), None
         self.prepared[cell.key], self._seconds[cell.key] = run, seconds
         if fault := measure.ignored_pattern(trajectory, cell.resolution, *span):
             trajectory.status, trajectory.message = "crashed", fault
