@@ -52,7 +52,7 @@ def folder(tmp_path_factory):
     return path
 
 
-def visit(browser, page, scheme="light"):
+def show(browser, page, scheme="light"):
     seen = [{"name": "prefers-color-scheme", "value": scheme}]
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": seen})
     browser.get("about:blank")
@@ -81,7 +81,7 @@ def grave(browser):
 def test_axe_finds_no_grave_fault(browser, folder, names):
     for name in names:
         for scheme in ("light", "dark"):
-            visit(browser, folder / name, scheme)
+            show(browser, folder / name, scheme)
             assert grave(browser) == [], (name, scheme)
 
 
@@ -89,19 +89,19 @@ def test_axe_finds_no_grave_fault(browser, folder, names):
 def test_axe_finds_no_grave_fault_in_a_single_file(browser, tmp_path):
     write_html_report(plant(tmp_path, everything()), single_file=True)
     for scheme in ("light", "dark"):
-        visit(browser, tmp_path / "report.html", scheme)
+        show(browser, tmp_path / "report.html", scheme)
         assert grave(browser) == [], scheme
 
 
 def test_axe_finds_a_planted_fault(browser, folder):
-    visit(browser, folder / "report.html")
+    show(browser, folder / "report.html")
     browser.execute_script("document.querySelector('#answer').style.color = '#aaa5'")
     assert [fault[0] for fault in grave(browser)] == ["color-contrast"]
 
 
 def test_every_shade_of_the_heat_table_can_be_read(browser, folder):
     for scheme in ("light", "dark"):
-        visit(browser, folder / "report.html", scheme)
+        show(browser, folder / "report.html", scheme)
         browser.execute_script(
             """
             const table = document.getElementById("heat"), cell = table.querySelector(".reached");
@@ -115,7 +115,7 @@ def test_every_shade_of_the_heat_table_can_be_read(browser, folder):
 
 
 def test_paper_has_the_question_and_the_answer_and_nothing_to_operate(browser, folder):
-    visit(browser, folder / "report.html")
+    show(browser, folder / "report.html")
     printed = browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})["data"]
     assert 1 <= base64.b64decode(printed).count(b"/Type /Page\n") <= 4
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
@@ -165,5 +165,5 @@ def test_no_page_is_wider_than_a_phone(browser, folder):
     phone = {"width": 420, "height": 900, "deviceScaleFactor": 1, "mobile": True}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
     for name in sorted(PAGES):
-        visit(browser, folder / name)
+        show(browser, folder / name)
         assert browser.execute_script("return document.documentElement.scrollWidth") <= 420, name
