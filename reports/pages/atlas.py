@@ -16,7 +16,7 @@ from bench.results.experiments import (
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
 from reports.formatting import file_name
-from reports.pages.chapter import Chapter, Section, Text, captioned, write_chapter
+from reports.pages.chapter import Chapter, Figure, Section, Text, write_chapter
 
 #: Numbers that differ by more than this factor stand on a logarithmic axis.
 _DECADES = 100
@@ -50,7 +50,7 @@ def _section(f: ExperimentResult) -> Section:
         caption = f"{part.text}: {part.quantity}"
         caption += f"; {part.show} in the first run." if part.show else "."
         chart = {f"atlas-{file_name(f.name)}-{k}": experiment_chart(part)}
-        parts += [part_table(part), captioned(caption, chart)]
+        parts += [part_table(part), Figure(caption, chart)]
     parts.append({"What helps": " ".join(f.remedy.split()), "Source": f.source})
     return Section(f.title, parts, f"atlas-{f.name}", f.number)
 

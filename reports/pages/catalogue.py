@@ -12,7 +12,7 @@ from reports.charts.mechanism import mechanism, motion
 from reports.charts.rendering import draw, picture
 from reports.formatting import file_name, number, paragraphs
 from reports.names import scene_name
-from reports.pages.chapter import Chapter, Section, Text, captioned, write_chapter
+from reports.pages.chapter import Chapter, Figure, Section, Text, write_chapter
 from reports.pages.templating import markdown
 from reports.text.scene_tables import parameters_table, scene_facts
 
@@ -67,7 +67,7 @@ def write_catalogue(scenes: Sequence[SceneRecord], folder: Path) -> list[Path]:
         title = f"{scene.problem}: {scene.title.rstrip('.')}"
         caption = f"{scene_name(scene.problem)}, from pale to solid."
         parts = [
-            captioned(caption, {file_name(scene.problem): mechanism(scene.drawings)}),
+            Figure(caption, {file_name(scene.problem): mechanism(scene.drawings)}),
             *map(Text, paragraphs(scene.description)),
             dict([*_catalogue_facts(scene), *scene_facts(scene)]),
             parameters_table(scene),

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 from bench.results.table import Table
 from problems.whole_files import put
 from reports.charts.rendering import pictures
-from reports.charts.vega_lite import Spec
 from reports.pages.templating import html
 from reports.questions.words import Sentence
 
@@ -19,23 +18,22 @@ FRONT, FOLDER = "report.html", "report/"
 
 
 @dataclass
-class CaptionedCharts:
-    """Charts by name (an anchor, a file name) that share a caption.
+class Figure:
+    """Charts by name (an anchor, a file name) that share a caption; those of None are left out.
 
     Those ``on_paper`` are drawn by the scripts of pages: Markdown alone has them.
     """
 
     caption: str
-    charts: dict[str, Spec]
+    charts: Mapping[str, Any]
     on_paper: bool = False
 
+    def __post_init__(self) -> None:
+        """Leave out charts that hold nothing."""
+        self.charts = {name: chart for name, chart in self.charts.items() if chart is not None}
 
-def captioned(
-    caption: str, charts: Mapping[str, Spec | None], on_paper: bool = False
-) -> CaptionedCharts | None:
-    """The charts that hold something, with a caption; None if none does."""
-    drawn = {name: chart for name, chart in charts.items() if chart is not None}
-    return CaptionedCharts(caption, drawn, on_paper) if drawn else None
+    def __bool__(self) -> bool:
+        return bool(self.charts)
 
 
 @dataclass
@@ -74,10 +72,10 @@ class Section:
         return bool(self.parts)
 
     @property
-    def figures(self) -> Iterator[CaptionedCharts]:
+    def figures(self) -> Iterator[Figure]:
         """The figures among the parts."""
         for part in self.parts:
-            if isinstance(part, CaptionedCharts):
+            if isinstance(part, Figure):
                 yield part
             elif isinstance(part, Section):
                 yield from part.figures
@@ -103,7 +101,7 @@ class Chapter:
         self.sections = [section for section in self.sections if section]
 
     @property
-    def figures(self) -> Iterator[CaptionedCharts]:
+    def figures(self) -> Iterator[Figure]:
         """The figures of all sections."""
         return (figure for section in self.sections for figure in section.figures)
 

@@ -12,7 +12,7 @@ from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import TIME, note_lines
 from reports.names import scene_name
-from reports.pages.chapter import Chapter, Section, Text, captioned, write_chapter
+from reports.pages.chapter import Chapter, Figure, Section, Text, write_chapter
 
 #: Words on the change of an invariant, by `Invariant.kinetic`.
 _CHANGES = {
@@ -37,7 +37,7 @@ def drift_chapter(runs: Mapping[str, LongRun]) -> Chapter:
     for k, own in enumerate(comparable_runs(runs), 1):
         title = f"{scene_name(own[0].problem)}: {own[0].asked} steps of {own[0].h:g} s"
         note = f"Measured at {max(run.rows for run in own)} rows of each run."
-        figure = captioned(_CAPTION, {f"drift-{k}-chart": drift_chart(own)})
+        figure = Figure(_CAPTION, {f"drift-{k}-chart": drift_chart(own)})
         parts = [
             [f"{r.integrator} ended as {r.status}: {r.message}" for r in own if r.status != "ok"],
             figure,

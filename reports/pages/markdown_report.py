@@ -10,7 +10,7 @@ from problems.whole_files import put
 from reports.charts.rendering import draw
 from reports.formatting import file_name
 from reports.names import scene_name
-from reports.pages.chapter import FOLDER, CaptionedCharts
+from reports.pages.chapter import FOLDER, Figure
 from reports.pages.report import Report, read_report
 from reports.pages.templating import escape_markdown, markdown
 from reports.questions.verdict import DIFFER, headlines
@@ -100,7 +100,7 @@ def _escaped(text: str) -> str:
     return f"{before}{escape_markdown(text)}{after}"
 
 
-def _figures(report: Report) -> Iterator[CaptionedCharts]:
+def _figures(report: Report) -> Iterator[Figure]:
     yield from report.overview
     for chapter in (*report.scenes, *report.chapters):
         yield from chapter.figures

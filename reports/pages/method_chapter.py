@@ -14,7 +14,7 @@ from bench.results.table import Table
 from reports.charts.all_scenes import method_strip
 from reports.formatting import file_name, milliseconds, number
 from reports.names import form_name
-from reports.pages.chapter import Section, Text, captioned
+from reports.pages.chapter import Figure, Section, Text
 from reports.questions.method_card import stored_card
 from reports.ranking import Answer
 from reports.scenes import StoredRuns
@@ -77,7 +77,7 @@ class MethodChapter:
         ]
         self.facts = Section("What it is", [_facts(name, first, facts)])
         by = COSTS[answer.question.cost].words
-        strip = captioned(
+        strip = Figure(
             f"Error in {answer.question.quantity} ({NORMS[NORM]}) at most so large, by {by}; "
             "numbers are multiples of the least cost. A column 'wrong' counts runs that reach the "
             f"end with an error above {WRONG:g} and say nothing.",

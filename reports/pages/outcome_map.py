@@ -12,7 +12,7 @@ from bench.results.table import Table
 from reports.charts import vega_lite as vl
 from reports.charts.tiles import MOST, Side, stretches, tile_chart
 from reports.formatting import number
-from reports.pages.chapter import CaptionedCharts, Chapter, Section, write_chapter
+from reports.pages.chapter import Chapter, Figure, Section, write_chapter
 
 #: Colours of ok runs, by decades of the error from the threshold down, and of inaccurate ones up.
 _OK = ("#b2e2be", "#7cc3b0", "#4fa3a8", "#2f81a0", "#1c5f90", "#083e78")
@@ -49,7 +49,7 @@ def write_map_page(found: Mapping[str, Any], folder: Path) -> Path:
         why = found["reasons"].get(outcome, "")
         counts.append(f"{words}: {count}{f'; {why}' if why else ''}")
     caption = f"Outcome of each run; of more than {MOST} values along a side some are left out."
-    picture = CaptionedCharts(caption, {"map": map_chart(found)})
+    picture = Figure(caption, {"map": map_chart(found)})
     section = Section("Outcome of each run", [counts, picture, outcome_table(found)], "picture")
     title = f"{found['integrator']} on {found['problem']}"
     return write_chapter(Chapter("map.html", title, about, [section]), folder)

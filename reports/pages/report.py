@@ -17,7 +17,7 @@ from reports.charts.errors import error_against_cost
 from reports.charts.line_styles import line_styles
 from reports.formatting import file_name
 from reports.pages.atlas import atlas_chapter
-from reports.pages.chapter import CaptionedCharts, Chapter, Section, Text, captioned
+from reports.pages.chapter import Chapter, Figure, Section, Text
 from reports.pages.drift import drift_chapter
 from reports.pages.jumps import jumps_chapter
 from reports.pages.method_chapter import MethodChapter
@@ -196,7 +196,7 @@ class Report:
             yield SceneChapter(f"scene-{i}", sections, stored.series[title], own, same_as)
 
     @property
-    def overview(self) -> list[CaptionedCharts]:
+    def overview(self) -> list[Figure]:
         """Pictures of the answer to the first question, which a page draws itself."""
         which = f"({self.stored.first.text}; {COSTS[self.stored.first.cost].title})"
         heat = (
@@ -210,18 +210,17 @@ class Report:
             "with several integrators."
         )
         errors = error_against_cost(self.series, self.styles, self.stored.first)
-        made = [
-            captioned(heat, {"overview-heat": cost_heat_map(self.answer, self.styles)}),
-            captioned(profile, {"overview-profile": performance_profile(self.answer, self.styles)}),
-            captioned("Accuracy against cost, scene by scene.", {"overview-errors": errors}),
+        return [
+            Figure(heat, {"overview-heat": cost_heat_map(self.answer, self.styles)}),
+            Figure(profile, {"overview-profile": performance_profile(self.answer, self.styles)}),
+            Figure("Accuracy against cost, scene by scene.", {"overview-errors": errors}),
         ]
-        return [figure for figure in made if figure]
 
-    def _cost_by_size(self) -> list[CaptionedCharts]:
+    def _cost_by_size(self) -> list[Figure]:
         """Cost against size, for every kind of scene with runs in several sizes."""
         runs = self.stored.records.values()
         return [
-            CaptionedCharts(
+            Figure(
                 f"Cost of {kind} against its size (unknowns: coordinates, multipliers, controller "
                 "states, outputs), of the run with the most steps. A flat line on the right is a "
                 "cost that grows like the size.",

@@ -9,7 +9,7 @@ from bench.results.published import published_table
 from bench.results.records import Study
 from reports.charts.mechanism import mechanism
 from reports.formatting import number, paragraphs
-from reports.pages.chapter import Fold, Section, Text, captioned
+from reports.pages.chapter import Figure, Fold, Section, Text
 from reports.pages.study_section import ALL_FIGURES, StudySections
 from reports.series import Series
 from reports.text.jump_tables import events_table
@@ -89,7 +89,7 @@ class SceneChapter:
         if new and new.drawings:
             ends = [number(drawing["t"]) for drawing in (new.drawings[0], new.drawings[-1])]
             caption = f"The scene from t={ends[0]} s to {ends[1]} s (solid)."
-            self.picture = captioned(caption, {f"{anchor}-scene": mechanism(new.drawings)})
+            self.picture = Figure(caption, {f"{anchor}-scene": mechanism(new.drawings)})
         self.cards = [
             Section("Events", [events_table(series)]),
             Section(

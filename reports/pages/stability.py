@@ -12,7 +12,7 @@ from bench.stability.tables import stability_tables, step_name
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
 from reports.charts.tiles import Side, tile_chart
-from reports.pages.chapter import Chapter, Section, captioned, write_chapter
+from reports.pages.chapter import Chapter, Figure, Section, write_chapter
 
 #: Quantities over omega h: field, title of the axis, whether the axis is logarithmic.
 _CURVES = (
@@ -59,11 +59,11 @@ def write_stability_page(found: Sequence[dict[str, Any]], folder: Path) -> Path:
             said = f"{f['integrator']}: spectral radius over {'omega H' if turns else name} and "
             said += f"{m['over']}{'; two steps take turns, omega H is that of both' * turns}"
             chart = {f"map-{len(maps)}-{k}": radius_map(m, "omega H" if turns else name)}
-            maps.append(captioned(said, chart))
+            maps.append(Figure(said, chart))
     facts, numbers, *theory = stability_tables(found)
     sections = [
         Section("What was found", [facts], "found"),
-        Section("Over frequency", [captioned(caption, curves), numbers], "frequency"),
+        Section("Over frequency", [Figure(caption, curves), numbers], "frequency"),
         Section("Maps", maps, "maps"),
         Section("Ratios and theory", theory, "theory"),
     ]

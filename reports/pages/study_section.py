@@ -24,7 +24,7 @@ from reports.charts.over_time import (
     trajectory_chart,
 )
 from reports.formatting import number, words
-from reports.pages.chapter import CaptionedCharts, Fold, Text, captioned
+from reports.pages.chapter import Figure, Fold, Text
 from reports.series import (
     Series,
     groups_of,
@@ -107,13 +107,13 @@ class StudySections:
             topic: self._histories(series, f"{anchor}-{name}", topic) if over_time else None
             for topic, name in (("time", "errors"), ("drift", "drift"), ("steps", "steps"))
         }
-        figures: list[CaptionedCharts | None] = []
+        figures: list[Figure] = []
         if "convergence" in study.figures:
             figures.append(self._convergence(series, f"{anchor}-convergence"))
         if "work_precision" in study.figures:
             figures.append(self._work_precision(series, f"{anchor}-work_precision"))
             operations = {f"{anchor}-operations": bills(series, self.styles)}
-            figures.append(captioned(_BILLS, operations))
+            figures.append(Figure(_BILLS, operations))
             figures.append(self._accuracy(series, f"{anchor}-accuracy"))
         path = None
         if over_time:
@@ -140,7 +140,7 @@ class StudySections:
         scene, _, number = anchor.rpartition("-")
         return StudySection(title, f"{scene}-study-{number}", parts)
 
-    def _convergence(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
+    def _convergence(self, series: Sequence[Series], name: str) -> Figure:
         groups = groups_of(ok_runs(series))
         norms = [NORM, *(["end"] if any(r.constraint for r in self.records) else [])]
         shown, left_out = _most_accurate(series, MOST_ERRORS)
@@ -149,9 +149,9 @@ class StudySections:
             f"Error {words(NORMS[norm] for norm in norms)} against step size; thin grey lines have "
             f"the slope of a whole order. {self._reference_error(groups)}{left_out}"
         )
-        return captioned(caption, made)
+        return Figure(caption, made)
 
-    def _work_precision(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
+    def _work_precision(self, series: Sequence[Series], name: str) -> Figure:
         """Error against cost on paper; a page draws it itself, for any question."""
         groups = groups_of(ok_runs(series), ("q", "a", *VIOLATIONS))
         shown, left_out = _most_accurate(series, MOST_ERRORS)
@@ -161,24 +161,24 @@ class StudySections:
             f"joins the resolutions of one integrator. {ERROR_MEANING} "
             f"{self._reference_error(groups)}{left_out}"
         )
-        return captioned(caption, {name: chart}, on_paper=True)
+        return Figure(caption, {name: chart}, on_paper=True)
 
-    def _accuracy(self, series: Sequence[Series], name: str) -> CaptionedCharts | None:
+    def _accuracy(self, series: Sequence[Series], name: str) -> Figure:
         shown, left_out = _most_accurate(series, MOST_ERRORS)
         caption = (
             f"Error in a against error in q, each {NORMS[NORM]}: good in q is not always good in "
             f"a. On the dashed line both have the same relative error.{left_out}"
         )
-        return captioned(caption, {name: error_charts(shown, ["a"], ["q"], self.styles)})
+        return Figure(caption, {name: error_charts(shown, ["a"], ["q"], self.styles)})
 
-    def _histories(self, series: Sequence[Series], name: str, topic: str) -> CaptionedCharts | None:
+    def _histories(self, series: Sequence[Series], name: str, topic: str) -> Figure:
         """Charts over time of the constraints and the energy (drift), or of the steps."""
         notes, said = _HISTORIES[topic]
         few, left_out = _most_accurate(series, MOST_LINES)
         runs = [(s.label, rows) for s in few if (rows := self._rows(s.finest)) and rows.notes]
         chart = histories(runs, self.styles, notes)
         caption = f"Over time, for the finest run of each: {said}.{left_out}"
-        return captioned(caption, {name: chart})
+        return Figure(caption, {name: chart})
 
     def _reference_error(self, groups: Iterable[str]) -> str:
         errors = {g: reference_error(self.records, g, NORM) for g in groups}
@@ -191,14 +191,12 @@ class StudySections:
 
     def _trajectory(
         self, series: Sequence[Series], name: str, components: Sequence[Sequence[Any]]
-    ) -> CaptionedCharts | None:
+    ) -> Figure:
         few, left_out = _most_accurate(series, MOST_LINES)
         runs = [r for s in series for r in s.records]
         runs = runs if len(runs) <= ALL_RUNS else [s.finest for s in few]
         shown = [(r, rows) for r in runs if (rows := self._rows(r))]
         reference = thinned(self.scene.reference) if self.scene and self.scene.reference else None
-        if not shown and reference is None:
-            return None
         by_name = {run_name(r): r for r, _ in shown}
         styles = {k: self.styles[label_of(r)] for k, r in by_name.items()}
         if len({label_of(r) for r, _ in shown}) < len(shown):  # several runs of one integrator
@@ -215,7 +213,7 @@ class StudySections:
         sizes = self.scene.sizes if self.scene else {}
         if not components and any(size > COMPONENTS_SHOWN for size in sizes.values()):
             caption += f" Of each group the first {COMPONENTS_SHOWN} components are shown."
-        return captioned(caption, {name: chart})
+        return Figure(caption, {name: chart})
 
     def _rows(self, record: Record) -> Rows | None:
         """The rows of a run that can be drawn; None of a run without any."""
