@@ -224,7 +224,7 @@ Blind = toy("Blind", base=BouncingBall, events=lambda self, z: jnp.sqrt(z.q - 0.
 
 
 def test_events_that_do_not_end_or_are_no_numbers_end_the_run_with_a_sentence():
-    scene = BouncingBall(e=0.3)  # for it they accumulate after few flights
+    scene = BouncingBall(e=0.1)  # for it they accumulate after few flights
     end = np.sqrt(2 / scene.g) * (1 + scene.e) / (1 - scene.e)
     found = run(StormerVerlet(), scene, Steps(0.05), 1.0)
     assert found.status == "step_too_small"
