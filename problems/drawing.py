@@ -13,9 +13,9 @@ def box(x: float, half: float) -> np.ndarray:
     return np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half + [x, 0.0]
 
 
-def circle(centre: np.ndarray, radius: float) -> np.ndarray:
-    """A circle of 24 sides."""
-    angle = np.linspace(0, 2 * np.pi, 25)
+def circle(centre: np.ndarray, radius: float, sides: int = 24) -> np.ndarray:
+    """A circle, as a polygon."""
+    angle = np.linspace(0, 2 * np.pi, sides + 1)
     return radius * np.column_stack([np.cos(angle), np.sin(angle)]) + centre
 
 

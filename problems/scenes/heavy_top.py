@@ -115,7 +115,7 @@ class HeavyTop(MechatronicSystem):
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
         rotation = np.asarray(rotation_matrix(jnp.asarray(q[3:])))
-        rim = np.insert(drawing.circle(np.zeros(2), 0.4), 1, 1.0, axis=1)
+        rim = np.insert(drawing.circle(np.zeros(2), 0.4, 32), 1, 1.0, axis=1)
         shaft = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
         spoke = np.array([shaft[1], rim[0]])
         return [self.length * line @ rotation.T @ drawing.OBLIQUE for line in (shaft, rim, spoke)]
