@@ -242,7 +242,7 @@ def test_the_examples_pass_every_check_and_do_what_the_page_says(tmp_path):
         scene = registry.problem(f"driven_four_bar[gain={gain}]")
         run = GeneralizedAlpha().prepare(scene, 1.0, Steps(0.01)).measure()
         assert run.status == "ok", run.message
-        off.append(np.abs(run.v @ np.asarray(scene.motor()) - scene.speed).max())
+        off.append(np.abs(run.v @ np.asarray(scene._motor()) - scene.speed).max())
     assert off[0] > 2 * off[1] > 6 * off[2]
 
 
