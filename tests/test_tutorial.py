@@ -12,7 +12,6 @@ from xml.etree import ElementTree
 import pytest
 
 from bench.results.compare import compare_folders
-from bench.results.store import Store
 
 TEXT = (Path(__file__).parent.parent / "docs" / "tutorial.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE)
@@ -44,8 +43,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             for line in block.splitlines():
                 assert flat(line) in said, f"{line}\nis not in\n{said}"
         else:
-            name = block.split("\n", 1)[0].removeprefix("# ")
-            assert name.endswith({"python": ".py", "toml": ".toml"}[kind])
+            name = block.split("\n", 1)[0].strip("<!-># ")
+            assert name.endswith({"python": ".py", "toml": ".toml", "xml": ".xml"}[kind])
             (path / name).write_text(block, encoding="utf-8")
     return path
 
@@ -62,10 +61,10 @@ def test_the_tutorial_leaves_what_it_promises(folder):
 @pytest.mark.long
 def test_fewer_corrections_change_the_work_and_the_errors_of_one_method(folder):
     found = compare_folders(folder / "first", folder / "second")
-    assert {change.integrator for change in found.changes} == {"my_method"}
-    kinds = {change.kind for change in found.changes}
-    assert {"error", "work"} <= kinds
-    for change in found.changes:
+    changes = found.of("error", "work")
+    assert {change.integrator for change in changes} == {"my_method"}
+    assert {change.kind for change in changes} == {"error", "work"}
+    for change in changes:
         if change.kind == "work":
             rest = 0.05 if change.name == "operations" else 0.0  # values are read once a step
             assert change.ratio == pytest.approx(0.5, abs=rest)
@@ -73,20 +72,8 @@ def test_fewer_corrections_change_the_work_and_the_errors_of_one_method(folder):
             assert change.ratio < 1  # as the text says
 
 
-@pytest.mark.long
-def test_the_later_of_two_runs_is_kept(folder):
-    with Store(folder / "second") as store:
-        second = store.records()
-    with Store(folder / "both") as store:
-        both = store.records()
-    assert len(both) == 12
-    for key, record in second.items():
-        assert both[key].work == record.work
-        assert both[key].errors == record.errors
-
-
 def test_every_command_of_the_tutorial_is_one_of_the_tool(stepbench):
     names = set(re.findall(r"stepbench (\w+)", TEXT))
-    assert {"run", "new", "check", "report", "compare", "merge"} <= names
+    assert {"run", "new", "check", "report", "compare", "solve", "recommend"} <= names
     for name in names - {"is"}:
         assert stepbench(name, "--help").exit_code == 0, name
