@@ -25,7 +25,7 @@ from bench.running.profiles import LARGEST_BUDGET, read_profile
 from bench.running.progress import OnStandardError
 from bench.running.solve import Request
 from bench.running.solve import solve as run_one
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -179,7 +179,7 @@ def solve(
 
     Raises
     ------
-    problems.spec.SpecError
+    problems.base.spec.SpecError
         If a name, an option or a number is not known or not allowed.
 
     Examples
@@ -260,7 +260,7 @@ def run(
 
     Raises
     ------
-    problems.spec.SpecError
+    problems.base.spec.SpecError
         If a name, an option or a number is not known or not allowed.
 
     Examples

@@ -1,9 +1,9 @@
 """Time integrators: their contract, native methods, adapters to other libraries."""
 
 from integrators.contract import Integrator, PreparedRun, Trajectory, Work, option
+from integrators.native.algebra.step_records import Errors, Reading
+from integrators.native.step.step_program import StepFunctions
 from integrators.native.step_method import ErrorControl, ImplicitStepMethod, StepMethod
-from integrators.native.step_program import StepFunctions
-from integrators.native.step_records import Errors, Reading
 from integrators.resolutions import Steps, Tolerances
 
 __all__ = [

@@ -1,6 +1,7 @@
 """The border to integrators: their answers are checked here once and turned into own types.
 
-A check raises `problems.checks.FalseAnswer` with a sentence on what came and what was expected.
+A check raises `problems.base.checks.FalseAnswer` with a sentence on what came and what was
+expected.
 """
 
 from __future__ import annotations
@@ -11,7 +12,16 @@ from typing import Any
 import numpy as np
 
 from integrators.contract import STATUSES, Integrator, PreparedRun, Trajectory, Work
-from problems.checks import FalseAnswer, array, dictionary, number, one_of, refused, text, whole
+from problems.base.checks import (
+    FalseAnswer,
+    array,
+    dictionary,
+    number,
+    one_of,
+    refused,
+    text,
+    whole,
+)
 from problems.system import MechatronicSystem
 from problems.variables import GROUPS, VARIABLES, Sizes
 

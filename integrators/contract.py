@@ -32,7 +32,7 @@ from integrators.runs import STATUSES as STATUSES
 from integrators.runs import PreparedRun as PreparedRun
 from integrators.runs import Trajectory as Trajectory
 from integrators.runs import Work as Work
-from problems import spec
+from problems.base import spec
 from problems.system import MechatronicSystem
 
 #: Blocks of a scene that widen the equations of motion, and their meanings.
@@ -107,7 +107,7 @@ def _of_taken_scenes(prepare: Callable[..., PreparedRun]) -> Callable[..., Prepa
         jumps = scene.has("sample") or (scene.has("events") and not steps_over)
         if not jumps or "in_phase" in vars(scene):
             return prepare(self, scene, t_end, resolution)
-        from integrators.phased_runs import prepared  # few scenes need it
+        from integrators.hybrid_runs import prepared  # few scenes need it
 
         return prepared(partial(prepare, self), scene, t_end, resolution)
 
@@ -134,7 +134,8 @@ class Integrator(ABC):
     source
         Publication of the method, with its DOI if there is one.
     formulation
-        Equations that the method solves on a constrained scene (see problems.formulations).
+        Equations that the method solves on a constrained scene (see
+        problems.equations.formulations).
     takes
         Blocks of `WIDER` that the method handles; it refuses scenes that state others of them.
     drift
@@ -245,7 +246,7 @@ class Integrator(ABC):
         ----------
         scene
             Scene with its parameters; the run starts at ``scene.interval[0]`` from the consistent
-            values of ``problems.initial_values.consistent_start``.
+            values of ``problems.equations.initial_values.consistent_start``.
         t_end
             End of the run in s.
         resolution
@@ -255,6 +256,7 @@ class Integrator(ABC):
         ------
         SpecError
             If ``supports`` gives a reason why the integrator cannot take the scene.
-        problems.initial_values.InconsistentStart, problems.initial_values.NoConsistentStart
+        problems.equations.initial_values.InconsistentStart,
+        problems.equations.initial_values.NoConsistentStart
             From the scene's initial values; the bench turns them into a row with a reason.
         """

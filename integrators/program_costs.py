@@ -1,8 +1,8 @@
 """Floating-point operations of traced programs, by parts of the work and by turns of loops; bills.
 
-A function is counted in its program before compilation (`integrators.programs`): every sum,
-difference, product, quotient and square root is one operation, an elementary function (sin, exp
-...) is `ELEMENTARY`, a product of an (m, k) and a (k, n) matrix m n (2 k - 1), one on complex
+A function is counted in its program before compilation (`integrators.lowering.stablehlo`): every
+sum, difference, product, quotient and square root is one operation, an elementary function (sin,
+exp ...) is `ELEMENTARY`, a product of an (m, k) and a (k, n) matrix m n (2 k - 1), one on complex
 numbers four. Comparisons, signs, choices and moves are free. As a compiler does, the count leaves
 out what nobody uses, takes equal expressions once and constants for nothing. Factorisations and
 solves go by their formulas: dense LU 2/3 n^3, both substitutions 2 n^2 for each right-hand side.
@@ -22,9 +22,9 @@ import numpy as np
 
 from integrators.lowering.moves import MOVES, on_numbers
 from integrators.lowering.operators import ELEMENTARY, OPERATORS
-from integrators.programs import Follower, Program, Step, program
-from problems.compiled import compiled
-from problems.named_equations import EQUATIONS, INDEX1, part_of, turns_of
+from integrators.lowering.stablehlo import Follower, Program, Step, program
+from problems.equations.compiled import compiled
+from problems.equations.named_equations import EQUATIONS, INDEX1, part_of, turns_of
 
 if TYPE_CHECKING:
     from jaxtyping import Int
@@ -93,8 +93,8 @@ class Cost(NamedTuple):
         Of the work; see `bench.results.quantities.PARTS`.
     turns
         Name of the innermost loop or branch around them whose turns a run counts (see
-        `problems.named_equations.turns`); empty if there is none. Those of one name share their
-        turns.
+        `problems.equations.named_equations.turns`); empty if there is none. Those of one name share
+        their turns.
     inner
         Whether they arise in each iteration of Newton's method for the index-1 equations.
     operations

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from problems import spec
+from problems.base import spec
 
 #: Limit of the steps of a run: it would not end, and floats count exactly only a little further.
 MOST_STEPS = 1e12

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from problems.runtime import Float, Int
+from problems.base.runtime import Float, Int
 
 #: Endings of a run; only "ok" has a complete trajectory.
 STATUSES = (
@@ -49,7 +49,7 @@ class Work:
 
 @dataclass
 class Trajectory:
-    """Rows of a run at k of its own steps, the start first; `integrators.kept_rows` chooses them.
+    """Rows of a run at k of its own steps, the start first; `integrators.output_rows` chooses them.
 
     Errors are measured at these rows: an error "largest over time" is over all steps only if every
     step is a row. A run that failed keeps the rows up to its last good step.

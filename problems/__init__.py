@@ -2,9 +2,11 @@
 
 from typing import TYPE_CHECKING
 
-from problems.bodies import GROUND, Body, RigidBodies
-from problems.contact import ContactSystem
-from problems.joints import (
+from problems.base.runtime import jax, jnp
+from problems.hybrid.contact import ContactSystem
+from problems.hybrid.sampled import SampledSystem
+from problems.mechanics.bodies import GROUND, Body, RigidBodies
+from problems.mechanics.joints import (
     Distance,
     Fixed,
     Joint,
@@ -14,8 +16,6 @@ from problems.joints import (
     SpringDamper,
     Universal,
 )
-from problems.runtime import jax, jnp
-from problems.sampled import SampledSystem
 from problems.starts import completed
 from problems.system import MechatronicSystem
 from problems.variables import Published, State, Variables, held, parameter

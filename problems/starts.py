@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from problems import spec
-from problems.runtime import Float, jax, jnp
+from problems.base import spec
+from problems.base.runtime import Float, jax, jnp
 from problems.variables import Component, State
 
 #: Newton's method takes less than ten iterations, or does not converge.
@@ -145,7 +145,7 @@ def _shortest(matrix: np.ndarray, residual: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(matrix, residual, rcond=None)[0]
 
 
-@cache  # not `problems.compiled`, which asks for the sizes, that is, for the start
+@cache  # not `problems.equations.compiled`, which asks for the sizes, that is, for the start
 def _program(template: Any) -> Callable[..., Any]:
     def constraints(p: dict[str, Any], q: Any, v: Any, t: Any) -> Any:
         scene, now = template.with_parameters(p), jnp.asarray(t, dtype=float)

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from problems import checks
-from problems.runtime import Array, Float
+from problems.base import checks
+from problems.base.runtime import Array, Float
 
 #: Groups of variables, and of errors: "xd" are values that are held between samples or events.
 VARIABLES = ("q", "v", "a", "lam", "x", "y")

@@ -10,7 +10,7 @@ from bench.results.quantities import NORM, parts
 from bench.results.records import Record, SceneRecord
 from reports.names import label_parts
 from reports.series import Series
-from reports.text.jump_tables import policy
+from reports.tables.jump_tables import policy
 
 #: Names of experiments.
 PATTERN, TRANSIENT, UNDAMPED = "variable_steps", "start_transient", "undamped_index3"

@@ -10,7 +10,7 @@ from typing import Any
 
 from bench.results.quantities import COST, COSTS, GROUPS, error_note, group_and_norm
 from bench.results.records import Record, Rows
-from problems.spec import SpecError, one_of
+from problems.base.spec import SpecError, one_of
 from reports.charts.errors import ACROSS, convergence_chart, error_charts
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import histories, trajectory_chart

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from bench.results.records import Record
-from problems.spec import SpecError, split_spec, suggest
+from problems.base.spec import SpecError, split_spec, suggest
 
 
 class BuiltIn(NamedTuple):

@@ -16,7 +16,7 @@ from reports.questions.question import FIRST, Question
 from reports.questions.words import Names
 from reports.questions.wrong import Wrong, wrong_on
 from reports.series import Series, series_of
-from reports.text.measurement import state_sentence
+from reports.tables.measurement import state_sentence
 
 #: A scene's specification and the end of its interval in s.
 Key = tuple[str, float]

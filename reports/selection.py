@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bench.results.records import Record, Rows, SceneRecord
 from bench.results.store import Store
-from problems.spec import SpecError, suggest
+from problems.base.spec import SpecError, suggest
 from reports.names import named_labels
 from reports.series import Series, label_of, series_of
 

@@ -55,7 +55,7 @@ def pytest_configure() -> None:
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(TESTS.parent / ".cache" / "jax"))
     if "XLA_FLAGS" in os.environ:
         return
-    from problems import runtime  # noqa: F401  it sets the flags of the project
+    from problems.base import runtime  # noqa: F401  it sets the flags of the project
 
     os.environ["XLA_FLAGS"] += f" {QUICKLY_COMPILED}"
 
@@ -166,8 +166,8 @@ def without_processes(monkeypatch):
     from bench.guard.process import Refused
     from bench.running import inventory, worker
     from bench.running.runner import Runner
-    from problems.plain_text import said
-    from problems.spec import SpecError
+    from problems.base.spec import SpecError
+    from problems.base.text import said
 
     def ask_here(about, prepare, arguments, limits, job, *given):
         try:

@@ -9,7 +9,7 @@ import time
 import numpy as np
 
 from bench.guard.serve import REFERENCE, Notify
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 
 def prepare(notify: Notify, number: int) -> tuple[Notify, int]:

@@ -18,7 +18,7 @@ import pytest
 from bench.plugins.registry import Registry
 from integrators import Integrator, Steps
 from problems import MechatronicSystem, State, jnp
-from problems.reference import Reference
+from problems.truth.reference import Reference
 
 
 def long(*parameters: object) -> list:

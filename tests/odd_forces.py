@@ -6,7 +6,7 @@ import numpy as np
 from probe import Probe
 
 from problems import jnp, parameter
-from problems.runtime import jax
+from problems.base.runtime import jax
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from integrators import ImplicitStepMethod, Reading
 from problems import jnp
-from problems.formulations import dae_layout, dae_residual
+from problems.equations.formulations import dae_layout, dae_residual
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from problems import MechatronicSystem, jax, jnp
-from problems.constraints import constraint_acceleration, constraint_velocity
+from problems.equations.constraints import constraint_acceleration, constraint_velocity
 
 
 def rng():

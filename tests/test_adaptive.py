@@ -8,16 +8,16 @@ from helpers import long, nothing_compiled, reference, slope, toy
 from scipy.integrate import solve_ivp
 
 from integrators import Steps, Tolerances
-from integrators.kept_rows import FIRST_ROWS, MOST_ROWS
 from integrators.methods import generalized_alpha_adaptive
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import (
     AdaptiveAlphaStep,
     GeneralizedAlphaAdaptive,
 )
+from integrators.output_rows import FIRST_ROWS, MOST_ROWS
 from problems import jax, jnp, parameter
-from problems.formulations import ode_rate
-from problems.initial_values import consistent_start
+from problems.equations.formulations import ode_rate
+from problems.equations.initial_values import consistent_start
 from problems.scenes.duffing import Duffing
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.soft_impact import SoftImpact

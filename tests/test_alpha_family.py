@@ -26,9 +26,10 @@ from integrators.methods.generalized_alpha_parameters import (
     smallest_safe_ratio,
     updated_weight,
 )
-from problems import formulations, jnp
-from problems.constraints import constraint_force
-from problems.projections import constrained_part
+from problems import jnp
+from problems.equations import formulations
+from problems.equations.constraints import constraint_force
+from problems.equations.projections import constrained_part
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
 

@@ -10,16 +10,16 @@ from hypothesis import strategies as st
 
 from bench.running.measure import stored_rows
 from integrators import Steps
-from integrators.kept_rows import FIRST_ROWS, SPREAD_ROWS, spread_rows
 from integrators.methods.generalized_alpha import HHT, WBZ, GeneralizedAlpha, HHTClassical, Newmark
 from integrators.methods.generalized_alpha_parameters import updated_weight
-from integrators.native import constant_steps
+from integrators.native.loops import constant_steps
+from integrators.output_rows import FIRST_ROWS, SPREAD_ROWS, spread_rows
 from problems import State, jax, jnp, parameter
-from problems.initial_values import consistent_start
+from problems.base.spec import SpecError, build
+from problems.equations.initial_values import consistent_start
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.soft_impact import SoftImpact
 from problems.scenes.spring_mass import SpringMass
-from problems.spec import SpecError, build
 
 GGL = {"formulation": "stabilised_index2"}
 

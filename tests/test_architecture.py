@@ -16,15 +16,26 @@ ROOT = Path(__file__).resolve().parents[1]
 #: From the bottom to the top: a module imports from its own folder and from layers below it.
 #: The longest name counts, and a folder's name without a longer one holds its loose modules.
 LAYERS = [
-    {"problems"},
+    {"problems.base"},
+    {"problems.variables"},
+    {"problems.starts"},
+    {"problems.system"},
+    {"problems.equations", "problems.mechanics"},
+    {"problems.hybrid"},
+    {"problems.truth"},
+    {"problems.models"},
+    {"problems"},  # its front door, which names what scenes need
+    {"problems.formulations"},  # and what integrators need
     {"problems.scenes"},
-    {"integrators.multistep", "integrators.kept_rows", "integrators.advice"},
+    {"integrators.multistep", "integrators.output_rows", "integrators.advice"},
     {"integrators.runs", "integrators.resolutions"},
-    {"integrators.phased_runs"},
+    {"integrators.hybrid_runs"},
     {"integrators.contract"},
-    {"integrators.programs"},
     {"integrators.lowering"},
     {"integrators.program_costs"},
+    {"integrators.native.algebra"},
+    {"integrators.native.step"},
+    {"integrators.native.loops"},
     {"integrators.native"},
     {"integrators.methods", "integrators.adapters"},
     {"integrators"},  # its front door, which names what plugins need

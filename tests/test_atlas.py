@@ -24,8 +24,8 @@ from bench.results.experiments import bounds
 from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.progress import Progress
+from problems.base.spec import SpecError
 from problems.scenes.pendulum import Pendulum
-from problems.spec import SpecError
 
 NAMES = list(built_in_experiments())
 #: Experiments that take many seconds each.

@@ -16,7 +16,7 @@ from integrators import ImplicitStepMethod, Reading, StepMethod, Steps, option
 from integrators.adapters.ida import IDA
 from integrators.program_costs import NotCounted
 from problems import jax, jnp
-from problems.formulations import ode_rate
+from problems.equations.formulations import ode_rate
 from problems.scenes.spring_mass import SpringMass
 
 

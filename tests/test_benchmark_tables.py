@@ -9,7 +9,7 @@ import pytest
 
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from problems.reference import Reference
+from problems.truth.reference import Reference
 
 
 @pytest.fixture(autouse=True)

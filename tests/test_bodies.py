@@ -18,10 +18,18 @@ from bench.plugins.registry import Registry
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import GROUND, Body, RigidBodies, SpringDamper, jax, jnp, parameter
-from problems.initial_values import InconsistentStart, consistent_start
-from problems.joints import Distance, Fixed, Frame, Prismatic, Revolute, Spherical, Universal
+from problems.base.spec import SpecError
+from problems.equations.initial_values import InconsistentStart, consistent_start
+from problems.mechanics.joints import (
+    Distance,
+    Fixed,
+    Frame,
+    Prismatic,
+    Revolute,
+    Spherical,
+    Universal,
+)
 from problems.scenes.spatial_four_bar import SpatialFourBar
-from problems.spec import SpecError
 
 RANDOM = np.random.default_rng(7)
 POINT, OTHER = np.array([0.3, -0.2, 0.5]), np.array([-0.4, 0.1, 0.2])

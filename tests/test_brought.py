@@ -15,7 +15,7 @@ from bench.check.blocks import check_parameters
 from bench.plugins.registry import Registry
 from integrators import Reading, StepMethod, Steps, Tolerances
 from problems import MechatronicSystem, SampledSystem, State, held, jax, jnp, parameter
-from problems.formulations import complete, ode_rate
+from problems.equations.formulations import complete, ode_rate
 from problems.scenes.oscillator import Oscillator
 
 

@@ -11,17 +11,18 @@ from probe import Probe
 
 from bench.plugins.registry import Registry
 from integrators import Tolerances
-from integrators.adapters import packed_functions, sundials
+from integrators.adapters import callbacks as packed_functions
+from integrators.adapters import sundials
+from integrators.adapters.callbacks import PackedFunction, same_to_rounding
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
 from integrators.adapters.library_runs import all_finite
-from integrators.adapters.packed_functions import PackedFunction, same_to_rounding
 from integrators.adapters.scipy_ode import BDF, Radau
 from integrators.adapters.solve_dae import RadauDAE
 from integrators.lowering import native, operators
 from integrators.lowering.graph import NotLowered
 from problems import jnp
-from problems.runtime import jax, slower
+from problems.base.runtime import jax, slower
 from problems.scenes.pendulum import Pendulum
 
 
@@ -196,7 +197,7 @@ REASONS = [
      "is not the release 6 that is known", Pendulum(), (IDA, CVODE)),
     (lambda at: at.setitem(sundials._SIGNATURES, "CVodeGone", (ctypes.c_int,)),
      "has no function CVodeGone", Pendulum(), (IDA, CVODE)),
-    (lambda at: at.setattr("integrators.programs._type", None),
+    (lambda at: at.setattr("integrators.lowering.stablehlo._type", None),
      "programs of this JAX are not as known", Pendulum(), (IDA, CVODE)),
     (lambda at: None, "it has the operation 'sort'", Sorted(), (IDA, CVODE, BDF)),
     (flip("add", "{} - {}"), "in C are not those of JAX", Pendulum(), (IDA, CVODE, BDF)),

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import Variables, jax, jnp
-from problems.initial_values import consistent_start
+from problems.equations.initial_values import consistent_start
 from problems.scenes.full_car import FullCar, FullCarPassive
 from problems.scenes.quarter_car import QuarterCar
 

@@ -9,7 +9,7 @@ import pytest
 
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
-from problems import runtime
+from problems.base import runtime
 from problems.scenes.oscillator import Oscillator
 from problems.scenes.pendulum import Pendulum
 

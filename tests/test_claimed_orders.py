@@ -15,9 +15,9 @@ from bench.plugins.registry import Registry
 from integrators import Integrator, PreparedRun, Reading, Trajectory, option
 from integrators.methods.hht_i3 import HHTI3
 from problems import jax, jnp
-from problems.block_structure import mass_varies
-from problems.constraints import constraint_acceleration
-from problems.formulations import complete, dae_layout
+from problems.equations.block_structure import mass_varies
+from problems.equations.constraints import constraint_acceleration
+from problems.equations.formulations import complete, dae_layout
 from problems.scenes.double_pendulum import DoublePendulum, DoublePendulumControlled
 from problems.scenes.pendulum import Pendulum
 

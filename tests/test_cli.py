@@ -20,8 +20,8 @@ from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import read_profile
 from bench.running.runner import Runner
-from problems.reference import Reference
 from problems.scenes.spring_mass import SpringMass
+from problems.truth.reference import Reference
 
 DIGITS = {
     "q": -0.569897683826460,

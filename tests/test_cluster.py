@@ -19,7 +19,7 @@ from bench.running.cluster import ClusterRunner
 from bench.running.plan import Cell
 from bench.running.runner import Runner, measure_task
 from integrators.resolutions import Steps
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 distributed = pytest.importorskip("distributed")
 

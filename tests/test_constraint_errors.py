@@ -13,10 +13,10 @@ from bench.running.errors import ROUNDING, constraint_errors, constraint_sizes, 
 from bench.running.measure import constraint_unit
 from integrators.contract import Trajectory, Work
 from problems import jnp
-from problems.reference import Reference
 from problems.scenes.oscillator import Oscillator
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven
+from problems.truth.reference import Reference
 from reports.pages.html_report import write_html_report
 from reports.questions.method_card import stored_card
 from reports.questions.question import FIRST, Question
@@ -25,7 +25,7 @@ from reports.questions.words import plain
 from reports.ranking import answer, answers
 from reports.scenes import StoredRuns
 from reports.series import series_of
-from reports.text.ranking_tables import targets_table, winners_table
+from reports.tables.ranking_tables import targets_table, winners_table
 
 HELD = Question("constraint", 1e-4, "operations")
 

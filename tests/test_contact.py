@@ -19,11 +19,11 @@ from integrators.methods.moreau_jean import MoreauJean
 from integrators.methods.stormer_verlet import StormerVerlet
 from integrators.resolutions import Steps, Tolerances
 from problems import ContactSystem, Variables, jax, jnp, parameter
-from problems.compiled import compiled
-from problems.reference import Reference
+from problems.base.spec import SpecError
+from problems.equations.compiled import compiled
 from problems.scenes.bouncing_ball import BouncingBall
 from problems.scenes.oscillator import Oscillator
-from problems.spec import SpecError
+from problems.truth.reference import Reference
 
 
 def run(method, scene, resolution, t_end=None):

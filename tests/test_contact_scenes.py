@@ -15,13 +15,13 @@ from integrators.methods.moreau_jean import MoreauJean
 from integrators.methods.radau_iia import RadauIIA
 from integrators.resolutions import Steps, Tolerances
 from problems import State, jnp, parameter
-from problems.phases import falls
-from problems.reference import Reference
+from problems.hybrid.phases import falls
 from problems.scenes.bouncing_ball import BouncingBall
 from problems.scenes.impact_stop import ImpactStop
 from problems.scenes.painleve_rod import PainleveRod
 from problems.scenes.quarter_car import QuarterCar, QuarterCarStop
 from problems.scenes.sliding_rolling import SlidingRolling
+from problems.truth.reference import Reference
 
 
 # ---- a mass against a stop -------------------------------------------------------------------

@@ -15,8 +15,8 @@ from bench.commands.main import main
 from bench.plugins.registry import Registry
 from bench.running.profiles import built_in_profiles
 from integrators import Steps
-from integrators.native import step_work
-from integrators.native.step_work import EquationsFinder, StepWork
+from integrators.native.step import step_work
+from integrators.native.step.step_work import EquationsFinder, StepWork
 from problems.scenes.duffing import Duffing
 
 ROOT = Path(__file__).parent.parent

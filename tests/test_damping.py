@@ -21,7 +21,7 @@ from bench.stability import damping as analysis
 from reports.formatting import number
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
-from reports.text.damping_table import damping_table
+from reports.tables.damping_table import damping_table
 
 PROFILE = """
 samples = 0

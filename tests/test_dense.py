@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import long
 
-from integrators.native import small_matrices
+from integrators.native.algebra import small_matrices
 from problems import jax, jnp
 
 RANDOM = np.random.default_rng(7)

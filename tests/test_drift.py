@@ -22,8 +22,8 @@ from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators.contract import Trajectory
 from integrators.resolutions import Steps
-from problems.reference import Reference
-from problems.spec import SpecError
+from problems.base.spec import SpecError
+from problems.truth.reference import Reference
 from reports.charts.line_styles import style_of
 from reports.pages.drift import drift_chapter, drift_chart
 from reports.pages.html_report import write_html_report

@@ -12,10 +12,10 @@ from test_rest import Rough
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
 from integrators.methods.energy_momentum import EnergyMomentum
-from integrators.native.endings import Ending
+from integrators.native.loops.status import Ending
 from problems import MechatronicSystem, State, jnp, parameter
+from problems.base.spec import SpecError
 from problems.scenes.pendulum import Pendulum
-from problems.spec import SpecError
 
 REGISTRY = Registry()
 

@@ -19,11 +19,11 @@ from bench.sweeps.batch import Batch, BatchRun
 from bench.sweeps.ensemble import ensemble, member_rows
 from bench.sweeps.variation import find_quantity, runs_with
 from integrators import Steps, Tolerances
-from integrators.native.kernel import Kernel
+from integrators.native.loops.kernel import Kernel
 from problems import parameter
-from problems.initial_values import consistent_start, consistent_starts
-from problems.runtime import SPARE_THREADS
-from problems.spec import SpecError, split_spec
+from problems.base.runtime import SPARE_THREADS
+from problems.base.spec import SpecError, split_spec
+from problems.equations.initial_values import consistent_start, consistent_starts
 
 REGISTRY = Registry()
 ADAPTIVE, ENDS = "generalized_alpha_adaptive", r"(q|v|a|lam|x|xdot|y)(\d+)"

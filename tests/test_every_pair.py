@@ -15,7 +15,8 @@ from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators import Steps, Tolerances
 from integrators.native.step_method import NativeMethod
-from problems import MechatronicSystem, jnp, rotations
+from problems import MechatronicSystem, jnp
+from problems.mechanics import rotations
 
 REGISTRY = Registry()
 #: A small scene of each kind.

@@ -17,7 +17,7 @@ from planted import everything, plant, planted
 
 from bench.results.records import Record, Rows
 from bench.results.store import Store
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 from reports import figures
 from reports.series import series_of
 

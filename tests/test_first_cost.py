@@ -21,7 +21,7 @@ from reports.questions.question import Question
 from reports.questions.verdict import headlines
 from reports.questions.words import plain
 from reports.scenes import stored_runs
-from reports.text.measurement import times_sentence
+from reports.tables.measurement import times_sentence
 
 #: The samples of a run, relative to the first.
 QUIET, NOISY = (1.0, 1.01, 1.02, 1.03, 1.04, 1.05), (1.0, 1.05, 1.1, 1.2, 1.25, 1.3)

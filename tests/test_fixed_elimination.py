@@ -12,13 +12,13 @@ from test_sparse_newton import assert_agree
 
 from integrators import Steps
 from integrators.lowering.graph import NotLowered, side_by_side
-from integrators.lowering.programs import lowered
+from integrators.lowering.to_graph import lowered
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from integrators.native import fixed_elimination, linear_solvers, small_matrices
-from integrators.native.equations import tangent_pattern
-from integrators.native.fixed_elimination import EliminationPlan, planned
-from integrators.native.step_work import EquationsFinder
-from problems.initial_values import consistent_start
+from integrators.native.algebra import fixed_elimination, linear_solvers, small_matrices
+from integrators.native.algebra.fixed_elimination import EliminationPlan, planned
+from integrators.native.algebra.jaxpr_tools import tangent_pattern
+from integrators.native.step.step_work import EquationsFinder
+from problems.equations.initial_values import consistent_start
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.chain import Chain
 from problems.scenes.heavy_top import HeavyTop

@@ -8,13 +8,13 @@ from helpers import toy
 from scipy.optimize import brentq
 
 from problems import State, jax, jnp, parameter
-from problems import formulations as form
-from problems.compiled import compiled
-from problems.initial_values import InconsistentStart, consistent_start
-from problems.reference import Reference
+from problems.equations import formulations as form
+from problems.equations.compiled import compiled
+from problems.equations.initial_values import InconsistentStart, consistent_start
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
+from problems.truth.reference import Reference
 
 #: m a + k q = y, xdot = a^3 - x, 0 = y - c tanh(x + a - y): implicit in y, nonlinear in a.
 NonlinearFeedback = toy(

@@ -13,10 +13,10 @@ from planted import Document
 
 from bench.running.linearisation import rates
 from bench.running.scene_records import drawings, equations, scene_record
-from problems.reference import Reference
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
+from problems.truth.reference import Reference
 
 
 def test_rates_are_the_eigenvalues_of_the_motion():

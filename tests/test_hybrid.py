@@ -19,14 +19,14 @@ from integrators.methods.simulator_steppers import SemiImplicitEuler
 from integrators.methods.stormer_verlet import StormerVerlet
 from integrators.resolutions import Steps, Tolerances
 from problems import SampledSystem, held, jnp
-from problems.phases import crossing
-from problems.reference import Reference, ReferenceFailed
+from problems.base.spec import SpecError
+from problems.hybrid.phases import crossing
 from problems.scenes.bouncing_ball import BouncingBall
 from problems.scenes.duffing import Duffing
 from problems.scenes.rocking_block import RockingBlock
 from problems.scenes.sampled_pd import SampledPd
 from problems.scenes.sampled_quarter_car import SampledQuarterCar
-from problems.spec import SpecError
+from problems.truth.reference import Reference, ReferenceFailed
 
 FREE = np.array([[0, 1, 0], [-1, 0, 1], [0, 0, 0.0]])
 

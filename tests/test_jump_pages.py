@@ -14,7 +14,7 @@ from reports.questions.words import plain
 from reports.questions.wrong import wrong_on, wrong_sentences
 from reports.scenes import StoredRuns
 from reports.series import series_of
-from reports.text.jump_tables import events_table, policies_table, policy
+from reports.tables.jump_tables import events_table, policies_table, policy
 
 
 def scene(problem, sampling="", **more):

@@ -18,7 +18,7 @@ from integrators.adapters.counting import run_counted, watch
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
 from integrators.methods.half_explicit import PHEM56, HalfExplicitEuler
-from integrators.native import small_matrices
+from integrators.native.algebra import small_matrices
 from problems import jnp
 from problems.scenes.chain import Chain
 from problems.scenes.heavy_top import HeavyTop

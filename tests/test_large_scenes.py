@@ -14,7 +14,10 @@ from scipy.linalg import solve_banded
 
 from bench.plugins.reasons import why
 from integrators import Steps, Tolerances
-from integrators.kept_rows import (
+from integrators.methods.generalized_alpha import GeneralizedAlpha
+from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
+from integrators.native.loops import constant_steps
+from integrators.output_rows import (
     FIRST_ROWS,
     LEAST_ROWS,
     MOST_NUMBERS,
@@ -25,10 +28,8 @@ from integrators.kept_rows import (
     row_times,
     width_of,
 )
-from integrators.methods.generalized_alpha import GeneralizedAlpha
-from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
-from integrators.native import constant_steps
-from problems import compiled, jnp, start_equations
+from problems import jnp
+from problems.equations import compiled, start_equations
 from problems.scenes.chain import Chain
 
 #: Long runs are counted step by step.
@@ -105,7 +106,7 @@ def test_rows_of_steps_known_beforehand_are_those_of_one_that_is_over(count, tim
 )
 def test_a_long_run_of_a_large_scene_keeps_few_rows(monkeypatch, kind):
     scene = Chain(links=3)
-    monkeypatch.setattr("integrators.kept_rows.MOST_NUMBERS", 64 * width_of(scene.sizes))
+    monkeypatch.setattr("integrators.output_rows.MOST_NUMBERS", 64 * width_of(scene.sizes))
     t_end = 0.2
     if kind == "constant":
         run = GeneralizedAlpha(rho_inf=0.8).prepare(scene, t_end, Steps(1e-3))

@@ -10,9 +10,9 @@ from bench.results.quantities import NORM
 from bench.running.measure import LATER, errors_from_later_starts
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from problems.reference import Reference
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.soft_impact import SoftImpact
+from problems.truth.reference import Reference
 from problems.variables import State
 from reports.questions.question import FIRST
 from reports.ranking import answers

@@ -18,10 +18,10 @@ from integrators.adapters.ida import IDA
 from integrators.adapters.library_runs import CountedEquations, EarlyEnd
 from integrators.adapters.scipy_ode import BDF, Radau
 from integrators.adapters.solve_dae import BDFDAE, RadauDAE
-from problems.formulations import dae_layout
+from problems.base.spec import SpecError
+from problems.equations.formulations import dae_layout
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
-from problems.spec import SpecError
 
 PYTHON = {"callbacks": "python"}
 ENDED = "step_too_small", "newton_failed", "diverged", "budget_exceeded"

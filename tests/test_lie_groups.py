@@ -13,14 +13,15 @@ from integrators.adapters.ida import IDA
 from integrators.methods.bdf2 import BDF2, BLieDF
 from integrators.methods.generalized_alpha import GeneralizedAlpha, GeneralizedAlphaLie
 from integrators.methods.half_explicit import PHEM56
-from problems import jax, rotations
-from problems.formulations import complete
-from problems.published import named_points
+from problems import jax
+from problems.base.spec import SpecError
+from problems.equations.formulations import complete
+from problems.mechanics import rotations
 from problems.scenes.double_pendulum import DoublePendulumControlled
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.heavy_top_lie import HeavyTopR3SO3, HeavyTopSE3, HeavyTopSO3
 from problems.scenes.pendulum import Pendulum
-from problems.spec import SpecError
+from problems.truth.published import named_points
 
 SO3, R3_SO3, SE3 = HeavyTopSO3(), HeavyTopR3SO3(), HeavyTopSE3()
 T_END = 0.1

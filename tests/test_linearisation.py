@@ -10,8 +10,8 @@ import pytest
 from bench.running.errors import scales
 from bench.running.linearisation import growth
 from problems import MechatronicSystem, State, jnp
-from problems.reference import Reference
 from problems.scenes.pendulum import Pendulum
+from problems.truth.reference import Reference
 
 
 @dataclass(frozen=True)

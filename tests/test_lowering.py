@@ -6,15 +6,15 @@ from helpers import EVERY_OPERATION, long, scene_or_skip
 
 from bench.plugins.registry import Registry
 from integrators.adapters import dae
-from integrators.adapters.packed_functions import PackedFunction
-from integrators.adapters.packed_functions import in_c as compiled_in_c
+from integrators.adapters.callbacks import PackedFunction
+from integrators.adapters.callbacks import in_c as compiled_in_c
 from integrators.lowering import c_source, graph, operators
 from integrators.lowering.c_source import c_function
 from integrators.lowering.graph import NotLowered
-from integrators.lowering.programs import lowered
+from integrators.lowering.to_graph import lowered
 from problems import jnp
-from problems.formulations import dae_layout
-from problems.runtime import jax
+from problems.base.runtime import jax
+from problems.equations.formulations import dae_layout
 
 #: Rounding of sums and elementary functions, relative to the largest entry. Near the start of
 #: heavy_top the largest entry, 313 N m, is what is left of gyroscopic terms of 20 800 N m: it is

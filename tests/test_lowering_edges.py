@@ -9,18 +9,18 @@ from helpers import long, toy
 from test_lowering import LOOPS, in_c
 
 from integrators import Tolerances
+from integrators.adapters.callbacks import PackedFunction
 from integrators.adapters.cvode import CVODE
-from integrators.adapters.packed_functions import PackedFunction
 from integrators.adapters.scipy_ode import BDF
 from integrators.lowering import c_source
 from integrators.lowering.c_source import c_function
 from integrators.lowering.graph import NotLowered
 from integrators.lowering.operators import ELEMENTARY
-from integrators.lowering.programs import lowered
-from integrators.native.equations import tangent_pattern
-from integrators.native.small_matrices import without_products
+from integrators.lowering.to_graph import lowered
+from integrators.native.algebra.jaxpr_tools import tangent_pattern
+from integrators.native.algebra.small_matrices import without_products
 from problems import jnp
-from problems.runtime import jax
+from problems.base.runtime import jax
 
 # ---- signs of zero ---------------------------------------------------------------------
 ZEROS = [np.array(u) for u in itertools.product((0.0, -0.0, 1.0, -1.0), repeat=2)]

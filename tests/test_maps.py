@@ -19,7 +19,7 @@ from bench.running.errors import relative_errors
 from bench.sweeps.outcome_map import OUTCOMES, outcome_map
 from bench.sweeps.variation import find_range
 from integrators import Steps, Tolerances
-from problems.reference import Reference
+from problems.truth.reference import Reference
 from problems.variables import GROUPS
 from reports.pages.outcome_map import _OTHERS, map_chart, outcome_table
 

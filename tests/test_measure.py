@@ -23,10 +23,10 @@ from integrators.contract import Trajectory
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
 from problems import MechatronicSystem, State, jnp
-from problems.reference import Reference
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.soft_impact import SoftImpact
 from problems.scenes.spring_mass import SpringMass
+from problems.truth.reference import Reference
 from problems.variables import Component, Sizes
 
 TIMES = np.linspace(0.0, 0.4, 5)

@@ -16,7 +16,7 @@ from bench.results.csv_text import csv_export, csv_text
 from bench.results.flat_rows import flatten
 from bench.results.quantities import group_and_norm
 from bench.results.records import median
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 pytestmark = pytest.mark.long  # one run of the command
 

@@ -32,8 +32,8 @@ from bench.sweeps.ensemble import (
 )
 from bench.sweeps.variation import Quantity, Range, find_range
 from integrators import Steps
-from problems.runtime import jax
-from problems.spec import SpecError
+from problems.base.runtime import jax
+from problems.base.spec import SpecError
 
 REGISTRY = Registry()
 COUNT, VARY, END = 40, ("k:0.8..1.2", "h:0.05..2.5"), 100.0

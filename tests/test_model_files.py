@@ -21,12 +21,12 @@ from bench.check.checker import is_file
 from bench.plugins.fingerprint import fingerprint
 from bench.plugins.registry import Plugin, Registry
 from problems import from_mjcf
+from problems.base.runtime import jax, jnp
+from problems.base.spec import SpecError, build
 from problems.models import mjcf_load
 from problems.models.mjcf import REFUSED
 from problems.models.mjcf_load import read
 from problems.models.mjcf_parts import lacking
-from problems.runtime import jax, jnp
-from problems.spec import SpecError, build
 
 #: The flags of MuJoCo that switch off what a scene leaves out.
 RIGID = {"contacts": "CONTACT", "limits": "LIMIT", "friction_loss": "FRICTIONLOSS"}

@@ -18,8 +18,8 @@ from bench.running.profiles import read_profile
 from integrators import Steps, Tolerances
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import jax, jnp
-from problems.formulations import complete
-from problems.initial_values import consistent_start
+from problems.equations.formulations import complete
+from problems.equations.initial_values import consistent_start
 from problems.models import examples
 from problems.scenes.slider_crank import SliderCrank
 

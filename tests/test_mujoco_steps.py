@@ -10,9 +10,9 @@ from model_files import LOOPS, body, chain, four_bar, hinge, mjcf
 from bench.plugins.registry import Registry
 from integrators import Steps
 from problems import from_mjcf
-from problems.reference import Reference
+from problems.base.spec import SpecError
 from problems.scenes.pendulum import Pendulum
-from problems.spec import SpecError
+from problems.truth.reference import Reference
 
 
 def loaded(folder, text, **options):

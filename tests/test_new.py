@@ -10,7 +10,7 @@ from helpers import long
 from bench.check.checker import CHECKS, examine
 from bench.check.verdicts import FAILED
 from bench.plugins.registry import Registry
-from problems.spec import snake_case
+from problems.base.spec import snake_case
 
 
 @pytest.fixture(autouse=True)

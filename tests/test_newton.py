@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from integrators.native.linear_solvers import LinearSolver, Once
-from integrators.native.newton import Bounds, newton
-from integrators.native.step_records import StepReport
+from integrators.native.algebra.linear_solvers import LinearSolver, Once
+from integrators.native.algebra.newton import Bounds, newton
+from integrators.native.algebra.step_records import StepReport
 from problems import jax, jnp
 
 NEVER = math.nan

@@ -20,7 +20,7 @@ from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell
 from integrators import Steps
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 HELD = {"q": (1.0, 2), "a": (3.0, 2), "lam": (4.0, 2)}
 ALPHA = "generalized_alpha[rho_inf=0.8]"

@@ -15,13 +15,13 @@ from bench.running.worker import Worker
 from integrators import Steps, Tolerances, Trajectory
 from integrators.checks import caution
 from integrators.methods.hht_i3 import HHTI3
-from problems.checks import FalseAnswer
+from problems.base.checks import FalseAnswer
 from problems.scenes.double_pendulum import DoublePendulum
 from problems.scenes.driven_springs import DrivenSprings
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank, SliderCrankMinimal
 from problems.scenes.stiff_bar import StiffBar
-from reports.text.run_tables import notes_table
+from reports.tables.run_tables import notes_table
 
 
 def exact_run(scene, steps: int, part: float = 1.0) -> Trajectory:

@@ -40,12 +40,13 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha, Newmark
 from integrators.methods.kr_alpha import KRAlpha
 from integrators.methods.lobatto_iiia_iiib import LobattoPair
 from integrators.methods.rodas5p import Rodas5P
-from integrators.native import constant_steps, small_matrices
-from integrators.native.kernel import Form, loop_costs
-from integrators.native.step_program import _at_rest
+from integrators.native.algebra import small_matrices
+from integrators.native.loops import constant_steps
+from integrators.native.loops.kernel import Form, loop_costs
+from integrators.native.step.step_program import _at_rest
 from integrators.program_costs import NotCounted, costs_of, dense, sparse
 from problems import jax, jnp
-from problems.named_equations import equation, part, turns
+from problems.equations.named_equations import equation, part, turns
 from problems.scenes.chain import Chain
 from problems.scenes.duffing import Duffing
 from problems.scenes.pendulum import Pendulum

@@ -12,10 +12,10 @@ from bench.results.store import Store
 from bench.running.plan import DEFAULT_HALVINGS
 from bench.running.profiles import read_profile
 from integrators.resolutions import Steps
-from problems.block_structure import mass_varies
-from problems.spec import SpecError
+from problems.base.spec import SpecError
+from problems.equations.block_structure import mass_varies
 from reports.series import series_of
-from reports.text.order_table import order_table
+from reports.tables.order_table import order_table
 
 
 def rows(records):

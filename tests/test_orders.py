@@ -16,7 +16,7 @@ from bench.results.orders import fit_order, fit_orders
 from bench.results.records import SceneRecord
 from reports.explanations import IGNORED, OVER, PATTERN, STIFF, TRANSIENT, UNDAMPED
 from reports.series import series_of
-from reports.text.order_table import lost_orders_table
+from reports.tables.order_table import lost_orders_table
 
 STEPS = [0.1 * 2.0**-k for k in range(8)]
 

@@ -18,7 +18,7 @@ from test_ranking import scenes_of
 from bench.results.experiments import CaseResult, PartResult
 from bench.results.records import IntegratorFacts, Plan
 from bench.results.store import Store
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 from reports.charts.all_scenes import method_strip
 from reports.pages.atlas import experiment_chart
 from reports.pages.html_report import write_html_report
@@ -26,7 +26,7 @@ from reports.pages.markdown_report import write_markdown_report
 from reports.questions.method_card import method_card
 from reports.ranking import answers
 from reports.scenes import StoredRuns
-from reports.text.glossary import TERMS
+from reports.tables.glossary import TERMS
 
 LONG = "generalized_alpha[rho_inf=0.8,formulation=stabilised_index2,newton=modified]"
 

@@ -15,7 +15,7 @@ from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import built_in_profiles, read_profile
 from bench.running.session import measure_suite
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 STUDY = """
 samples = 0

@@ -17,8 +17,8 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.half_explicit import PHEM56
 from integrators.methods.rattle import RATTLE
 from integrators.methods.rodas5p import Rodas5P
-from problems import Published, checks, jax
-from problems.published import published_digits
+from problems import Published, jax
+from problems.base import checks
 from problems.scenes.andrews import Andrews
 from problems.scenes.bricard import Bricard
 from problems.scenes.flyball_governor import FlyballGovernor
@@ -26,6 +26,7 @@ from problems.scenes.heavy_top_lie import HeavyTopR3SO3, HeavyTopSE3, HeavyTopSO
 from problems.scenes.iftomm_pendulum import IFToMMPendulum
 from problems.scenes.n_four_bar import NFourBar
 from problems.scenes.planar_truck import PlanarTruck, PlanarTruckJoint
+from problems.truth.published import published_digits
 
 
 @pytest.mark.parametrize(

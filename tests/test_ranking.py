@@ -20,7 +20,7 @@ from reports.questions.verdict import LATER, WRONG_A, headline, headlines, verdi
 from reports.questions.words import plain
 from reports.ranking import Answer, SceneAnswer, answer, answers, told_apart
 from reports.series import series_of
-from reports.text.ranking_tables import integrators_table, targets_table, winners_table
+from reports.tables.ranking_tables import integrators_table, targets_table, winners_table
 
 SECOND = {"q": (1.0, 2), "a": (1.0, 2)}
 #: Another method of the same order: its errors differ.

@@ -17,8 +17,8 @@ from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import read_profile
 from bench.running.search import MOST_RUNS, RESOLVED, Sizes
+from problems.base.spec import SpecError
 from problems.scenes.iftomm_pendulum import IFToMMPendulum
-from problems.spec import SpecError
 
 STEPS = Sizes(length=10.0, start=0.1, finest=1e-7, coarsest=10.0)
 RTOL = Sizes(length=None, start=1e-4, finest=1e-13, coarsest=0.1)

@@ -22,10 +22,10 @@ from bench.running.realtime import (
     times_of,
 )
 from bench.running.worker import Worker
-from integrators.native.single_step import SingleStep
+from integrators.native.loops.single_step import SingleStep
 from integrators.resolutions import Steps
-from problems.reference import Reference
-from problems.spec import SpecError
+from problems.base.spec import SpecError
+from problems.truth.reference import Reference
 
 GROUPS = ("q", "v", "a", "lam", "x", "y")
 FULL, MODIFIED = "generalized_alpha[rho_inf=0.8]", "generalized_alpha[newton=modified,rho_inf=0.8]"

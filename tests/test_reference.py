@@ -11,12 +11,13 @@ from helpers import long, toy
 
 from bench.plugins.registry import Sources
 from bench.running import inventory
-from problems import SampledSystem, held, jnp, parameter, reference
-from problems.collocation import Motion, TooSmallStep, gauss, integrate, radau
-from problems.reference import Reference
+from problems import SampledSystem, held, jnp, parameter
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.planar_truck import PlanarTruck, PlanarTruckJoint
 from problems.scenes.spring_mass import SpringMass
+from problems.truth import reference
+from problems.truth.collocation import Motion, TooSmallStep, gauss, integrate, radau
+from problems.truth.reference import Reference
 
 # t, q, v, a, x, xdot of the controlled spring-mass with the parameters of Bruels & Arnold
 # (2008), computed independently in extended precision.

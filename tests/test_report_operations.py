@@ -11,7 +11,7 @@ from bench.results.quantities import PARTS
 from reports.charts.bills import MOST_BARS, bills
 from reports.charts.line_styles import line_styles
 from reports.series import series_of
-from reports.text.run_tables import runs_table, summary_table
+from reports.tables.run_tables import runs_table, summary_table
 
 
 def run(name, h, **changes):

@@ -37,8 +37,8 @@ from reports.pages.markdown_report import _FIGURES as FIGURES
 from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
 from reports.series import series_of
-from reports.text.ranking_tables import targets_table
-from reports.text.run_tables import summary_table
+from reports.tables.ranking_tables import targets_table
+from reports.tables.run_tables import summary_table
 
 
 @pytest.fixture(scope="module")

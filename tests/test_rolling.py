@@ -12,9 +12,9 @@ from scipy.integrate import cumulative_simpson, solve_ivp
 from scipy.optimize import brentq
 
 from problems import jax, jnp
-from problems.constraints import constraint_velocity
-from problems.formulations import ode_rate
-from problems.initial_values import consistent_start
+from problems.equations.constraints import constraint_velocity
+from problems.equations.formulations import ode_rate
+from problems.equations.initial_values import consistent_start
 from problems.scenes.bicycle import Bicycle
 from problems.scenes.chaplygin_sleigh import ChaplyginSleigh
 from problems.scenes.rolling_disc import RollingDisc

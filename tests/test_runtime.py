@@ -15,8 +15,9 @@ from integrators import Integrator, Steps, Tolerances
 from integrators.adapters.scipy_ode import BDF
 from integrators.contract import Trajectory
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from problems import runtime, sparsity
-from problems.runtime import check_runtime
+from problems.base import runtime
+from problems.base.runtime import check_runtime
+from problems.equations import sparsity
 from problems.scenes.oscillator import Oscillator
 from problems.scenes.pendulum import Pendulum
 

@@ -20,8 +20,9 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.half_explicit import PHEM56
 from integrators.methods.radau_iia import RadauIIA
 from integrators.methods.rodas5p import Rodas5P
-from problems import formulations, jax
-from problems.initial_values import consistent_start
+from problems import jax
+from problems.equations import formulations
+from problems.equations.initial_values import consistent_start
 
 PLAIN, ALPHA = GeneralizedAlpha(), GeneralizedAlpha(rho_inf=0.8)
 STABILISED = GeneralizedAlpha(rho_inf=0.8, formulation="stabilised_index2")

@@ -8,8 +8,8 @@ from helpers import long
 from scene_identities import CHECKS, of
 from scene_mechanics import Measured, rng, solved
 
-from problems.constraints import constraint_velocity
-from problems.reference import Reference
+from problems.base.spec import SpecError
+from problems.equations.constraints import constraint_velocity
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.driven_springs import DrivenSprings
 from problems.scenes.friction import Friction
@@ -17,7 +17,7 @@ from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.oscillator import Oscillator
 from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven
 from problems.scenes.slider_crank_flexible import SliderCrankFlexible
-from problems.spec import SpecError
+from problems.truth.reference import Reference
 
 
 @of(DrivenSprings(), DrivenSprings(m2=2.0), force="k1 k2 c1 q0 q1 v0")

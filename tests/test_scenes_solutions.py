@@ -12,11 +12,12 @@ from bench.check.scenes import check_conserved
 from bench.plugins.registry import Registry
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha, Newmark
-from problems import formulations, jax, jnp, lagrange, parameter
-from problems.compiled import compiled
-from problems.constraints import constraint_acceleration
-from problems.initial_values import InconsistentStart, consistent_start
-from problems.reference import Reference
+from problems import jax, jnp, parameter
+from problems.equations import formulations
+from problems.equations.compiled import compiled
+from problems.equations.constraints import constraint_acceleration
+from problems.equations.initial_values import InconsistentStart, consistent_start
+from problems.mechanics import lagrange
 from problems.scenes.andrews import Andrews
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.chain import Chain
@@ -30,6 +31,7 @@ from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrankDriven
 from problems.scenes.slider_crank_flexible import SliderCrankFlexible
 from problems.scenes.stiff_bar import StiffBar
+from problems.truth.reference import Reference
 
 
 def drift(scene, z, t):

@@ -14,8 +14,8 @@ from planted import planted
 from bench.results.records import SceneRecord
 from bench.running.measure import MOST_COMPONENTS, stored_rows
 from bench.running.scene_records import scene_record
-from problems.reference import Reference
 from problems.scenes.chain import Chain
+from problems.truth.reference import Reference
 from reports.charts.cost_by_size import size_charts
 from reports.charts.line_styles import line_styles
 

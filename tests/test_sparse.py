@@ -12,20 +12,22 @@ from integrators.adapters.ida import IDA
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
 from integrators.methods.simulator_steppers import ImplicitFast
-from problems import jax, jnp, parameter, runtime, sparsity
-from problems.compiled import compiled
-from problems.formulations import dae_layout
-from problems.initial_values import consistent_start
-from problems.projections import constrained_part
-from problems.reference import Reference, ReferenceFailed
+from problems import jax, jnp, parameter
+from problems.base import runtime
+from problems.base.spec import SpecError
+from problems.equations import sparsity
+from problems.equations.compiled import compiled
+from problems.equations.formulations import dae_layout
+from problems.equations.initial_values import consistent_start
+from problems.equations.projections import constrained_part
+from problems.equations.start_equations import sparse_start
 from problems.scenes.chain import Chain
 from problems.scenes.full_car import FullCar
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrank
 from problems.scenes.spring_mass import SpringMass
-from problems.spec import SpecError
-from problems.start_equations import sparse_start
+from problems.truth.reference import Reference, ReferenceFailed
 
 pytest.importorskip("klujax")
 GROUPS = ("q", "v", "a", "lam", "x", "y")

@@ -10,12 +10,12 @@ from helpers import forget_programs, long, toy
 
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
-from integrators.native import klu
-from integrators.native.step_program import StepProgram
+from integrators.native.algebra import klu
+from integrators.native.step.step_program import StepProgram
 from integrators.resolutions import Steps, Tolerances
 from problems import jnp, parameter
-from problems.initial_values import consistent_start
-from problems.runtime import jax
+from problems.base.runtime import jax
+from problems.equations.initial_values import consistent_start
 from problems.scenes.chain import Chain
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrank

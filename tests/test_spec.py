@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from bench.check.verdicts import round_trip
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha, Newmark
-from problems import spec
+from problems.base import spec
+from problems.base.spec import SpecError, build, split_spec
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
-from problems.spec import SpecError, build, split_spec
 from problems.variables import parameter
 
 

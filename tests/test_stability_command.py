@@ -118,5 +118,3 @@ def test_other_systems_have_radii(stepbench, cases):
         assert found["growing"] == []
         assert found["order"] is None
         assert 0.45 < found["radius_at_infinity"] < 0.55
-
-

@@ -10,7 +10,7 @@ from bench.plugins.registry import Registry
 from bench.stability.spectra import spectrum
 from bench.stability.systems import Oscillator
 from integrators.native.step_method import NativeMethod
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 REGISTRY = Registry()
 NATIVE = [

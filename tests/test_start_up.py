@@ -20,8 +20,8 @@ from bench.stability.systems import Oscillator
 from integrators import Steps, Tolerances
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_step import AlphaStep
-from problems.runtime import SPARE_THREADS
-from problems.usage import cores
+from problems.base.runtime import SPARE_THREADS
+from problems.base.usage import cores
 
 
 def test_help_lists_and_plans_are_made_without_a_compiler():
@@ -85,7 +85,7 @@ def test_programs_that_are_called_side_by_side_end():
     """Factorisations of many matrices wait for XLA's threads on one of these (jaxlib 0.10)."""
     code = """
 from concurrent.futures import ThreadPoolExecutor
-from problems.runtime import jax, jnp, most_callers
+from problems.base.runtime import jax, jnp, most_callers
 
 def factors(a):
     step = lambda k, a: jax.scipy.linalg.lu_factor(a + jnp.eye(80))[0] / 2
@@ -171,7 +171,7 @@ def test_the_quick_profile_stays_what_its_run_time_is_quoted_for():
 def test_reports_import_neither_jax_nor_what_they_report_on() -> None:
     code = (
         "import sys, reports.pages.html_report, reports.pages.markdown_report; "
-        "never = ('jax', 'integrators', 'problems.scenes', 'problems.formulations', 'altair'); "
+        "never = ('jax', 'integrators', 'problems.scenes', 'problems.equations', 'altair'); "
         "print([m for m in never if m in sys.modules])"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

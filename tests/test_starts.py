@@ -13,10 +13,10 @@ from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators import Steps
 from problems import State, jnp, parameter
-from problems.initial_values import consistent_start, consistent_starts
+from problems.base.spec import SpecError
+from problems.equations.initial_values import consistent_start, consistent_starts
 from problems.models.mjcf import from_mjcf
-from problems.reference import Reference
-from problems.spec import SpecError
+from problems.truth.reference import Reference
 
 REGISTRY = Registry()
 #: A rod that stands on its hinge.

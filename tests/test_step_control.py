@@ -11,7 +11,7 @@ import pytest
 from helpers import toy
 
 from integrators import ErrorControl, Errors, Reading, StepMethod, Tolerances, option
-from integrators.native.adaptive_steps import Span, StepControl
+from integrators.native.loops.adaptive_steps import Span, StepControl
 from problems import jax, jnp
 
 WIDE = 0.0, 5.0

@@ -23,14 +23,14 @@ from integrators import (
 )
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import MechatronicSystem, State, jnp, parameter
-from problems.formulations import dae_layout, dae_residual, ode_rate
+from problems.base.spec import SpecError
+from problems.equations.formulations import dae_layout, dae_residual, ode_rate
+from problems.equations.start_equations import missing_rank
 from problems.scenes.chain import Chain
 from problems.scenes.oscillator import Oscillator
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
 from problems.scenes.spring_mass import SpringMass
-from problems.spec import SpecError
-from problems.start_equations import missing_rank
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from helpers import long
 
 from bench.plugins.registry import Registry
 from problems import MechatronicSystem, State, jnp
+from problems.base.spec import SpecError
 from problems.scenes.pendulum import Pendulum
-from problems.spec import SpecError
 
 SLEIGH = """
 from dataclasses import dataclass

@@ -18,10 +18,10 @@ from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
 from integrators.adapters.sundials import library
 from problems import MechatronicSystem, jnp
+from problems.base.spec import SpecError
 from problems.scenes.chain import Chain
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
-from problems.spec import SpecError
 
 every_method = pytest.mark.parametrize("method", [IDA, CVODE])
 CALLBACKS = "compiled", "python"

@@ -9,10 +9,10 @@ import sympy.physics.mechanics as me
 from helpers import long
 from sympy_scenes import M, T, scene_of
 
-from problems import lagrange
-from problems.constraints import constraint_velocity
-from problems.initial_values import consistent_start
-from problems.runtime import jax, jnp
+from problems.base.runtime import jax, jnp
+from problems.equations.constraints import constraint_velocity
+from problems.equations.initial_values import consistent_start
+from problems.mechanics import lagrange
 
 R, G = sm.symbols("r g")
 COORDINATES = PSI, TH, PH, X, Y = me.dynamicsymbols("psi th ph x y")

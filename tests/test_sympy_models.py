@@ -34,9 +34,10 @@ from bench.plugins.fingerprint import fingerprint
 from bench.plugins.registry import Registry
 from bench.sweeps.ensemble import ensemble
 from integrators import Steps
-from problems import jnp, lagrange
-from problems.initial_values import consistent_start
-from problems.spec import SpecError
+from problems import jnp
+from problems.base.spec import SpecError
+from problems.equations.initial_values import consistent_start
+from problems.mechanics import lagrange
 
 TEXT = (Path(__file__).parent.parent / "docs" / "models.md").read_text(encoding="utf-8")
 EXAMPLES = {
@@ -255,8 +256,8 @@ import sys
 sys.modules["sympy"] = None
 space = {"__name__": "written"}
 exec(open(sys.argv[1]).read(), space)
-from problems.initial_values import consistent_start
-from problems.spec import SpecError
+from problems.equations.initial_values import consistent_start
+from problems.base.spec import SpecError
 print(*map(repr, consistent_start(space["FourBar"]()).z.a.tolist()))
 """
 

@@ -10,9 +10,9 @@ from planted import Document, everything, plant, whole_report
 from bench.results.store import Store
 from reports.charts.mechanism import mechanism, motion
 from reports.pages.html_report import write_html_report
-from reports.text.glossary import TERMS, terms_in
-from reports.text.mathml import mathml
-from reports.text.scene_tables import unknowns
+from reports.tables.glossary import TERMS, terms_in
+from reports.tables.mathml import mathml
+from reports.tables.scene_tables import unknowns
 
 
 def test_an_equation_in_plain_text_is_typeset():

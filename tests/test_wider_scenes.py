@@ -15,14 +15,15 @@ from integrators.methods.bdf2 import BDF2
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.radau_iia import RadauIIA
 from integrators.methods.simulator_steppers import SemiImplicitEuler
-from problems import MechatronicSystem, State, checks, jnp, parameter
-from problems.constraints import constraint_force
-from problems.kinematics import advance, displaced
-from problems.layouts import state_layout
-from problems.projections import projected_state
-from problems.reference import Reference
+from problems import MechatronicSystem, State, jnp, parameter
+from problems.base import checks
+from problems.base.spec import SpecError
+from problems.equations.constraints import constraint_force
+from problems.equations.kinematics import advance, displaced
+from problems.equations.layouts import state_layout
+from problems.equations.projections import projected_state
 from problems.scenes.chaplygin_sleigh import ChaplyginSleigh
-from problems.spec import SpecError
+from problems.truth.reference import Reference
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from integrators.methods.half_explicit import PHEM56
 from integrators.methods.moreau_jean import MoreauJean
 from integrators.resolutions import Steps, Tolerances
 from problems import jax
-from problems.compiled import compiled
-from problems.contact import impact
-from problems.reference import Reference
+from problems.equations.compiled import compiled
+from problems.hybrid.contact import impact
 from problems.scenes.woodpecker import Woodpecker
+from problems.truth.reference import Reference
 
 
 # ---- the woodpecker, by matrix exponentials ----------------------------------------------------

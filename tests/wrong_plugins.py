@@ -13,7 +13,7 @@ from bench.check.trials import FiniteTimeBlowUp
 from integrators import Integrator, PreparedRun, Steps, Work, option
 from integrators.methods.generalized_alpha import Newmark
 from problems import MechatronicSystem, State, jax, jnp, parameter
-from problems.rotations import rotated, turned
+from problems.mechanics.rotations import rotated, turned
 from problems.scenes.bouncing_ball import BouncingBall
 from problems.scenes.heavy_top_lie import HeavyTopSE3
 from problems.scenes.pendulum import Pendulum
@@ -163,8 +163,9 @@ SCENES = {
     "WrongExact": (  # the acceleration of a lighter world
         Pendulum,
         {
-            "exact": lambda self, t: (known := Pendulum.exact(self, t))
-            | {"a": known["a"] * [1.0, 1.01]}
+            "exact": lambda self, t: (
+                (known := Pendulum.exact(self, t)) | {"a": known["a"] * [1.0, 1.01]}
+            )
         },
     ),
     "OffTheRod": (Pendulum, {"initial_state": wrong_start}),

@@ -21,8 +21,8 @@ from bench.results.quantities import GROUPS, LEVELS, NORMS
 from bench.running.inventory import Inventory, MethodFacts
 from bench.running.plan import Cell
 from integrators.resolutions import Steps, Tolerances, check_end
-from problems import spec
-from problems.spec import SpecError
+from problems.base import spec
+from problems.base.spec import SpecError
 
 #: Quantities that a sweep measures ...
 MEASURES = (

@@ -11,10 +11,10 @@ from bench.atlas.experiments import COMPONENT, Settings
 from bench.results.quantities import NORM, NORMS, TRUST
 from bench.results.records import Record, Rows
 from bench.running.worker import Worker
-from problems.constraints import constraint_force
-from problems.initial_values import consistent_start
-from problems.runtime import jax, jnp
-from problems.spec import one_of
+from problems.base.runtime import jax, jnp
+from problems.base.spec import one_of
+from problems.equations.constraints import constraint_force
+from problems.equations.initial_values import consistent_start
 from problems.system import MechatronicSystem
 
 #: beta of the trapezoidal rule; the powers of h of a condition do not depend on it.

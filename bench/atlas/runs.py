@@ -32,7 +32,7 @@ from bench.running.runner import Runner, Task, measure_task
 from bench.running.session import result_of
 from bench.running.worker import Worker
 from bench.stability.damping import linear_response
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 
 @dataclass(frozen=True)

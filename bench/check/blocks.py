@@ -11,7 +11,8 @@ import numpy as np
 
 from bench.check.verdicts import DoesNotApply, Failed, shortly
 from bench.plugins.registry import Registry
-from problems import ContactSystem, jax, jnp, spec
+from problems import ContactSystem, jax, jnp
+from problems.base import spec
 from problems.system import MechatronicSystem
 from problems.variables import INVARIANTS, Variables
 

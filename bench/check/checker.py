@@ -25,9 +25,9 @@ from bench.check.verdicts import (
 from bench.guard.process import GuardedProcess, Limits, NoAnswer
 from bench.plugins.registry import SUFFIXES, Plugin, Registry
 from bench.running.inventory import Inventory, load_registry
-from problems import spec
-from problems.plain_text import said
-from problems.spec import SpecError
+from problems.base import spec
+from problems.base.spec import SpecError
+from problems.base.text import said
 
 #: The checks by kind of plugin and name, in the order in which they are told.
 CHECKS: dict[str, dict[str, Callable[[Registry, Any], str]]] = {

@@ -11,12 +11,12 @@ from bench.check.trials import TRIAL_STEPS
 from bench.check.verdicts import Failed
 from integrators.adapters.counting import run_counted, watch
 from integrators.contract import Integrator
-from integrators.native import small_matrices
-from integrators.native.linear_solvers import DenseSolver, LinearSolver, Once, Residual
+from integrators.native.algebra import small_matrices
+from integrators.native.algebra.linear_solvers import DenseSolver, LinearSolver, Once, Residual
+from integrators.native.step.step_program import Numbers, StepProgram
 from integrators.native.step_method import NativeMethod
-from integrators.native.step_program import Numbers, StepProgram
-from problems.initial_values import consistent_start
-from problems.runtime import Array, jax, jnp
+from problems.base.runtime import Array, jax, jnp
+from problems.equations.initial_values import consistent_start
 from problems.system import MechatronicSystem
 
 

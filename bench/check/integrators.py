@@ -27,10 +27,10 @@ from bench.running.measure import ignored_pattern
 from integrators import checks
 from integrators.contract import STATUSES, Integrator, PreparedRun, Trajectory
 from integrators.resolutions import Steps
-from problems.checks import FalseAnswer
-from problems.initial_values import consistent_start
-from problems.runtime import jax
-from problems.spec import SpecError
+from problems.base.checks import FalseAnswer
+from problems.base.runtime import jax
+from problems.base.spec import SpecError
+from problems.equations.initial_values import consistent_start
 
 #: Two steps in turns, by which it is seen whether patterns are followed.
 _PATTERN = (0.3, 0.7)

@@ -13,9 +13,9 @@ from bench.plugins.registry import Registry
 from integrators.checks import refusal
 from integrators.contract import Integrator, Trajectory
 from problems import MechatronicSystem, State, jax, jnp
-from problems.compiled import compiled
-from problems.initial_values import consistent_start
-from problems.phases import Samples, after
+from problems.equations.compiled import compiled
+from problems.equations.initial_values import consistent_start
+from problems.hybrid.phases import Samples, after
 
 #: Speed that an impact of the trial ball leaves, in parts.
 _E = 0.8

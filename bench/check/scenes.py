@@ -13,13 +13,14 @@ from bench.check.trials import reference
 from bench.check.verdicts import DoesNotApply, Failed, round_trip
 from bench.plugins.registry import Registry
 from bench.running.errors import relative_reference_error
-from problems import checks, jax, jnp
-from problems.compiled import compiled
-from problems.constraints import constraint_change
-from problems.initial_values import consistent_start
-from problems.kinematics import q_rate
-from problems.published import published_digits
+from problems import jax, jnp
+from problems.base import checks
+from problems.equations.compiled import compiled
+from problems.equations.constraints import constraint_change
+from problems.equations.initial_values import consistent_start
+from problems.equations.kinematics import q_rate
 from problems.system import MechatronicSystem
+from problems.truth.published import published_digits
 from problems.variables import INVARIANTS
 
 #: Largest estimated error of a reference in q and v, relative to their largest values.

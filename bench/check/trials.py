@@ -15,8 +15,8 @@ from integrators import checks
 from integrators.contract import Integrator, PreparedRun, Trajectory
 from integrators.resolutions import Steps, Tolerances
 from problems import MechatronicSystem, State, jnp
-from problems.checks import FalseAnswer, texts
-from problems.reference import Reference
+from problems.base.checks import FalseAnswer, texts
+from problems.truth.reference import Reference
 
 #: The tag by which a scene says that integrators are checked on it, beside the scene below.
 TAG = "conformance"

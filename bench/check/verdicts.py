@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bench.plugins.reasons import why
-from problems.spec import SpecError, format_value
+from problems.base.spec import SpecError, format_value
 
 PASSED, FAILED, NOT_APPLICABLE = "passed", "failed", "not applicable"
 

@@ -16,7 +16,7 @@ from bench.plugins.registry import Plugin
 from bench.results.table import Table
 from bench.running.inventory import Inventory, SceneFacts
 from bench.running.profiles import built_in_profiles, read_profile, suite_titles
-from problems.spec import SpecError, split_spec, suggest
+from problems.base.spec import SpecError, split_spec, suggest
 
 #: What there is, by the word for one of it.
 WORDS = {"problems": "scene", "integrators": "integrator", "suites": "suite"}

@@ -23,8 +23,8 @@ from bench.commands import (
     sweeps,
 )
 from bench.results.store import StoreError
-from problems.plain_text import shortened
-from problems.spec import SpecError, suggest
+from problems.base.spec import SpecError, suggest
+from problems.base.text import shortened
 
 #: The modules with commands.
 _MODULES = (

@@ -24,7 +24,7 @@ from bench.plugins.registry import Sources
 from bench.running.inventory import Inventory, MethodFacts, SceneFacts
 from bench.running.profiles import LARGEST_BUDGET
 from integrators.resolutions import Tolerances
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 #: Folder of `stepbench run`, which other commands read if none is named.
 RESULTS = "stepbench-results"

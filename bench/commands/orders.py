@@ -20,7 +20,7 @@ from bench.running.inventory import Inventory, SceneFacts
 from bench.running.plan import Suite, make_suite
 from bench.running.profiles import ProfileFile, StudyFile, is_suite, read_profile
 from bench.running.progress import Progress
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 #: What a report shows of runs that were made for their orders.
 _FIGURES = ("orders", "convergence")
@@ -98,7 +98,7 @@ def order_(o: Given) -> None:
         suite = _on_scene(registry, scene, o.integrators, o.budget or BUDGET_S, **sizes)
     outcome = run_suite(suite, registry, o.out, o.fresh, o.jobs)
     from reports.pages.templating import markdown_table
-    from reports.text.order_table import stored_order_tables
+    from reports.tables.order_table import stored_order_tables
 
     tables = stored_order_tables(o.out)
     if not tables:

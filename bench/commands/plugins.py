@@ -20,7 +20,7 @@ from bench.commands.options import Given
 from bench.plugins.registry import KINDS, SUFFIXES
 from bench.running.inventory import Inventory
 from integrators.resolutions import check_end
-from problems.spec import START, SpecError, snake_case
+from problems.base.spec import START, SpecError, snake_case
 
 if TYPE_CHECKING:
     from rich.text import Text

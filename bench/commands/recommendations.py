@@ -27,8 +27,8 @@ from bench.running.race import Race
 from bench.running.rating import Candidate, Search
 from bench.running.runner import Runner
 from bench.running.verdict import FORMS, MOST_ASKED, MOST_TIMED, SPREAD, TIE, Verdict
-from problems.spec import SpecError, split_spec
-from problems.whole_files import put
+from problems.base.cache import put
+from problems.base.spec import SpecError, split_spec
 
 #: Demands of the rules by name; those of "work-precision" are asked for. "iftomm" has the low and
 #: the high precision of the library's specifications.

@@ -16,7 +16,7 @@ from bench.results.flat_rows import flatten
 from bench.results.merge import merge
 from bench.results.quantities import ASKED, COST, COSTS, NORM, NORMS
 from bench.results.store import Store
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 #: The page in a folder of results.
 _PAGE = "report.html"

@@ -18,7 +18,7 @@ from bench.commands.options import Given
 from bench.guard.interrupts import remark
 from bench.running.inventory import MethodFacts, SceneFacts
 from integrators.resolutions import Steps, check_end
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 #: Most steps of a long run that can be asked for.
 _MOST_STEPS = 10**9

@@ -19,7 +19,7 @@ from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import Suite, make_suite
 from bench.running.profiles import read_profile, suite_titles
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 
 class _WithSuites(click.Command):

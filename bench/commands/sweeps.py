@@ -13,7 +13,7 @@ import click
 from bench.commands import options
 from bench.commands.options import Given
 from bench.results.table import Table
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 if TYPE_CHECKING:
     from bench.sweeps.ensemble import Ensemble
@@ -143,7 +143,7 @@ def solve_ensemble(o: Given) -> None:
     from bench.running.cluster import ClusterRunner
     from bench.running.runner import Runner
     from bench.sweeps import ensemble
-    from problems.usage import cores
+    from problems.base.usage import cores
 
     scene, method = options.asked_for(o)
     common = scene.spec, method.spec, options.sizes(o), o.t_end, o.budget

@@ -241,7 +241,7 @@ class GuardedProcess:
 
     def printed(self) -> str:
         """Return the beginning and the end of what the job in work, or the last one, printed."""
-        from problems.plain_text import shortened
+        from problems.base.text import shortened
 
         number, some = self._output.fileno(), _SHOWN_BYTES
         size = os.fstat(number).st_size
@@ -307,7 +307,7 @@ def ask_once(
     SpecError
         If the job refuses its arguments, or has no answer; then the message begins with ``about``.
     """
-    from problems.spec import SpecError
+    from problems.base.spec import SpecError
 
     process = GuardedProcess(prepare, arguments, limits)
     try:

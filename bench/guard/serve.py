@@ -74,9 +74,9 @@ def _answered(job: Callable[..., Any], state: Any, given: tuple, named: dict[str
         return _packed("done", answer)
     except BaseException as error:  # a plugin may raise anything
         from bench.plugins.reasons import PluginError, why
-        from problems.checks import FalseAnswer
-        from problems.plain_text import said
-        from problems.spec import SpecError
+        from problems.base.checks import FalseAnswer
+        from problems.base.spec import SpecError
+        from problems.base.text import said
 
         if isinstance(error, SpecError) and not isinstance(error, FalseAnswer | PluginError):
             return _packed("refused", f"{said(error)}.")  # the user is to blame
@@ -105,7 +105,7 @@ def _packed(kind: str, content: Any) -> bytes:
 def load_libraries(notify: Notify, module: str) -> None:
     """Load a module of this program, and JAX, which takes most of the time."""
     importlib.import_module(module)
-    from problems.runtime import jax
+    from problems.base.runtime import jax
 
     with suppress(Exception):  # whoever runs something is told
         jax.jit  # noqa: B018

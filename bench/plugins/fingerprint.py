@@ -16,7 +16,7 @@ from pathlib import Path
 
 from bench.plugins.registry import Registry
 from bench.results.environment import library_versions
-from problems.runtime import CACHE, SOONER
+from problems.base.runtime import CACHE, SOONER
 from problems.system import MechatronicSystem
 
 #: Variables of the environment that change what JAX computes.

@@ -7,8 +7,8 @@ import sysconfig
 import traceback
 from pathlib import Path
 
-from problems.plain_text import described, said, shortened
-from problems.spec import SpecError
+from problems.base.spec import SpecError
+from problems.base.text import described, said, shortened
 
 #: Folders of code that is not to blame for an exception.
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})

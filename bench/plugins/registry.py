@@ -23,10 +23,10 @@ from typing import Any
 
 from bench.plugins.reasons import PluginError, Unavailable, explain, why
 from integrators.contract import Integrator
-from problems import spec
-from problems.checks import tidy
-from problems.plain_text import said
-from problems.spec import SpecError
+from problems.base import spec
+from problems.base.checks import tidy
+from problems.base.spec import SpecError
+from problems.base.text import said
 from problems.system import MechatronicSystem
 
 #: Name of the package of this project.

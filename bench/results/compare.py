@@ -24,7 +24,7 @@ from bench.results.quantities import GROUPS, NORMS, TRUST
 from bench.results.records import INTERRUPTED, Environment, Record, scene_titles
 from bench.results.store import Store
 from bench.results.timings import LEAST_QUOTIENT, median_interval, quotient_of_medians
-from problems.spec import SpecError, one_of
+from problems.base.spec import SpecError, one_of
 
 #: Ratios up to these are no change: rounding, exact counts, and the precision of clocks.
 LEAST_CHANGE = {"error": 1.001, "work": 1.0, "time": LEAST_QUOTIENT}

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from bench.results.quantities import ASKED, ERROR_NAMES, NORMS, group_and_norm
 from bench.results.records import UNSUPPORTED, Plan, Record, scene_titles
 from bench.results.table import NO_VALUE, Table, number
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 #: What a rule may limit like an error of a group: the change of energy, and the error of the named
 #: points by the rule of the IFToMM library.

@@ -15,7 +15,7 @@ from pathlib import Path
 import psutil
 
 from bench.results.records import Environment
-from problems.plain_text import clean
+from problems.base.text import clean
 
 #: Libraries that compute, by the names of their packages; some may be missing.
 LIBRARIES = (

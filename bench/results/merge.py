@@ -14,7 +14,7 @@ from bench.results.drift import LongRun
 from bench.results.experiments import ExperimentResult
 from bench.results.records import INTERRUPTED, Damping, Plan, SceneRecord, Study
 from bench.results.store import FILE, Store
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 
 def merge(folders: Sequence[Path], out: Path) -> tuple[int, int]:

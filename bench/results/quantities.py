@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple
 
-from problems.spec import SpecError, one_of, suggest
+from problems.base.spec import SpecError, one_of, suggest
 from problems.variables import GROUPS as GROUPS
 
 #: Titles of the groups of variables in which errors are measured.

@@ -16,8 +16,8 @@ from bench.guard.process import Limits, NoAnswer
 from bench.plugins.registry import plugin_files
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task
-from problems.plain_text import described, said
-from problems.spec import SpecError
+from problems.base.spec import SpecError
+from problems.base.text import described, said
 
 CONNECT_SECONDS = 10
 #: Most short tasks in a group, which costs a process of its own, and fewest groups for each thread

@@ -16,10 +16,10 @@ from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators.contract import Trajectory
 from integrators.resolutions import Steps, check_end
-from problems.reference import Reference
-from problems.runtime import Float
-from problems.spec import SpecError
+from problems.base.runtime import Float
+from problems.base.spec import SpecError
 from problems.system import MechatronicSystem
+from problems.truth.reference import Reference
 
 #: Parts of a run of which a chart shows least and largest values.
 _PARTS = 200

@@ -11,12 +11,12 @@ import numpy as np
 
 from bench.results.quantities import GROUPS, IMPACTS, NORMS, VIOLATIONS, error_note, whole
 from integrators.contract import Trajectory
-from problems.compiled import compiled
-from problems.phases import after
-from problems.published import named_points
-from problems.reference import Reference
-from problems.runtime import Float
+from problems.base.runtime import Float
+from problems.equations.compiled import compiled
+from problems.hybrid.phases import after
 from problems.system import MechatronicSystem
+from problems.truth.published import named_points
+from problems.truth.reference import Reference
 from problems.variables import State, Variables
 
 #: "settled" is the last part of the interval, where the start transient has died out.

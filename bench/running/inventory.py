@@ -17,11 +17,11 @@ from bench.plugins.fingerprint import fingerprint, reference_file
 from bench.plugins.reasons import PluginError, Unavailable, why
 from bench.plugins.registry import Plugin, Registry, Sources
 from integrators import checks
-from problems import spec
-from problems.checks import FalseAnswer, number, refused, tidy
-from problems.checks import text as text_of
-from problems.reference import keep_references
-from problems.spec import SpecError
+from problems.base import spec
+from problems.base.checks import FalseAnswer, number, refused, tidy
+from problems.base.checks import text as text_of
+from problems.base.spec import SpecError
+from problems.truth.reference import keep_references
 from problems.variables import GROUPS
 
 T = TypeVar("T")

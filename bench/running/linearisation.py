@@ -8,13 +8,13 @@ import numpy as np
 
 from bench.running.errors import scales
 from integrators.contract import Trajectory
-from problems.compiled import MOST_STATES, compiled
-from problems.constraints import constraint_velocity
-from problems.kinematics import q_rate
-from problems.layouts import state_layout
-from problems.reference import Reference
-from problems.runtime import Float, jax, jnp
+from problems.base.runtime import Float, jax, jnp
+from problems.equations.compiled import MOST_STATES, compiled
+from problems.equations.constraints import constraint_velocity
+from problems.equations.kinematics import q_rate
+from problems.equations.layouts import state_layout
 from problems.system import MechatronicSystem
+from problems.truth.reference import Reference
 
 #: Times at which eigenvalues are taken, and nodes of a block of linearised steps.
 _SPECTRA = 60

@@ -16,16 +16,16 @@ from bench.results.records import TIMING_SECONDS, Rows
 from bench.running.errors import constraint_errors, finite, relative_errors
 from integrators import checks
 from integrators.contract import Integrator, Trajectory
-from integrators.kept_rows import spread_rows
+from integrators.output_rows import spread_rows
 from integrators.resolutions import Steps, Tolerances
-from problems.checks import array
-from problems.compiled import compiled
-from problems.initial_values import InconsistentStart, NoConsistentStart
-from problems.published import published_digits
-from problems.reference import Reference
-from problems.runtime import Float, jax, jnp
+from problems.base.checks import array
+from problems.base.runtime import Float, jax, jnp
+from problems.base.usage import computed_seconds
+from problems.equations.compiled import compiled
+from problems.equations.initial_values import InconsistentStart, NoConsistentStart
 from problems.system import MechatronicSystem
-from problems.usage import computed_seconds
+from problems.truth.published import published_digits
+from problems.truth.reference import Reference
 from problems.variables import INVARIANTS, State
 
 #: A run whose speed or change of energy is so many times the motion's largest has blown up.
@@ -302,7 +302,7 @@ def stored_rows(trajectory: Trajectory | Mapping[str, Any]) -> Rows:
     """Return a trajectory, or the values of a reference with "t", in the form that is stored.
 
     Rows end before the first one that is not finite, as JSON has no such numbers. Of many rows some
-    are kept (`integrators.kept_rows.spread_rows`), of large groups the first components.
+    are kept (`integrators.output_rows.spread_rows`), of large groups the first components.
     """
     values = trajectory if isinstance(trajectory, Mapping) else vars(trajectory)
     t = np.asarray(values["t"])

@@ -20,8 +20,8 @@ from bench.running.inventory import Inventory, MethodFacts, SceneFacts
 from bench.running.profiles import FIGURES, ProfileFile, StudyFile
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances, check_end
-from problems.checks import tidy
-from problems.spec import SpecError
+from problems.base.checks import tidy
+from problems.base.spec import SpecError
 from problems.system import MechatronicSystem
 
 #: Steps (halvings of the nominal step) and tolerances of a scene if a profile gives none.

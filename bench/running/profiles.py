@@ -14,8 +14,8 @@ from typing import Any
 
 import msgspec
 
-from problems import spec
-from problems.spec import SpecError
+from problems.base import spec
+from problems.base.spec import SpecError
 
 #: Figures and tables that a study can show: every run; orders claimed and measured.
 FIGURES = ("trajectory", "convergence", "work_precision")

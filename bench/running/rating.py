@@ -17,7 +17,7 @@ from bench.running.runner import Runner, Task
 from bench.running.search import Sizes
 from bench.running.session import measure_suite, missing_cells, time_suite
 from bench.running.worker import Worker
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 
 @dataclass

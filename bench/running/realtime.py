@@ -23,10 +23,10 @@ from bench.running.worker import Worker
 from integrators import checks
 from integrators.advice import advice
 from integrators.contract import Integrator
-from integrators.native.single_step import SingleStep
+from integrators.native.loops.single_step import SingleStep
 from integrators.native.step_method import NativeMethod
-from problems.runtime import Array, Float
-from problems.spec import SpecError
+from problems.base.runtime import Array, Float
+from problems.base.spec import SpecError
 from problems.system import MechatronicSystem
 
 #: Steps before the clock is read.

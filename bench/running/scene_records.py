@@ -14,11 +14,11 @@ from bench.results.records import Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import relative_reference_error
 from bench.running.linearisation import growth, rates
-from problems import checks
-from problems.reference import Reference
-from problems.runtime import jnp
-from problems.start_equations import missing_rank
+from problems.base import checks
+from problems.base.runtime import jnp
+from problems.equations.start_equations import missing_rank
 from problems.system import MechatronicSystem
+from problems.truth.reference import Reference
 from problems.variables import GROUPS
 
 #: Times at which a still picture shows a scene, and at which a page plays it.

@@ -20,7 +20,7 @@ from bench.running.runner import Runner, Task, measure_task, time_task
 from bench.running.session import result_of
 from bench.running.worker import CellResult, Worker
 from integrators.resolutions import Steps, check_end
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 #: Constant steps from which on a well compiled program saves the time that it takes to compile;
 #: runs with fewer, or with steps of their own choice, are not timed.

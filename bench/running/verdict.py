@@ -13,7 +13,7 @@ from bench.results.records import Record
 from bench.results.table import NO_VALUE, Table, number
 from bench.running.race import Race
 from bench.running.rating import Candidate
-from problems.spec import split_spec
+from problems.base.spec import split_spec
 
 #: Costs up to this quotient are a tie. So are operations while seconds are what counts: times per
 #: operation differ by it among methods.

@@ -33,15 +33,15 @@ from bench.running.plan import Cell
 from bench.running.scene_records import drawings, scene_record
 from integrators import checks
 from integrators.contract import PreparedRun, Trajectory
-from problems.initial_values import InconsistentStart, NoConsistentStart
-from problems.plain_text import said
-from problems.published import named_points
-from problems.reference import Reference
-from problems.runtime import check_runtime, compile_sooner, jax, use_threads
-from problems.spec import SpecError
-from problems.start_equations import miscounted
+from problems.base.runtime import check_runtime, compile_sooner, jax, use_threads
+from problems.base.spec import SpecError
+from problems.base.text import said
+from problems.base.usage import computed_seconds, undisturbed
+from problems.equations.initial_values import InconsistentStart, NoConsistentStart
+from problems.equations.start_equations import miscounted
 from problems.system import MechatronicSystem
-from problems.usage import computed_seconds, undisturbed
+from problems.truth.published import named_points
+from problems.truth.reference import Reference
 
 #: Objects made before garbage is looked for. Tracing makes very many that stay: to look through
 #: them as often as Python does by itself takes a tenth of the time.

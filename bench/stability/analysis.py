@@ -17,7 +17,7 @@ from bench.stability.spectra import FIRST_STEPS, places_near, radii, roots_of, s
 from bench.stability.systems import Coupled, Joined, LinearSystem, Loop, Oscillator, Relaxation
 from integrators.contract import Integrator
 from integrators.native.step_method import NativeMethod
-from problems.spec import SpecError, build
+from problems.base.spec import SpecError, build
 
 SYSTEMS = {cls.name: cls for cls in (Oscillator, Relaxation, Loop, Coupled, Joined)}
 #: omega h at which numbers are reported if none are asked for.

@@ -19,7 +19,7 @@ from bench.running.worker import Worker
 from bench.stability.matrices import matrices, steppable
 from bench.stability.spectra import eigenvalues, oscillation, overshoot, radii
 from bench.stability.systems import Oscillator
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 
 def complete_damping(suite: Suite, store: Store, registry: Inventory, runner: Runner) -> None:

@@ -25,13 +25,13 @@ from bench.running.measure import ignored_pattern
 from bench.stability.systems import LinearSystem
 from integrators import checks
 from integrators.contract import Integrator
+from integrators.native.step.step_program import StepProgram
 from integrators.native.step_method import NativeMethod
-from integrators.native.step_program import StepProgram
 from integrators.resolutions import Steps
-from problems.formulations import Start, with_rates
-from problems.layouts import state_layout
-from problems.runtime import Float, jax, jnp
-from problems.spec import SpecError
+from problems.base.runtime import Float, jax, jnp
+from problems.base.spec import SpecError
+from problems.equations.formulations import Start, with_rates
+from problems.equations.layouts import state_layout
 from problems.system import MechatronicSystem
 
 #: Smaller entries of a matrix are rounding, at steps of about one time unit.

@@ -11,8 +11,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from problems import MechatronicSystem, State, Variables, jnp, parameter
-from problems.layouts import Layout, state_layout
-from problems.runtime import Float
+from problems.base.runtime import Float
+from problems.equations.layouts import Layout, state_layout
 from problems.variables import Sizes
 
 

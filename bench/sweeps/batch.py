@@ -23,14 +23,14 @@ from bench.sweeps.batched_steps import BatchRun, distinct, times_of
 from integrators.advice import advice
 from integrators.checks import refusal
 from integrators.contract import Integrator
-from integrators.native.endings import Ending
-from integrators.native.kernel import Form
-from integrators.native.step_records import Reading
-from problems.formulations import complete
-from problems.initial_values import consistent_starts
-from problems.layouts import row_layout
-from problems.runtime import Float, Int, jax, most_callers
-from problems.spec import SpecError
+from integrators.native.algebra.step_records import Reading
+from integrators.native.loops.kernel import Form
+from integrators.native.loops.status import Ending
+from problems.base.runtime import Float, Int, jax, most_callers
+from problems.base.spec import SpecError
+from problems.equations.formulations import complete
+from problems.equations.initial_values import consistent_starts
+from problems.equations.layouts import row_layout
 from problems.system import MechatronicSystem
 from problems.variables import Sizes
 

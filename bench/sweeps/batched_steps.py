@@ -12,15 +12,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from integrators.contract import Integrator
-from integrators.kept_rows import FIRST_ROWS, SPREAD_ROWS
-from integrators.native import adaptive_steps, constant_steps
-from integrators.native.adaptive_steps import Span
-from integrators.native.endings import Ending
-from integrators.native.kernel import Form, Kernel
-from integrators.native.step_program import StepProgram
-from integrators.native.step_records import COUNTS
+from integrators.native.algebra.step_records import COUNTS
+from integrators.native.loops import adaptive_steps, constant_steps
+from integrators.native.loops.adaptive_steps import Span
+from integrators.native.loops.kernel import Form, Kernel
+from integrators.native.loops.status import Ending
+from integrators.native.step.step_program import StepProgram
+from integrators.output_rows import FIRST_ROWS, SPREAD_ROWS
 from integrators.resolutions import Steps, Tolerances
-from problems.runtime import Float, Int
+from problems.base.runtime import Float, Int
 from problems.system import MechatronicSystem
 
 

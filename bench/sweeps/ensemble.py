@@ -40,9 +40,9 @@ from bench.sweeps.variation import (
 )
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances, check_end
-from problems.spec import SpecError
+from problems.base.cache import put
+from problems.base.spec import SpecError
 from problems.system import MechatronicSystem
-from problems.whole_files import put
 
 #: Begins the names of columns with work counts.
 WORK = "work_"

@@ -18,10 +18,10 @@ from bench.sweeps.batch import Batch, BatchRun, Block
 from bench.sweeps.variation import Range, SweepRequest, read_ranges, runs_with, spec_without
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances, check_end
-from problems.plain_text import said
-from problems.reference import Reference
-from problems.spec import SpecError
+from problems.base.spec import SpecError
+from problems.base.text import said
 from problems.system import MechatronicSystem
+from problems.truth.reference import Reference
 
 #: Outcomes of a point; the last two say nothing of the method.
 OUTCOMES = (

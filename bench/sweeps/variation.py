@@ -19,8 +19,8 @@ from bench.running.worker import Worker
 from bench.sweeps.batch import BatchRun, refuse
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances, check_end
-from problems.runtime import Float, check_runtime, jax, jnp
-from problems.spec import SpecError, build, numbers_of, options_of, split_spec, suggest
+from problems.base.runtime import Float, check_runtime, jax, jnp
+from problems.base.spec import SpecError, build, numbers_of, options_of, split_spec, suggest
 from problems.system import MechatronicSystem
 
 #: Names of a step and of tolerances, by owner, and the default ranges of tolerances.

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from threading import Lock
 from typing import Any, NamedTuple
 
-from problems.runtime import jax
+from problems.base.runtime import jax
 
 
 class Counts(NamedTuple):

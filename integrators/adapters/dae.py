@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from integrators.adapters.callbacks import PackedFunction
 from integrators.adapters.library_runs import GivenEquations
-from integrators.adapters.packed_functions import PackedFunction
 from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import Trajectory
-from problems.formulations import dae_residual
-from problems.initial_values import consistent_start
-from problems.kinematics import q_rate
-from problems.layouts import Layout, dae_layout
-from problems.runtime import jax, jnp
-from problems.sparsity import Pattern
+from problems.base.runtime import jax, jnp
+from problems.equations.formulations import dae_residual
+from problems.equations.initial_values import consistent_start
+from problems.equations.kinematics import q_rate
+from problems.equations.layouts import Layout, dae_layout
+from problems.equations.sparsity import Pattern
 from problems.system import MechatronicSystem
 from problems.variables import Sizes
 

@@ -19,24 +19,24 @@ from integrators.adapters.ode import (
 )
 from integrators.adapters.trajectories import early_end_message, trajectory_from_states
 from integrators.contract import WIDER, PreparedRun, Trajectory, Work
-from integrators.kept_rows import RowKeeper
+from integrators.native.algebra.step_records import Reading
+from integrators.native.step.step_program import StepFunctions
 from integrators.native.step_method import NativeMethod
-from integrators.native.step_program import StepFunctions
-from integrators.native.step_records import Reading
+from integrators.output_rows import RowKeeper
 from integrators.program_costs import OWN, Cost, bill, dense, of_calls
 from integrators.resolutions import Steps, Tolerances
-from problems.compiled import compiled
-from problems.formulations import Baumgarte, Start
-from problems.initial_values import consistent_start
-from problems.layouts import state_layout
-from problems.runtime import jax, jnp
+from problems.base.runtime import jax, jnp
+from problems.equations.compiled import compiled
+from problems.equations.formulations import Baumgarte, Start
+from problems.equations.initial_values import consistent_start
+from problems.equations.layouts import state_layout
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
     import diffrax
 
-    from integrators.native.step_records import Time
-    from integrators.native.step_work import StepWork
+    from integrators.native.algebra.step_records import Time
+    from integrators.native.step.step_work import StepWork
 
 #: Newton's tolerance at constant steps, relative to the size of states and rates. Every iteration
 #: linearises again, so that the remaining error is of the size of the last update's square.

@@ -14,11 +14,11 @@ from integrators.adapters.sundials_runs import SundialsRun
 from integrators.contract import PreparedRun, Work, option
 from integrators.program_costs import dense, sparse
 from integrators.resolutions import Tolerances
-from problems import sparsity
-from problems.block_structure import states_follow_accelerations
-from problems.formulations import FORMULATIONS
-from problems.layouts import dae_layout
-from problems.spec import SpecError
+from problems.base.spec import SpecError
+from problems.equations import sparsity
+from problems.equations.block_structure import states_follow_accelerations
+from problems.equations.formulations import FORMULATIONS
+from problems.equations.layouts import dae_layout
 from problems.system import MechatronicSystem
 
 

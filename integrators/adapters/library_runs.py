@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from integrators.adapters.callbacks import PackedFunction, same_to_rounding
 from integrators.adapters.counting import VECTOR_WORK
-from integrators.adapters.packed_functions import PackedFunction, same_to_rounding
 from integrators.adapters.trajectories import early_end_message
 from integrators.contract import WIDER, Integrator, PreparedRun, Trajectory, Work, option
-from integrators.kept_rows import RowKeeper, width_of
 from integrators.lowering.graph import NotLowered
+from integrators.output_rows import RowKeeper, width_of
 from integrators.program_costs import OWN, Algebra, Cost, bill, of_calls
-from problems.runtime import slower
+from problems.base.runtime import slower
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:

@@ -11,13 +11,13 @@ import numpy as np
 
 from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import Integrator, PreparedRun, Trajectory, Work, option
-from integrators.kept_rows import RowKeeper, width_of
-from integrators.native.endings import Ending
+from integrators.native.loops.status import Ending
+from integrators.output_rows import RowKeeper, width_of
 from integrators.resolutions import Steps
-from problems.initial_values import consistent_start
+from problems.base.spec import SpecError, validate
+from problems.equations.initial_values import consistent_start
 from problems.models.mjcf import MujocoScene
 from problems.models.mjcf_parts import load_mujoco
-from problems.spec import SpecError, validate
 from problems.system import MechatronicSystem
 
 #: Coordinates beyond are a solution that blows up; MuJoCo goes on with them.

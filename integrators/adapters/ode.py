@@ -8,16 +8,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from integrators.adapters.callbacks import PackedFunction
 from integrators.adapters.library_runs import GivenEquations, LibrarySolver
-from integrators.adapters.packed_functions import PackedFunction
 from integrators.adapters.trajectories import trajectory_from_states
 from integrators.contract import WIDER, Trajectory, option
-from integrators.native.own_values import DriftHandling
-from problems.formulations import Baumgarte, ode_rate
-from problems.initial_values import consistent_start
-from problems.layouts import state_layout
-from problems.projections import projected_state
-from problems.runtime import jax, jnp
+from integrators.native.step.method_options import DriftHandling
+from problems.base.runtime import jax, jnp
+from problems.equations.formulations import Baumgarte, ode_rate
+from problems.equations.initial_values import consistent_start
+from problems.equations.layouts import state_layout
+from problems.equations.projections import projected_state
 from problems.system import MechatronicSystem
 
 

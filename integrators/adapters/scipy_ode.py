@@ -23,7 +23,7 @@ from integrators.adapters.ode import ODESolver, given_ode
 from integrators.contract import PreparedRun, Trajectory, Work, option
 from integrators.program_costs import NotCounted, dense
 from integrators.resolutions import Tolerances
-from problems.runtime import Float
+from problems.base.runtime import Float
 from problems.system import MechatronicSystem
 
 

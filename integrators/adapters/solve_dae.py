@@ -8,13 +8,13 @@ from importlib.util import find_spec
 from typing import ClassVar
 
 from integrators.adapters import dae
+from integrators.adapters.callbacks import PackedFunction
 from integrators.adapters.library_runs import LibrarySolver, callbacks_option
-from integrators.adapters.packed_functions import PackedFunction
 from integrators.adapters.scipy_ode import ScipyRun
 from integrators.contract import PreparedRun, option
 from integrators.resolutions import Tolerances
-from problems.formulations import FORMULATIONS
-from problems.runtime import jax, jnp
+from problems.base.runtime import jax, jnp
+from problems.equations.formulations import FORMULATIONS
 from problems.system import MechatronicSystem
 
 

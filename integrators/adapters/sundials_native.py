@@ -14,12 +14,12 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from integrators.adapters.callbacks import in_c
 from integrators.adapters.library_runs import NOT_FINITE, EarlyEnd, GivenEquations
-from integrators.adapters.packed_functions import in_c
 from integrators.adapters.sundials import check_step, library
 from integrators.contract import Work
 from integrators.lowering.native import load_c
-from problems.runtime import Float
+from problems.base.runtime import Float
 
 _NORMAL, _ONE_STEP = 1, 2
 _TOO_MUCH_WORK = -1

@@ -24,7 +24,7 @@ from integrators.adapters.sundials import check_step, library
 from integrators.adapters.sundials_native import NativeEquations, NativeSolver
 from integrators.contract import Work
 from integrators.program_costs import Algebra
-from problems.runtime import Float
+from problems.base.runtime import Float
 
 #: SUNDIALS' own limit of steps is never reached: calls are limited here.
 _NO_LIMIT = 2**31 - 1

@@ -10,10 +10,10 @@ import contextlib
 import numpy as np
 
 from integrators.contract import Trajectory
-from problems.compiled import compiled
-from problems.runtime import Float, jax
-from problems.sparsity import NoPattern, prefers_sparse
-from problems.start_equations import sparse_complete
+from problems.base.runtime import Float, jax
+from problems.equations.compiled import compiled
+from problems.equations.sparsity import NoPattern, prefers_sparse
+from problems.equations.start_equations import sparse_complete
 from problems.system import MechatronicSystem
 from problems.variables import State
 

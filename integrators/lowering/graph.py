@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from integrators.lowering.operators import OPERATORS, TO_FLOAT
-from problems.runtime import Array, Float, Int, jnp
+from problems.base.runtime import Array, Float, Int, jnp
 
 #: Nodes that a graph may have, constants and operations that nobody needs included.
 _MOST_NODES = 300_000

@@ -11,7 +11,7 @@ import numpy as np
 
 from integrators.lowering.graph import NotLowered
 from integrators.lowering.operators import OPERATORS, operator
-from integrators.programs import Step
+from integrators.lowering.stablehlo import Step
 
 
 def _broadcast_in_dim(step: Step, x: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from pathlib import Path
 import platformdirs
 
 from integrators.lowering.graph import NotLowered
-from problems.whole_files import keep, kept
+from problems.base.cache import keep, kept
 
 _COMPILER = "cc"
 #: Rounding stays as written: no operations are contracted. The library is not for one processor

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from integrators.programs import Step
+from integrators.lowering.stablehlo import Step
 
 #: Floating-point operations of an elementary function, such as sin or exp; about what their
 #: polynomials take.

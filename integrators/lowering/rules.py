@@ -13,8 +13,8 @@ import numpy as np
 
 from integrators.lowering.graph import Graph, NotLowered, Solve
 from integrators.lowering.operators import TO_COUNT, TO_FLOAT
-from integrators.programs import Step
-from problems.runtime import Bool, Int
+from integrators.lowering.stablehlo import Step
+from problems.base.runtime import Bool, Int
 
 #: Most unknowns of a system, and of all in one operation.
 _MOST_UNKNOWNS, _MOST_IN_ALL = 40, 4000

@@ -10,21 +10,21 @@ from typing import ClassVar
 import numpy as np
 
 from integrators.contract import option
-from integrators.native.own_values import StageMethod, StageState
-from integrators.native.stage_equations import Base, Slopes, inherited, stage_equations
+from integrators.native.algebra.step_records import Scalar, Time, largest
+from integrators.native.step.method_options import StageMethod, StageState
+from integrators.native.step.stage_equations import Base, Slopes, inherited, stage_equations
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Scalar, Time, largest
-from integrators.native.step_work import StepWork
-from problems import formulations
-from problems.block_structure import output_takes
-from problems.constraints import (
+from problems.base.runtime import Array, jax, jnp
+from problems.equations import formulations
+from problems.equations.block_structure import output_takes
+from problems.equations.constraints import (
     constraint_acceleration,
     constraint_force,
     constraint_velocity,
     least_multipliers,
 )
-from problems.kinematics import displaced, q_rate
-from problems.runtime import Array, jax, jnp
+from problems.equations.kinematics import displaced, q_rate
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 from integrators.contract import WIDER, option
-from integrators.native.own_values import Formulated, OwnValues
-from integrators.native.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.algebra.step_records import Reading, Time
+from integrators.native.step.method_options import Formulated, OwnValues
+from integrators.native.step.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Reading, Time
-from integrators.native.step_work import StepWork
-from problems.formulations import Start
-from problems.kinematics import Displaced, Place, displaced
-from problems.runtime import Array, jax, jnp
+from problems.base.runtime import Array, jax, jnp
+from problems.equations.formulations import Start
+from problems.equations.kinematics import Displaced, Place, displaced
 from problems.system import MechatronicSystem
 
 

@@ -8,15 +8,15 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from integrators.contract import option
-from integrators.native.own_values import OwnValues
-from integrators.native.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.algebra.step_records import Errors, Reading, Scalar, Time
+from integrators.native.step.method_options import OwnValues
+from integrators.native.step.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ErrorControl, ImplicitStepMethod
-from integrators.native.step_records import Errors, Reading, Scalar, Time
-from integrators.native.step_work import StepWork
-from problems.formulations import Start
-from problems.kinematics import advance
-from problems.layouts import state_layout
-from problems.runtime import Array, Float, Int, jnp
+from problems.base.runtime import Array, Float, Int, jnp
+from problems.equations.formulations import Start
+from problems.equations.kinematics import advance
+from problems.equations.layouts import state_layout
 from problems.system import MechatronicSystem
 
 #: Differences that are kept: order five needs those up to the seventh for its choice.
@@ -87,7 +87,8 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
 
     @property
     def order(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The order whose tolerance local errors have; see `integrators.native.adaptive_steps`."""
+        """The order whose tolerance local errors have; see
+        `integrators.native.loops.adaptive_steps`."""
         return min(4, self.max_order)
 
     @property

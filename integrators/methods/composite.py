@@ -9,14 +9,19 @@ from typing import Any, ClassVar
 import numpy as np
 
 from integrators.contract import WIDER, option
-from integrators.native.own_values import Formulated, RatesMethod, RatesState, rho_inf_option
-from integrators.native.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.algebra.step_records import Scalar, Time
+from integrators.native.step.method_options import (
+    Formulated,
+    RatesMethod,
+    RatesState,
+    rho_inf_option,
+)
+from integrators.native.step.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Scalar, Time
-from integrators.native.step_work import StepWork
-from problems.block_structure import output_takes
-from problems.kinematics import displaced
-from problems.runtime import Array, jnp
+from problems.base.runtime import Array, jnp
+from problems.equations.block_structure import output_takes
+from problems.equations.kinematics import displaced
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

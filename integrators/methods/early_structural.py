@@ -8,14 +8,14 @@ from typing import ClassVar, NamedTuple
 
 from integrators.advice import advice
 from integrators.contract import option
-from integrators.native.own_values import Formulated, OwnValues, RatesMethod, RatesState
-from integrators.native.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.algebra.step_records import Reading, Scalar, Time
+from integrators.native.step.method_options import Formulated, OwnValues, RatesMethod, RatesState
+from integrators.native.step.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Reading, Scalar, Time
-from integrators.native.step_work import StepWork
-from problems.formulations import Start
-from problems.kinematics import advance
-from problems.runtime import Array
+from problems.base.runtime import Array
+from problems.equations.formulations import Start
+from problems.equations.kinematics import advance
 from problems.system import MechatronicSystem
 
 

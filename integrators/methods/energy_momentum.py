@@ -34,23 +34,23 @@ import numpy as np
 
 from integrators.advice import advice
 from integrators.contract import option
-from integrators.native.discrete_gradients import (
+from integrators.methods.discrete_gradients import (
     NoDiscreteGradient,
     discrete_derivative,
     discrete_gradient,
 )
-from integrators.native.own_values import StageMethod, StageState
-from integrators.native.stage_equations import Base, Slopes, StageEquations, stage_equations
+from integrators.native.algebra.step_records import Reading, Time, largest
+from integrators.native.step.method_options import StageMethod, StageState
+from integrators.native.step.stage_equations import Base, Slopes, StageEquations, stage_equations
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Reading, Time, largest
-from integrators.native.step_work import StepWork
-from problems import lagrange
-from problems.constraints import constraint_velocity
-from problems.formulations import inertia
-from problems.kinematics import advance
-from problems.layouts import Layout
-from problems.named_equations import equation
-from problems.runtime import Array, jax, jnp
+from problems.base.runtime import Array, jax, jnp
+from problems.equations.constraints import constraint_velocity
+from problems.equations.formulations import inertia
+from problems.equations.kinematics import advance
+from problems.equations.layouts import Layout
+from problems.equations.named_equations import equation
+from problems.mechanics import lagrange
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

@@ -7,14 +7,14 @@ from typing import ClassVar
 
 from integrators.advice import advice
 from integrators.contract import option
-from integrators.native import small_matrices
-from integrators.native.own_values import OwnValues, RatesState
+from integrators.native.algebra import small_matrices
+from integrators.native.algebra.step_records import Reading, Time
+from integrators.native.step.method_options import OwnValues, RatesState
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import StepMethod
-from integrators.native.step_records import Reading, Time
-from integrators.native.step_work import StepWork
-from problems.formulations import Start, complete
-from problems.kinematics import advance
-from problems.runtime import Array
+from problems.base.runtime import Array
+from problems.equations.formulations import Start, complete
+from problems.equations.kinematics import advance
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

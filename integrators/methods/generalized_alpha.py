@@ -23,11 +23,11 @@ from integrators.methods.generalized_alpha_parameters import (
 )
 from integrators.methods.generalized_alpha_step import AlphaStep
 from integrators.multistep import MultistepForm
-from integrators.native.own_values import rho_inf_option
+from integrators.native.step.method_options import rho_inf_option
+from integrators.native.step.step_program import StepFunctions
 from integrators.native.step_method import NewtonOptions
-from integrators.native.step_program import StepFunctions
-from problems.block_structure import output_takes
-from problems.spec import SpecError, format_spec
+from problems.base.spec import SpecError, format_spec
+from problems.equations.block_structure import output_takes
 from problems.system import MechatronicSystem
 
 

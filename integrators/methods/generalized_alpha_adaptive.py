@@ -28,12 +28,12 @@ from integrators.contract import option
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_parameters import Scheme, smallest_safe_ratio
 from integrators.methods.generalized_alpha_step import AlphaState, AlphaStep, weights
+from integrators.native.algebra.step_records import Errors, Reading, Scalar, Time
+from integrators.native.step.step_program import StepFunctions
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ErrorControl
-from integrators.native.step_program import StepFunctions
-from integrators.native.step_records import Errors, Reading, Scalar, Time
-from integrators.native.step_work import StepWork
-from problems.formulations import Start
-from problems.runtime import Array, Float, jnp
+from problems.base.runtime import Array, Float, jnp
+from problems.equations.formulations import Start
 from problems.system import MechatronicSystem
 
 #: Largest ratio of neighbouring steps by the radius at infinity. In varying steps updated gamma

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from integrators.multistep import Multistep, MultistepForm
-from integrators.native.step_records import Scalar
+from integrators.native.algebra.step_records import Scalar
 
 _ONE = np.array([1.0, -1.0])  # z - 1
 

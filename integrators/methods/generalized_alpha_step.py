@@ -12,7 +12,7 @@ step. ``aux`` is the auxiliary acceleration; the acceleration that is reported i
 Signs of alpha_m and alpha_f are the paper's; other codes use 1 - alpha.
 
 The unknowns of Newton's method are a, lam, xdot and y at the end of the step; the equations and
-their scaling are those of `integrators.native.stage_equations`. With
+their scaling are those of `integrators.native.step.stage_equations`. With
 ``formulation=stabilised_index2`` the extra multiplier mu corrects the position step along
 Phi_q(q_n)^T.
 
@@ -30,14 +30,14 @@ from integrators.methods.generalized_alpha_parameters import (
     smallest_safe_ratio,
     updated_weight,
 )
-from integrators.native.stage_equations import Base, Guess, Slopes, stage_equations
-from integrators.native.step_program import StepFunctions
-from integrators.native.step_records import Reading, Scalar, Time
-from integrators.native.step_work import StepWork
-from problems.formulations import Start
-from problems.kinematics import displaced
-from problems.projections import constrained_part
-from problems.runtime import Array, jnp
+from integrators.native.algebra.step_records import Reading, Scalar, Time
+from integrators.native.step.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.step.step_program import StepFunctions
+from integrators.native.step.step_work import StepWork
+from problems.base.runtime import Array, jnp
+from problems.equations.formulations import Start
+from problems.equations.kinematics import displaced
+from problems.equations.projections import constrained_part
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

@@ -14,22 +14,22 @@ from typing import ClassVar, NamedTuple, TypeAlias
 import numpy as np
 
 from integrators.contract import WIDER, option
-from integrators.native import small_matrices
-from integrators.native.own_values import EndMethod, EndState, moved_onto_constraints
+from integrators.native.algebra import small_matrices
+from integrators.native.algebra.step_records import Errors, Scalar, Time
+from integrators.native.step.method_options import EndMethod, EndState, moved_onto_constraints
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import (
     FreeSteps,
     NewtonSettings,
     StepMethod,
     linear_solver_option,
 )
-from integrators.native.step_records import Errors, Scalar, Time
-from integrators.native.step_work import StepWork
-from problems import formulations
-from problems.block_structure import output_takes
-from problems.constraints import constraint_change, constraint_force, constraint_velocity
-from problems.kinematics import advance, q_rate
-from problems.layouts import Layout, algebraic_layout
-from problems.runtime import Array, Int, jnp
+from problems.base.runtime import Array, Int, jnp
+from problems.equations import formulations
+from problems.equations.block_structure import output_takes
+from problems.equations.constraints import constraint_change, constraint_force, constraint_velocity
+from problems.equations.kinematics import advance, q_rate
+from problems.equations.layouts import Layout, algebraic_layout
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

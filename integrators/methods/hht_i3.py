@@ -8,19 +8,19 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from integrators.contract import PreparedRun, option
-from integrators.native.adaptive_steps import AdaptiveRun
-from integrators.native.kernel import OnScene
-from integrators.native.own_values import Needs, OwnValues
-from integrators.native.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.algebra.step_records import Attempt, Choice, Reading, Scalar, Time
+from integrators.native.loops.adaptive_steps import AdaptiveRun
+from integrators.native.loops.kernel import OnScene
+from integrators.native.step.method_options import Needs, OwnValues
+from integrators.native.step.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import FreeSteps, ImplicitStepMethod
-from integrators.native.step_records import Attempt, Choice, Reading, Scalar, Time
-from integrators.native.step_work import StepWork
 from integrators.resolutions import Steps, Tolerances
-from problems.block_structure import mass_varies
-from problems.formulations import Start, dynamics_residual, inertia
-from problems.kinematics import displaced
-from problems.runtime import Array, jnp
-from problems.spec import SpecError, validate
+from problems.base.runtime import Array, jnp
+from problems.base.spec import SpecError, validate
+from problems.equations.block_structure import mass_varies
+from problems.equations.formulations import Start, dynamics_residual, inertia
+from problems.equations.kinematics import displaced
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

@@ -10,14 +10,14 @@ from integrators.advice import advice
 from integrators.contract import option
 from integrators.methods.explicit_structural import ExplicitMethod, evaluate_and_count
 from integrators.methods.generalized_alpha_parameters import SecondOrder, second_order_parameters
-from integrators.native import small_matrices
-from integrators.native.own_values import OwnValues, rho_inf_option
-from integrators.native.step_records import Reading, Scalar, Time
-from integrators.native.step_work import StepWork
-from problems.block_structure import damping_varies
-from problems.formulations import Start, dynamics_residual
-from problems.kinematics import advance
-from problems.runtime import Array, Float, jax, jnp
+from integrators.native.algebra import small_matrices
+from integrators.native.algebra.step_records import Reading, Scalar, Time
+from integrators.native.step.method_options import OwnValues, rho_inf_option
+from integrators.native.step.step_work import StepWork
+from problems.base.runtime import Array, Float, jax, jnp
+from problems.equations.block_structure import damping_varies
+from problems.equations.formulations import Start, dynamics_residual
+from problems.equations.kinematics import advance
 from problems.system import MechatronicSystem
 
 

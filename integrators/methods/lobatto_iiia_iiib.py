@@ -9,16 +9,16 @@ import numpy as np
 
 from integrators.advice import advice
 from integrators.methods.rattle import refused_control
-from integrators.native.own_values import StageMethod, StageState
-from integrators.native.stage_equations import Base, Guess, Slopes, resting, stage_equations
+from integrators.native.algebra.step_records import Time, largest
+from integrators.native.step.method_options import StageMethod, StageState
+from integrators.native.step.stage_equations import Base, Guess, Slopes, resting, stage_equations
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Time, largest
-from integrators.native.step_work import StepWork
-from problems import formulations
-from problems.block_structure import force_takes_velocities, mass_varies
-from problems.formulations import Start
-from problems.kinematics import advance
-from problems.runtime import Array, jnp
+from problems.base.runtime import Array, jnp
+from problems.equations import formulations
+from problems.equations.block_structure import force_takes_velocities, mass_varies
+from problems.equations.formulations import Start
+from problems.equations.kinematics import advance
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

@@ -2,7 +2,7 @@
 
 A step of the theta method in velocities and impulses; nothing is located, and impacts may
 accumulate. With D(z) = M(q) a - g + Phi_q^T lam - L y at both ends of the step, q^ = q + h/2 v and
-the directions G_N, G_T of contacts (`problems.contact`) there::
+the directions G_N, G_T of contacts (`problems.hybrid.contact`) there::
 
     theta D(q+, v+) + (1 - theta) D(q, v) = G_N^T r_N + G_T^T r_T,    a = (v+ - v)/h
     q+ = q + h (theta v+ + (1 - theta) v),    d/dt Phi(q+, v+) = 0
@@ -21,15 +21,20 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from integrators.contract import WIDER, PreparedRun, Trajectory, option
+from integrators.native.algebra.step_records import Reading, Time, largest
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Reading, Time, largest
-from integrators.native.step_work import StepWork
-from problems.constraints import constraint_velocity
-from problems.contact import Contacts, ContactSystem
-from problems.formulations import Start, control_residuals, dynamics_residual, largest_inertia
-from problems.kinematics import advance
-from problems.layouts import Layout
-from problems.runtime import Array, jax, jnp
+from problems.base.runtime import Array, jax, jnp
+from problems.equations.constraints import constraint_velocity
+from problems.equations.formulations import (
+    Start,
+    control_residuals,
+    dynamics_residual,
+    largest_inertia,
+)
+from problems.equations.kinematics import advance
+from problems.equations.layouts import Layout
+from problems.hybrid.contact import Contacts, ContactSystem
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

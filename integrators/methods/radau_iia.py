@@ -12,7 +12,8 @@ with eta = h mu gives V and the acceleration without another unknown::
 
     Q = q + h c v + h^2 A^2 b,   V = Qdot + h Phi_q^T mu,   a = b + A^-1 Phi_q^T mu
 
-Constraint rows are divided by h^2, velocity rows by h, as in `integrators.native.stage_equations`.
+Constraint rows are divided by h^2, velocity rows by h, as in
+`integrators.native.step.stage_equations`.
 
 The local error is that of RADAU5 (Hairer & Wanner 1996, doi:10.1007/978-3-642-05221-7, sec. IV.8),
 the defect of the collocation
@@ -35,23 +36,29 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from integrators.contract import option
-from integrators.native.linear_solvers import StageTangents
-from integrators.native.own_values import (
+from integrators.native.algebra.linear_solvers import StageTangents
+from integrators.native.algebra.step_records import Errors, Reading, Scalar, Time, largest
+from integrators.native.step.method_options import (
     Formulated,
     OwnValues,
     formulation_option,
 )
-from integrators.native.stage_equations import Base, Slopes, inherited, resting, stage_equations
+from integrators.native.step.stage_equations import (
+    Base,
+    Slopes,
+    inherited,
+    resting,
+    stage_equations,
+)
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import FreeSteps, ImplicitStepMethod
-from integrators.native.step_records import Errors, Reading, Scalar, Time, largest
-from integrators.native.step_work import StepWork
-from problems import formulations
-from problems.block_structure import output_takes
-from problems.constraints import constraint_force, constraint_velocity
-from problems.formulations import Start
-from problems.kinematics import advance
-from problems.layouts import stage_layout
-from problems.runtime import Array, Bool, Float, jax, jnp
+from problems.base.runtime import Array, Bool, Float, jax, jnp
+from problems.equations import formulations
+from problems.equations.block_structure import output_takes
+from problems.equations.constraints import constraint_force, constraint_velocity
+from problems.equations.formulations import Start
+from problems.equations.kinematics import advance
+from problems.equations.layouts import stage_layout
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 
@@ -60,7 +67,7 @@ _EPS = float(np.finfo(float).eps)
 #: tangent leaves behind points the same way in every step and adds up, which rounding does not.
 _ROUNDED = 0.1
 #: The stages' polynomial gives the next guess if it would have left at most this part of the last
-#: change; see `integrators.native.stage_equations`.
+#: change; see `integrators.native.step.stage_equations`.
 _SMOOTH = 0.1
 
 

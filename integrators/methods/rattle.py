@@ -19,17 +19,17 @@ from typing import ClassVar
 
 from integrators.advice import advice
 from integrators.contract import option
-from integrators.native.own_values import Conditional, Needs, OwnValues, StageState
-from integrators.native.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.algebra.step_records import Time
+from integrators.native.step.method_options import Conditional, Needs, OwnValues, StageState
+from integrators.native.step.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Time
-from integrators.native.step_work import StepWork
-from problems import formulations
-from problems.block_structure import force_takes_velocities, mass_varies
-from problems.constraints import constraint_force
-from problems.formulations import Start
-from problems.kinematics import advance
-from problems.runtime import Array, jax, jnp
+from problems.base.runtime import Array, jax, jnp
+from problems.equations import formulations
+from problems.equations.block_structure import force_takes_velocities, mass_varies
+from problems.equations.constraints import constraint_force
+from problems.equations.formulations import Start
+from problems.equations.kinematics import advance
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

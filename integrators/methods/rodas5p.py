@@ -10,8 +10,9 @@ Of ``formulation=index1`` the constraint C is d2/dt2 Phi, with Baumgarte's terms
 
     (M/(gamma h) - J) k_s = F(t + c_s h, z + sum a_sj k_j) + h d_s F_t + M sum (C_sj / h) k_j
 
-The rows of q, v and x are eliminated by g = gamma h, as in `integrators.native.stage_equations`.
-The unknowns that are left are the changes of a, lam and y, and k_x / g less known terms.
+The rows of q, v and x are eliminated by g = gamma h, as in
+`integrators.native.step.stage_equations`. The unknowns that are left are the changes of a, lam and
+y, and k_x / g less known terms.
 """
 
 from __future__ import annotations
@@ -22,27 +23,27 @@ from typing import Any, ClassVar
 import numpy as np
 
 from integrators.contract import option
-from integrators.native import small_matrices
-from integrators.native.own_values import (
+from integrators.native.algebra import small_matrices
+from integrators.native.algebra.step_records import Errors, Time
+from integrators.native.step.method_options import (
     DriftHandling,
     EndMethod,
     EndState,
     moved_onto_constraints,
 )
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import (
     FreeSteps,
     NewtonSettings,
     StepMethod,
     linear_solver_option,
 )
-from integrators.native.step_records import Errors, Time
-from integrators.native.step_work import StepWork
-from problems import formulations
-from problems.block_structure import output_takes
-from problems.constraints import constraint_acceleration, constraint_velocity, pulled
-from problems.kinematics import advance
-from problems.layouts import Layout, stage_layout
-from problems.runtime import Array, Int, jax, jnp
+from problems.base.runtime import Array, Int, jax, jnp
+from problems.equations import formulations
+from problems.equations.block_structure import output_takes
+from problems.equations.constraints import constraint_acceleration, constraint_velocity, pulled
+from problems.equations.kinematics import advance
+from problems.equations.layouts import Layout, stage_layout
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

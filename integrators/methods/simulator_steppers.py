@@ -21,16 +21,16 @@ from dataclasses import dataclass
 from typing import ClassVar, TypeAlias
 
 from integrators.contract import option
-from integrators.native import small_matrices
-from integrators.native.own_values import OwnValues
+from integrators.native.algebra import small_matrices
+from integrators.native.algebra.step_records import Reading, Time
+from integrators.native.step.method_options import OwnValues
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import NewtonSettings, StepMethod, linear_solver_option
-from integrators.native.step_records import Reading, Time
-from integrators.native.step_work import StepWork
-from problems.constraints import constraint_force, constraint_velocity, pulled
-from problems.formulations import Start, control_residuals, inertia
-from problems.kinematics import advance
-from problems.layouts import stage_layout
-from problems.runtime import Array, jax, jnp
+from problems.base.runtime import Array, jax, jnp
+from problems.equations.constraints import constraint_force, constraint_velocity, pulled
+from problems.equations.formulations import Start, control_residuals, inertia
+from problems.equations.kinematics import advance
+from problems.equations.layouts import stage_layout
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

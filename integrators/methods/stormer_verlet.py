@@ -7,15 +7,15 @@ from typing import ClassVar
 
 from integrators.advice import advice
 from integrators.methods.rattle import refused_control, refused_mass
-from integrators.native.own_values import StageState
-from integrators.native.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.algebra.step_records import Reading, Time
+from integrators.native.step.method_options import StageState
+from integrators.native.step.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
-from integrators.native.step_records import Reading, Time
-from integrators.native.step_work import StepWork
-from problems.block_structure import force_takes_velocities
-from problems.formulations import Start
-from problems.kinematics import advance
-from problems.runtime import jnp
+from problems.base.runtime import jnp
+from problems.equations.block_structure import force_takes_velocities
+from problems.equations.formulations import Start
+from problems.equations.kinematics import advance
 from problems.system import MechatronicSystem
 
 

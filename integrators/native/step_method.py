@@ -14,11 +14,11 @@ from dataclasses import Field, dataclass, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
 from integrators.contract import Integrator, PreparedRun, option
-from integrators.native.adaptive_steps import AdaptiveRun
-from integrators.native.constant_steps import ConstantStepsRun
-from integrators.native.kernel import OnScene
-from integrators.native.own_values import Conditional, Needs
-from integrators.native.step_program import (
+from integrators.native.loops.adaptive_steps import AdaptiveRun
+from integrators.native.loops.constant_steps import ConstantStepsRun
+from integrators.native.loops.kernel import OnScene
+from integrators.native.step.method_options import Conditional, Needs
+from integrators.native.step.step_program import (
     Numbers,
     SparseTangents,
     StepFunctions,
@@ -26,9 +26,9 @@ from integrators.native.step_program import (
     sparse_tangents,
 )
 from integrators.resolutions import Steps, Tolerances
-from problems import spec
-from problems.sparsity import Pattern, uses_sparse
-from problems.spec import SpecError
+from problems.base import spec
+from problems.base.spec import SpecError
+from problems.equations.sparsity import Pattern, uses_sparse
 from problems.system import MechatronicSystem
 
 
@@ -92,7 +92,7 @@ class NativeMethod(Integrator):
 
         Raises
         ------
-        problems.spec.SpecError
+        problems.base.spec.SpecError
             If the user demands sparse tangents and they are impossible.
         """
         # Many runs side by side renew their tangents at different times, which costs all of them.

@@ -19,13 +19,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from problems.drawing import OBLIQUE
+from problems.base.runtime import Array, Float, jnp
+from problems.base.spec import SpecError, convert, is_name, one_of, suggest
+from problems.mechanics.drawing import OBLIQUE
+from problems.mechanics.rotations import quaternion_rate, turned
 from problems.models.mjcf_load import Start, checked_start, read, reset
 from problems.models.mjcf_model import Model
 from problems.models.mjcf_parts import called, lacking, load_mujoco, numbers
-from problems.rotations import quaternion_rate, turned
-from problems.runtime import Array, Float, jnp
-from problems.spec import SpecError, convert, is_name, one_of, suggest
 from problems.system import MechatronicSystem
 from problems.variables import Component, State, parameter
 

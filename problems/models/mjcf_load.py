@@ -16,14 +16,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from problems.initial_values import CONSISTENCY_TOLERANCE
+from problems.base.cache import keep, kept
+from problems.base.runtime import CACHE, FEW_CALLS, Array, Float, jax, jnp
+from problems.base.spec import SpecError
+from problems.base.text import said
+from problems.equations.initial_values import CONSISTENCY_TOLERANCE
+from problems.mechanics.rotations import turned
 from problems.models.mjcf_model import Model
 from problems.models.mjcf_parts import load_mujoco
-from problems.plain_text import said
-from problems.rotations import turned
-from problems.runtime import CACHE, FEW_CALLS, Array, Float, jax, jnp
-from problems.spec import SpecError
-from problems.whole_files import keep, kept
 
 #: Largest difference from MuJoCo's numbers, relative to the largest of them, and the number of
 #: random states at which they are compared.

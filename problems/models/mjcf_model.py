@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from problems.base.runtime import Array, Float, jnp
+from problems.base.spec import SpecError
+from problems.mechanics.rotations import quaternion_rate
 from problems.models.mjcf_parts import acting, at_joints, called, numbers, settled, without
 from problems.models.trees import Tree, traced_once
-from problems.rotations import quaternion_rate
-from problems.runtime import Array, Float, jnp
-from problems.spec import SpecError
 
 #: Most links: the matrices of ancestors grow with the square.
 MOST_LINKS = 400

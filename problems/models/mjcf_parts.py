@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from problems.runtime import Bool
-from problems.spec import SpecError
+from problems.base.runtime import Bool
+from problems.base.spec import SpecError
 
 
 def load_mujoco() -> Any:

@@ -18,11 +18,11 @@ import sympy as sm
 from sympy.core.function import AppliedUndef
 from sympy.physics.mechanics import KanesMethod, LagrangesMethod, System, dynamicsymbols
 
-from problems import spec
-from problems.initial_values import CONSISTENCY_TOLERANCE
+from problems.base import spec
+from problems.base.spec import SpecError
+from problems.base.text import said
+from problems.equations.initial_values import CONSISTENCY_TOLERANCE
 from problems.models.sympy_text import CLASS, class_of, code_of, function_text
-from problems.plain_text import said
-from problems.spec import SpecError
 from problems.starts import completed, constraints_at, violation
 from problems.system import MechatronicSystem
 

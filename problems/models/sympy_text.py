@@ -10,8 +10,8 @@ from typing import Any
 import sympy as sm
 from sympy.printing.numpy import JaxPrinter
 
-from problems.plain_text import said
-from problems.spec import SpecError
+from problems.base.spec import SpecError
+from problems.base.text import said
 from problems.system import MechatronicSystem
 
 #: Coordinates are q0, q1 ..., velocities v0, v1 ..., constants self.NAME, time is t.

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from problems.rotations import rotation_matrix
-from problems.runtime import Array, Float, jax, jnp
+from problems.base.runtime import Array, Float, jax, jnp
+from problems.mechanics.rotations import rotation_matrix
 
 
 def _turn(matrices: Any, vectors: Any) -> Any:

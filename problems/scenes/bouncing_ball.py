@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import ContactSystem, Published, State, drawing, jax, jnp, parameter
+from problems import ContactSystem, Published, State, jax, jnp, parameter
+from problems.mechanics import drawing
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems import Published, State, jax, jnp, parameter
-from problems.lagrange import OfEnergies
+from problems.mechanics.lagrange import OfEnergies
 
 #: Axes of the joints P0 to P4: y, z, x, y, z of the frame of the rod that begins there.
 _AXES = np.eye(3)[[1, 2, 0, 1, 2]]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems import MechatronicSystem, State, jax, jnp, parameter
-from problems.spec import SpecError
+from problems.base.spec import SpecError
 
 
 @dataclass(frozen=True)

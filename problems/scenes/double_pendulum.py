@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import MechatronicSystem, State, Variables, drawing, jax, jnp, parameter
+from problems import MechatronicSystem, State, Variables, jax, jnp, parameter
+from problems.mechanics import drawing
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import Published, State, drawing, jax, jnp, parameter
-from problems.lagrange import OfEnergies
+from problems import Published, State, jax, jnp, parameter
+from problems.mechanics import drawing
+from problems.mechanics.lagrange import OfEnergies
 
 #: Distance of hinges and slider points from the axis, length of the rods, height of the hinges, m.
 _REACH, _ROD, _TOP = 0.05, 1.0, 1.0

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import State, Variables, jax, jnp, lagrange, parameter
-from problems.lagrange import OfEnergies
+from problems import State, Variables, jax, jnp, parameter
+from problems.mechanics import lagrange
+from problems.mechanics.lagrange import OfEnergies
 from problems.scenes.damper import SemiActiveDamper
 
 #: Waves of the road: cycles per m, with phases on the left and on the right that were drawn once.

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import MechatronicSystem, State, drawing, jax, jnp, parameter
-from problems.rotations import rotation_matrix
+from problems import MechatronicSystem, State, jax, jnp, parameter
+from problems.mechanics import drawing
+from problems.mechanics.rotations import rotation_matrix
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from problems import Published, State, jax, jnp, parameter
-from problems.rotations import conjugate, quaternion_rate, rotated, screwed, turned
+from problems.mechanics.rotations import conjugate, quaternion_rate, rotated, screwed, turned
 from problems.scenes.heavy_top import HeavyTop
 
 _AXIS = np.array([0.0, 1.0, 0.0])

@@ -7,7 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from problems import MechatronicSystem, Published, State, drawing, jax, jnp, parameter
+from problems import MechatronicSystem, Published, State, jax, jnp, parameter
+from problems.mechanics import drawing
 
 #: Masses of rear axle, chassis, front axle, cab and load in kg; inertias of the last three that
 #: turn (chassis, cab, load) in kg m^2, in the order of the coordinates.

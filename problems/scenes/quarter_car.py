@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import State, Variables, drawing, held, jax, jnp, parameter
+from problems import State, Variables, held, jax, jnp, parameter
+from problems.mechanics import drawing
 from problems.scenes.damper import SemiActiveDamper
 
 #: Waves of the rough road: cycles per m, and phases that were drawn once. Their amplitudes fall

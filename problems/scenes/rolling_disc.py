@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems import State, jax, jnp, parameter
-from problems.lagrange import OfEnergies
+from problems.mechanics.lagrange import OfEnergies
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import SampledSystem, State, Variables, drawing, held, jax, jnp, parameter
+from problems import SampledSystem, State, Variables, held, jax, jnp, parameter
+from problems.mechanics import drawing
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,10 @@ from types import ModuleType
 
 import numpy as np
 
-from problems import MechatronicSystem, State, Variables, drawing, jax, jnp, parameter
-from problems.lagrange import OfEnergies
-from problems.spec import SpecError
+from problems import MechatronicSystem, State, Variables, jax, jnp, parameter
+from problems.base.spec import SpecError
+from problems.mechanics import drawing
+from problems.mechanics.lagrange import OfEnergies
 
 
 def _polylines(l1: float, tip: np.ndarray, slider: float) -> list[np.ndarray]:

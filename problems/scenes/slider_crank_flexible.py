@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import State, drawing, jax, jnp, parameter
-from problems.lagrange import OfEnergies
-from problems.spec import SpecError
+from problems import State, jax, jnp, parameter
+from problems.base.spec import SpecError
+from problems.mechanics import drawing
+from problems.mechanics.lagrange import OfEnergies
 
 _PI = np.pi
 #: Integrals of products of the rod's shape functions: two sines across the rod; along it 4 s(1-s)

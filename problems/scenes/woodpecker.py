@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from problems import MechatronicSystem, State, Variables, held, jax, jnp, parameter
-from problems.contact import impact
+from problems.hybrid.contact import impact
 
 #: Distance in m by which a gap has to close again once it has opened, and velocity in m/s by which
 #: sliding has to turn round: more than rounding.

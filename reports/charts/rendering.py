@@ -10,8 +10,8 @@ from pathlib import Path
 
 import vl_convert
 
-from problems.plain_text import clean
-from problems.usage import cores
+from problems.base.text import clean
+from problems.base.usage import cores
 from reports.charts.vega_lite import Spec, chart_json
 
 

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any
 
 from bench.results.csv_text import csv_text
-from problems.plain_text import clean_json
+from problems.base.text import clean_json
 from reports.charts.line_styles import LineStyle
 
 #: A chart or a part of one: a specification of Vega-Lite, https://vega.github.io/vega-lite.

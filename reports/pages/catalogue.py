@@ -6,15 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.results.records import Drawing, SceneRecord
-from problems.spec import SpecError
-from problems.whole_files import put
+from problems.base.cache import put
+from problems.base.spec import SpecError
 from reports.charts.mechanism import mechanism, motion
 from reports.charts.rendering import draw, picture
 from reports.formatting import file_name, number, paragraphs
 from reports.names import scene_name
 from reports.pages.chapter import Chapter, Figure, Section, Text, write_chapter
 from reports.pages.templating import markdown
-from reports.text.scene_tables import parameters_table, scene_facts
+from reports.tables.scene_tables import parameters_table, scene_facts
 
 PICTURES = "catalogue_figures"
 

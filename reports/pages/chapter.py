@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench.results.table import Table
-from problems.whole_files import put
+from problems.base.cache import put
 from reports.charts.rendering import pictures
 from reports.pages.templating import html
 from reports.questions.words import Sentence

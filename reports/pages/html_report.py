@@ -11,7 +11,7 @@ from pathlib import Path
 import platformdirs
 import vl_convert
 
-from problems.whole_files import cached, put
+from problems.base.cache import cached, put
 from reports.charts.vega_lite import chart_json
 from reports.pages.chapter import FOLDER, FRONT, Page
 from reports.pages.report import read_report

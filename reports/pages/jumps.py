@@ -12,7 +12,7 @@ from reports.names import scene_name
 from reports.pages.chapter import Chapter, Section, Text
 from reports.scenes import StoredRuns
 from reports.series import Series, ok_runs
-from reports.text.jump_tables import (
+from reports.tables.jump_tables import (
     JUDGED,
     POLICIES,
     events_table,

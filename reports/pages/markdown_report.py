@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from urllib.parse import quote
 
-from problems.whole_files import put
+from problems.base.cache import put
 from reports.charts.rendering import draw
 from reports.formatting import file_name
 from reports.names import scene_name
@@ -15,7 +15,7 @@ from reports.pages.report import Report, read_report
 from reports.pages.templating import escape_markdown, markdown
 from reports.questions.verdict import DIFFER, headlines
 from reports.questions.words import Ref, rendered
-from reports.text.ranking_tables import standings_table
+from reports.tables.ranking_tables import standings_table
 
 FILE = "report.md"
 _FIGURES = "report_figures"

@@ -19,10 +19,10 @@ from reports.questions.method_card import stored_card
 from reports.ranking import Answer
 from reports.scenes import StoredRuns
 from reports.series import Series, groups_of
-from reports.text.damping_table import damping_table
-from reports.text.order_table import order_table
-from reports.text.ranking_tables import claims_text
-from reports.text.run_tables import failures_table, notes_table, unsupported_table
+from reports.tables.damping_table import damping_table
+from reports.tables.order_table import order_table
+from reports.tables.ranking_tables import claims_text
+from reports.tables.run_tables import failures_table, notes_table, unsupported_table
 
 #: An integrator that is not known to reach the accuracy.
 _STATES = {"far": "not reached", "failed": "no run reached the end"}

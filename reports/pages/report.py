@@ -28,16 +28,16 @@ from reports.questions.wrong import silent_tables, wrong_sentences
 from reports.ranking import Answer, answers
 from reports.scenes import StoredRuns
 from reports.series import label_of
-from reports.text.damping_table import damping_table
-from reports.text.measurement import (
+from reports.tables.damping_table import damping_table
+from reports.tables.measurement import (
     method_of_measurement,
     missing_data,
     times_sentence,
 )
-from reports.text.order_table import lost_orders_table, order_tables
-from reports.text.ranking_tables import integrators_table, winners_table
-from reports.text.run_tables import failures_table, notes_table, unsupported_table
-from reports.text.scene_tables import references_table
+from reports.tables.order_table import lost_orders_table, order_tables
+from reports.tables.ranking_tables import integrators_table, winners_table
+from reports.tables.run_tables import failures_table, notes_table, unsupported_table
+from reports.tables.scene_tables import references_table
 
 
 class Report:

@@ -12,10 +12,10 @@ from reports.formatting import number, paragraphs
 from reports.pages.chapter import Figure, Fold, Section, Text
 from reports.pages.study_section import ALL_FIGURES, StudySections
 from reports.series import Series
-from reports.text.jump_tables import events_table
-from reports.text.ranking_tables import targets_table
-from reports.text.run_tables import invariants_table, runs_table, summary_table
-from reports.text.scene_tables import parameters_table, scene_facts
+from reports.tables.jump_tables import events_table
+from reports.tables.ranking_tables import targets_table
+from reports.tables.run_tables import invariants_table, runs_table, summary_table
+from reports.tables.scene_tables import parameters_table, scene_facts
 
 #: Tabs of a scene's page: anchor, title, and what a reader learns there.
 _TABS = {

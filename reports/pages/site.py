@@ -18,9 +18,9 @@ from reports.pages.report import Report
 from reports.pages.scene_chapter import SceneChapter
 from reports.questions.question import FIRST, Question
 from reports.ranking import reaches
-from reports.text.glossary import TERMS
-from reports.text.mathml import equations
-from reports.text.scene_tables import unknowns
+from reports.tables.glossary import TERMS
+from reports.tables.mathml import equations
+from reports.tables.scene_tables import unknowns
 
 #: Pages beside a report that commands write into its folder, with their titles in the contents.
 _BESIDE = {

@@ -34,8 +34,8 @@ from reports.series import (
     run_name,
     series_of,
 )
-from reports.text.order_table import order_table
-from reports.text.run_tables import runs_table
+from reports.tables.order_table import order_table
+from reports.tables.run_tables import runs_table
 
 #: Most runs of a study that are all drawn over time; of a larger one the finest of each.
 ALL_RUNS = 6

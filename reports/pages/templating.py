@@ -15,11 +15,11 @@ import jinja2
 from markupsafe import Markup, escape
 
 from bench.results.table import Table, whole
-from problems.plain_text import clean
+from problems.base.text import clean
 from reports.charts.vega_lite import chart_json
 from reports.formatting import file_name, symbols
 from reports.questions.words import plain
-from reports.text.glossary import terms_in
+from reports.tables.glossary import terms_in
 
 _DOI = re.compile(r"\bdoi:(10\.\d{4,9}/\S+)")
 _DOI_LINK = Markup('<a href="https://doi.org/{}" rel="noreferrer">doi:{}</a>')

@@ -26,7 +26,7 @@ from bench.results.timings import (
     median_interval,
     quotient_by_round,
 )
-from problems.spec import SpecError, one_of
+from problems.base.spec import SpecError, one_of
 from reports.formatting import named, number
 from reports.names import named_labels, scene_name
 from reports.questions.question import FIRST, TABLE_TARGETS, Question

@@ -22,10 +22,10 @@ from bench.running.profiles import ProfileFile, StudyFile
 from bench.running.worker import Worker
 from integrators import Steps
 from problems import jnp
-from problems.checks import MOST_SENTENCE, FalseAnswer
-from problems.reference import Reference
+from problems.base.checks import MOST_SENTENCE, FalseAnswer
+from problems.base.spec import snake_case
 from problems.scenes.spring_mass import SpringMass
-from problems.spec import snake_case
+from problems.truth.reference import Reference
 
 PLUGINS = [Path(__file__).with_name(f"false_{kind}.py") for kind in ("methods", "scenes")]
 METHODS = {

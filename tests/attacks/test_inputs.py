@@ -18,7 +18,7 @@ from planted import everything, plant
 
 from bench.commands.main import main
 from bench.commands.options import ClusterAddress, PathName
-from problems.plain_text import clean
+from problems.base.text import clean
 
 #: Arguments for which a command would run. {store} is a folder of results, {odd} of odd things.
 RIGHT = {

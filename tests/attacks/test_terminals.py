@@ -15,7 +15,7 @@ from helpers import long
 from planted import everything, plant
 
 from bench.commands.main import ShortErrors
-from problems.plain_text import LONGEST_LINE, clean, shortened
+from problems.base.text import LONGEST_LINE, clean, shortened
 
 COMMAND = [sys.executable, "-c", "from bench.commands.main import main; main()"]
 HOSTILE = "\x1b[2J\x1b]0;owned\x07 \x9b31m \x08\r \u202eback\u2066 \u200f \x7f \udcff"

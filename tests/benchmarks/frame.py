@@ -26,9 +26,9 @@ from bench.results.environment import environment
 from bench.running.errors import relative_errors
 from integrators import Steps, Tolerances
 from integrators.native.step_method import NativeMethod
-from problems.reference import Reference
 from problems.scenes.slider_crank import SliderCrank
 from problems.system import MechatronicSystem
+from problems.truth.reference import Reference
 
 SCENE, T_END, STEPS, RHO = SliderCrank(), SliderCrank.interval[1], 20_000, 0.8
 OURS = "generalized_alpha[rho_inf=0.8,newton=modified]"

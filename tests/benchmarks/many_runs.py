@@ -26,7 +26,7 @@ from bench.sweeps.batch import Batch
 from bench.sweeps.outcome_map import outcome_map
 from bench.sweeps.variation import find_quantity, find_range, runs_with
 from integrators import Steps
-from problems.runtime import on_gpu
+from problems.base.runtime import on_gpu
 
 MEMBERS, ALONE = 1000, 50
 #: Numbers of runs; 8 192 keep all cores busy.

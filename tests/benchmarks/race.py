@@ -34,17 +34,17 @@ from opponents import c_program, exudyn_run, peak
 
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
+from integrators.adapters.callbacks import in_c
 from integrators.adapters.ida import IDA
-from integrators.adapters.packed_functions import in_c
 from integrators.lowering.native import load_c
-from problems.reference import Reference
-from problems.runtime import use_threads
+from problems.base.runtime import use_threads
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.duffing import Duffing
 from problems.scenes.heavy_top_lie import HeavyTopR3SO3
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrankMinimal
 from problems.system import MechatronicSystem
+from problems.truth.reference import Reference
 
 #: One or two methods of each family; `all_native` adds the other native methods.
 MEMBERS = (

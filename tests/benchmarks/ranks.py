@@ -27,7 +27,7 @@ from scipy.stats import spearmanr
 
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
-from problems.runtime import use_threads
+from problems.base.runtime import use_threads
 from problems.system import MechatronicSystem
 
 #: Scenes: free and constrained, smooth and stiff, with and without a controller.

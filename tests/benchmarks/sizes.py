@@ -19,8 +19,8 @@ from frame import Row, alone, in_turn, options, spread, timed, write
 from integrators import Steps, Tolerances
 from integrators.adapters.ida import IDA
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from problems.formulations import dae_layout
-from problems.runtime import use_threads
+from problems.base.runtime import use_threads
+from problems.equations.formulations import dae_layout
 from problems.scenes.chain import Chain
 
 #: Links, and steps that a sample takes.

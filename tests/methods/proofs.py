@@ -12,9 +12,10 @@ from helpers import errors_at, toy
 from bench.stability.matrices import matrices
 from bench.stability.systems import LinearSystem, Oscillator
 from integrators import Integrator
-from problems import MechatronicSystem, jax, jnp, lagrange
-from problems.formulations import with_rates
-from problems.initial_values import consistent_start
+from problems import MechatronicSystem, jax, jnp
+from problems.equations.formulations import with_rates
+from problems.equations.initial_values import consistent_start
+from problems.mechanics import lagrange
 from problems.scenes.double_pendulum import DoublePendulum
 from problems.scenes.pendulum import Pendulum
 

@@ -26,13 +26,13 @@ from problems import (
     jax,
     jnp,
 )
-from problems.constraints import least_multipliers
-from problems.formulations import complete
-from problems.initial_values import NoConsistentStart, consistent_start
+from problems.base.spec import SpecError
+from problems.equations.constraints import least_multipliers
+from problems.equations.formulations import complete
+from problems.equations.initial_values import NoConsistentStart, consistent_start
+from problems.equations.start_equations import miscounted
 from problems.scenes.bricard import Bricard
 from problems.scenes.pendulum import Pendulum
-from problems.spec import SpecError
-from problems.start_equations import miscounted
 
 #: The pendulum with its constraint twice; with another one that says the same; and one that states
 #: so. Without mass or constraint a coordinate has no acceleration.

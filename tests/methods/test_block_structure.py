@@ -21,7 +21,8 @@ from integrators.methods.simulator_steppers import (
 )
 from integrators.methods.stormer_verlet import StormerVerlet
 from problems import jax, jnp
-from problems.block_structure import (
+from problems.base.spec import SpecError
+from problems.equations.block_structure import (
     damping_varies,
     force_takes_velocities,
     mass_varies,
@@ -30,7 +31,6 @@ from problems.block_structure import (
 )
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
-from problems.spec import SpecError
 
 REGISTRY = Registry()
 

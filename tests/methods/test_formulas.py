@@ -25,10 +25,10 @@ from integrators.methods.rattle import RATTLE, SHAKE
 from integrators.methods.rodas5p import Rodas5P
 from integrators.methods.simulator_steppers import ImplicitFast, SemiImplicitEuler
 from integrators.methods.stormer_verlet import StormerVerlet
-from integrators.native.step_records import Attempt
-from integrators.native.step_work import EquationsFinder
+from integrators.native.algebra.step_records import Attempt
+from integrators.native.step.step_work import EquationsFinder
 from problems import jax, jnp
-from problems.initial_values import consistent_start
+from problems.equations.initial_values import consistent_start
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.double_pendulum import DoublePendulumControlled
 from problems.scenes.slider_crank import SliderCrankMinimal
@@ -78,9 +78,7 @@ def test_steps_of_bdf_are_those_of_polynomials_through_the_last_values():
         t = t + h
         carried.append(step(carried[-1], t, h))
     states, times = [one.state for one in carried], np.concatenate([[0.0], np.cumsum(steps)])
-    v, a = (
-        np.array([float(getattr(s.shown, name)[0]) for s in states]) for name in ("v", "a")
-    )
+    v, a = (np.array([float(getattr(s.shown, name)[0]) for s in states]) for name in ("v", "a"))
     assert {int(state.order_before) for state in states} >= {2, 3, 4}
     for n in range(6, len(states)):
         k, h = int(states[n].order_before), steps[n - 1]

@@ -9,15 +9,15 @@ from proofs import SWING, TWO_RODS, ConservingOscillator, step_of
 
 from bench.check.trials import ForcedOscillator
 from integrators import Integrator, Steps
+from integrators.methods.discrete_gradients import NoDiscreteGradient, discrete_gradient
 from integrators.methods.energy_momentum import EnergyMomentum
 from integrators.methods.generalized_alpha import Newmark
 from integrators.methods.lobatto_iiia_iiib import LobattoPair
 from integrators.methods.rattle import RATTLE, SHAKE, VariationalMidpoint
 from integrators.methods.simulator_steppers import SemiImplicitEuler
 from integrators.methods.stormer_verlet import StormerVerlet
-from integrators.native.discrete_gradients import NoDiscreteGradient, discrete_gradient
 from problems import MechatronicSystem, jax, jnp, parameter
-from problems.constraints import constraint_velocity
+from problems.equations.constraints import constraint_velocity
 from problems.scenes.chain import Chain
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.pendulum import Pendulum

@@ -23,9 +23,10 @@ from integrators.methods.simulator_steppers import (
     SemiImplicitEuler,
 )
 from problems import jax, jnp
-from problems.constraints import constraint_velocity
-from problems.initial_values import consistent_start
-from problems.projections import projected_state
+from problems.base.spec import SpecError
+from problems.equations.constraints import constraint_velocity
+from problems.equations.initial_values import consistent_start
+from problems.equations.projections import projected_state
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.double_pendulum import DoublePendulum, DoublePendulumControlled
 from problems.scenes.driven_springs import DrivenSprings
@@ -34,7 +35,6 @@ from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank
 from problems.scenes.spring_mass import SpringMass
 from problems.scenes.stiff_bar import StiffBar
-from problems.spec import SpecError
 
 
 def run(method, on, at):
@@ -187,9 +187,7 @@ def test_chronos_rule_halves_on_failure_doubles_after_five_quick_steps_and_knows
 LONG, RTOL = (Pendulum(), 10.35), 1e-5
 
 
-@pytest.mark.parametrize(
-    "formulation", ["stabilised_index2", *long("index3", "index2", "index1")]
-)
+@pytest.mark.parametrize("formulation", ["stabilised_index2", *long("index3", "index2", "index1")])
 def test_the_constraints_of_the_formulation_hold(formulation):
     positions, velocities = levels(run(BDFAdaptive(formulation=formulation), SWING, 1e-6))
     assert (positions < 1e-13) == (formulation in ("index3", "stabilised_index2"))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from integrators import Reading, StepMethod, option
-from problems.formulations import complete
+from problems.equations.formulations import complete
 
 
 @dataclass(frozen=True)

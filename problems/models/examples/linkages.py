@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from problems.runtime import Array
-from problems.spec import SpecError
+from problems.base.runtime import Array
+from problems.base.spec import SpecError
 from problems.system import MechatronicSystem
 from problems.variables import State, parameter
 

@@ -1,0 +1,1 @@
+"""Newton's method and linear algebra of a step."""

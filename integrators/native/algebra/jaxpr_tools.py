@@ -1,0 +1,136 @@
+"""Programs of JAX: evaluated anew by a rule or with other constants; entries of their tangents.
+
+In contrast to asdex (`problems.equations.sparsity`) `tangent_pattern` knows zeros in matrices of
+parameters, such as a diagonal mass matrix, and needs no extra. The results of a step of the program
+that has no rule depend on all that goes into it, so a tangent has no entry that is not found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from integrators.lowering.to_graph import lowered
+from problems.base.runtime import Array, Bool, jax, jnp
+
+if TYPE_CHECKING:
+    from jax.extend.core import ClosedJaxpr
+
+
+def evaluated(
+    program: Any,
+    given: Sequence[Any],
+    rule: Callable[[Any, list[Any]], Sequence[Any]],
+    whole: Collection[str] = (),
+) -> list[Any]:
+    """Return the results of a program; functions that it calls are evaluated likewise.
+
+    Parameters
+    ----------
+    program
+        As `jax.make_jaxpr` makes it.
+    rule
+        Function of an equation and its arguments that gives its results.
+    whole
+        Names of operations that ``rule`` takes as they are, though they call a program.
+    """
+    from jax.extend.core import Literal
+
+    jaxpr, constants = getattr(program, "jaxpr", program), getattr(program, "consts", ())
+    values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*constants, *given], strict=True))
+
+    def value(atom: Any) -> Any:
+        return atom.val if isinstance(atom, Literal) else values[atom]
+
+    for equation in jaxpr.eqns:
+        inner, taken = _called(equation, whole), [value(atom) for atom in equation.invars]
+        # Operations are counted by names, also by those of functions that are called here.
+        called = equation.params.get("name", "") if inner is not None else ""
+        with jax.named_scope(f"{equation.source_info.name_stack}/{called}"):
+            again = partial(evaluated, inner, rule=rule, whole=whole)
+            results = rule(equation, taken) if inner is None else again(taken)
+        values.update(zip(equation.outvars, results, strict=True))
+    return [value(atom) for atom in jaxpr.outvars]
+
+
+def is_program(value: Any) -> bool:
+    """Whether a parameter of an equation is a program."""
+    return hasattr(value, "eqns")
+
+
+def bound(equation: Any, given: Sequence[Any], **changed: Any) -> list[Any]:
+    """The results of an equation on other arguments, with some parameters changed."""
+    results = equation.primitive.bind(*given, **equation.params | changed)
+    return results if equation.primitive.multiple_results else [results]
+
+
+def _called(equation: Any, whole: Collection[str]) -> Any | None:
+    """The program that an equation calls once: the only one that it has, if it is no loop."""
+    programs = [value for value in equation.params.values() if is_program(value)]
+    if len(programs) != 1 or "length" in equation.params or equation.primitive.name in whole:
+        return None
+    jaxpr = getattr(programs[0], "jaxpr", programs[0])
+    return programs[0] if len(jaxpr.invars) == len(equation.invars) else None
+
+
+def tangent_pattern(program: ClosedJaxpr, n: int) -> Bool[np.ndarray, "m n"]:
+    """Return the entries that the Jacobian of a program can have.
+
+    Parameters
+    ----------
+    program
+        From n unknowns ``(n,)`` to m values. Its constants that JAX traces may be any numbers.
+
+    Raises
+    ------
+    NotLowered
+        If the program is too large to be followed.
+    """
+    differs, shapes = traced_constants(program)
+    unknowns = [((n,), float)] * 2
+
+    def tangent(numbers: Array) -> Array:
+        u, change, *constants = split_arrays(numbers, [*unknowns, *shapes])
+        residual = partial(with_constants, program, replaced(program, differs, constants))
+        return jax.jvp(residual, (u,), (change,))[1]
+
+    lengths = (n, n, *(math.prod(shape) for shape, _ in shapes))
+    graph, results = lowered(tangent, lengths)
+    changes = [graph.input(1, k) for k in range(n)]
+    entries = np.zeros((results.size, n), bool)
+    for row, found in zip(entries, graph.origins(results.ravel().tolist(), changes), strict=True):
+        row[[*found]] = True
+    return entries
+
+
+def with_constants(program: ClosedJaxpr, constants: Sequence[Array], *u: Array) -> Array:
+    """The result of a program with other constants."""
+    from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+
+    return jaxpr_as_fun(ClosedJaxpr(program.jaxpr, constants))(*u)[0]
+
+
+def traced_constants(program: ClosedJaxpr) -> tuple[list[bool], list[tuple[Any, Any]]]:
+    """Whether JAX traces each constant of a program; shapes and types of those that it does."""
+    from jax.core import Tracer
+
+    differs = [isinstance(x, Tracer) for x in program.consts]
+    pairs = zip(program.consts, differs, strict=True)
+    return differs, [(x.shape, x.dtype) for x, differ in pairs if differ]
+
+
+def replaced(program: ClosedJaxpr, differs: list[bool], others: Sequence[Any]) -> list[Any]:
+    """The constants of a program with others in the place of some."""
+    left = iter(others)
+    return [next(left) if one else x for x, one in zip(program.consts, differs, strict=True)]
+
+
+def split_arrays(numbers: Array, shapes: Sequence[tuple[tuple[int, ...], Any]]) -> list[Array]:
+    """Arrays of the shapes and types, of the numbers one after the other."""
+    cuts = np.cumsum([math.prod(shape) for shape, _ in shapes])[:-1]
+    pieces = zip(jnp.split(numbers, cuts), shapes, strict=True)
+    return [piece.reshape(shape).astype(dtype) for piece, (shape, dtype) in pieces]

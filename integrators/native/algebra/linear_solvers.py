@@ -1,0 +1,341 @@
+"""Linear algebra for Newton's method in a step: small and dense, or sparse by KLU.
+
+Full Newton takes each update by the tangent at the current unknowns (`once`). Modified Newton keeps
+a tangent over iterations and steps: the dense solver keeps its inverse, the sparse one its
+factorisation.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from integrators.lowering.graph import NotLowered, side_by_side
+from integrators.lowering.to_graph import lowered
+from integrators.native.algebra import klu, small_matrices
+from integrators.native.algebra.fixed_elimination import EliminationPlan, Factors, planned
+from integrators.native.algebra.jaxpr_tools import (
+    replaced,
+    split_arrays,
+    tangent_pattern,
+    traced_constants,
+    with_constants,
+)
+from problems.base import runtime
+from problems.base.runtime import Array, Bool, Float, jax, jnp
+from problems.equations.named_equations import part
+from problems.equations.sparsity import Pattern
+
+if TYPE_CHECKING:
+    from jax.extend.core import ClosedJaxpr
+
+Residual: TypeAlias = Callable[[Float[Array, " n"]], Float[Array, " n"]]
+
+
+#: Most operations on arrays of all products with a tangent that are written out one by one, which
+#: is faster than side by side, but takes longer to compile.
+_MOST_WRITTEN_OUT = 1000
+
+
+class Once(NamedTuple):
+    """An update by a tangent, and the number of eliminations in a fixed order that had to be
+    repeated with pivots for it; arrays, or what stands for them."""
+
+    update: Any
+    repeated: Any = np.zeros((), int)
+
+
+class LinearSolver(ABC):
+    """Updates of Newton's method from tangents; all functions can be traced."""
+
+    @abstractmethod
+    def once(self, residual: Residual, u: Float[Array, " n"]) -> Once:
+        """The update by the tangent at u: tangent^-1 residual(u)."""
+
+    def factorised(
+        self, residual: Residual, u: Float[Array, " n"], kept: Array
+    ) -> tuple[Array, Callable[[Float[Array, " n"]], Once]]:
+        """The replacement of ``kept``, and the update by the tangent at u as a function of a
+        right-hand side."""
+        kept = self.renewed(residual, u, kept)
+
+        def update(r: Array) -> Once:
+            with part("solves"):
+                return Once(self.update(kept, r))
+
+        return kept, update
+
+    @abstractmethod
+    def nothing_kept(self, size: int) -> Array:
+        """Placeholder for a kept tangent of ``size`` unknowns."""
+
+    @abstractmethod
+    def renewed(self, residual: Residual, u: Float[Array, " n"], kept: Array) -> Array:
+        """The tangent at u in the form to keep; it replaces ``kept``."""
+
+    @abstractmethod
+    def update(self, kept: Array, r: Float[Array, " n"]) -> Float[Array, " n"]:
+        """The update by a kept tangent, for a residual r."""
+
+    @abstractmethod
+    def known(self, kept: Array) -> Bool[Array, ""]:
+        """True if ``kept`` holds a tangent, not the placeholder."""
+
+
+@dataclass(frozen=True)
+class DenseSolver(LinearSolver):
+    """Small and full matrices; modified Newton keeps the inverse, at first a matrix of NaN.
+
+    Full Newton reads the tangent's entries from the residual's program, takes them by a few
+    products, and eliminates in an order that is fixed. In many runs side by side each number is an
+    array of the runs; full matrices are eliminated where a program cannot be followed so.
+    """
+
+    def once(self, residual: Residual, u: Float[Array, " n"]) -> Once:
+        program = jax.make_jaxpr(residual)(u)
+        order = _order(program, len(u))
+
+        def by_pivots(u: Array, *constants: Array) -> Once:
+            residual = partial(with_constants, program, constants)
+            with part("Jacobians"):
+                tangent = jax.jacfwd(residual)(u)
+            with part("residuals"):
+                r = residual(u)
+            return Once(small_matrices.solve(tangent, r))
+
+        def in_order(order: EliminationPlan, u: Array, *constants: Array) -> Once:
+            r, products = _linearised(partial(with_constants, program, constants), u, order.seeds)
+            return Once(*order.solve(products, r))
+
+        if order is None:
+            return by_pivots(u, *program.consts)
+        rewritten = small_matrices.without_products
+        alone = jax.custom_batching.custom_vmap(rewritten(partial(in_order, order)))
+
+        @alone.def_vmap
+        def _(size: int, batched: list[bool], *args: Array) -> tuple[Once, Once]:
+            many = _side_by_side(program, order)
+            if many is None:
+                axes = [0 if one else None for one in batched]
+                return jax.vmap(rewritten(by_pivots), in_axes=axes)(*args), Once(True, True)
+            # Runs are along the last axis, so that the processor works with several at once.
+            each = (
+                jnp.moveaxis(x if one else jnp.broadcast_to(x, (size, *jnp.shape(x))), 0, -1)
+                for x, one in zip(args, batched, strict=True)
+            )
+            return Once(jnp.moveaxis(many(*each), -1, 0)), Once(True, False)
+
+        return alone(u, *program.consts)
+
+    def factorised(
+        self, residual: Residual, u: Float[Array, " n"], kept: Array
+    ) -> tuple[Array, Callable[[Float[Array, " n"]], Once]]:
+        program = jax.make_jaxpr(residual)(u)
+        order = _order(program, len(u))
+        if order is None:
+            return super().factorised(residual, u, kept)
+
+        def in_order(u: Array, *constants: Array) -> Factors:
+            residual = partial(with_constants, program, constants)
+            return order.factorised(_linearised(residual, u, order.seeds)[1])
+
+        alone = jax.custom_batching.custom_vmap(small_matrices.without_products(in_order))
+
+        @alone.def_vmap
+        def _(size: int, batched: list[bool], *args: Array) -> tuple[Factors, Factors]:
+            def inverse(u: Array, *constants: Array) -> Array:
+                return self.renewed(partial(with_constants, program, constants), u, kept)
+
+            # Many runs side by side take the inverse.
+            axes = [0 if one else None for one in batched]
+            first = (x[0] if one else x for x, one in zip(args, batched, strict=True))
+            none = jax.tree.map(jnp.zeros_like, jax.eval_shape(in_order, *first))
+            found = none._replace(inverse=jax.vmap(inverse, in_axes=axes)(*args))
+            return found, jax.tree.map(lambda _: False, none)._replace(inverse=True)
+
+        factors = alone(u, *program.consts)
+        return kept, lambda r: Once(*order.solve_by(factors, r))
+
+    def nothing_kept(self, size: int) -> Array:
+        return jnp.full((size, size), jnp.nan)
+
+    def renewed(self, residual: Residual, u: Float[Array, " n"], kept: Array) -> Array:
+        with part("Jacobians"):
+            tangent = jax.jacfwd(residual)(u)
+        return small_matrices.inverse(tangent)
+
+    def update(self, kept: Array, r: Float[Array, " n"]) -> Float[Array, " n"]:
+        return small_matrices.product(kept, r)
+
+    def known(self, kept: Array) -> Bool[Array, ""]:
+        return ~jnp.isnan(kept[0, 0])
+
+
+DENSE = DenseSolver()
+
+
+def _order(program: ClosedJaxpr, n: int) -> EliminationPlan | None:
+    """Order of the elimination; None for full matrices."""
+    if not 0 < n <= small_matrices.MOST:
+        return None
+    try:
+        return planned(tangent_pattern(program, n))
+    except NotLowered as error:
+        runtime.slower(f"Full Newton runs slowly: programs cannot be followed ({error}).")
+        return None
+
+
+def _linearised(
+    residual: Residual, u: Float[Array, " n"], seeds: Float[np.ndarray, "colours n"]
+) -> tuple[Float[Array, " n"], list[Float[Array, " n"]]]:
+    """The residual at u, and the products of its tangent with the seeds."""
+    with part("residuals"):
+        r, product, size = small_matrices.linearised(residual, u)
+    with part("Jacobians"):
+        if len(seeds) * size > _MOST_WRITTEN_OUT:
+            return r, list(jax.vmap(product)(jnp.asarray(seeds)))
+        return r, [product(jnp.asarray(seed)) for seed in seeds]
+
+
+def _side_by_side(program: ClosedJaxpr, order: EliminationPlan) -> Callable[..., Array] | None:
+    """`DenseSolver.once` of many runs, whose arguments have the runs along their last axis; None if
+    the residual's program cannot be followed number by number."""
+    u, *_ = program.jaxpr.invars
+    differs, others = traced_constants(program)
+    shapes = [(u.aval.shape, u.aval.dtype), *others]
+    linear: list[ClosedJaxpr] = []
+
+    def coefficients(numbers: Array) -> Array:
+        u, *constants = split_arrays(numbers, shapes)
+        residual = partial(with_constants, program, replaced(program, differs, constants))
+        r, product = jax.linearize(residual, u)
+        linear.append(jax.make_jaxpr(product)(u))
+        return jnp.concatenate([r, *(jnp.ravel(x).astype(float) for x in linear[-1].consts)])
+
+    def products(numbers: Array) -> Array:
+        constants = split_arrays(numbers, [(x.shape, x.dtype) for x in linear[-1].consts])
+        product = partial(with_constants, linear[-1], constants)
+        return jnp.stack([product(jnp.asarray(seed)) for seed in order.seeds])
+
+    try:
+        first = lowered(coefficients, (sum(math.prod(shape) for shape, _ in shapes),))
+        n = len(order.entries)
+        second = lowered(products, (len(first.results) - n,))
+        steps = side_by_side(first), side_by_side(second)
+    except NotLowered:
+        return None
+
+    def many(u: Array, *constants: Array) -> Array:
+        given = [u, *(x for x, differ in zip(constants, differs, strict=True) if differ)]
+        numbers = [number for x in given for number in x.reshape(-1, x.shape[-1])]
+        found = small_matrices.unfused(steps[0], *numbers)
+        entries = small_matrices.unfused(steps[1], *found[n:])
+        return order.solve_many(entries, found[:n])
+
+    return many
+
+
+@dataclass(frozen=True)
+class SparseSolver(LinearSolver):
+    """KLU on a known pattern; modified Newton keeps the address of a factorisation, zero for none.
+
+    A new tangent takes a few Jacobian-vector products, one per colour of the pattern, and one
+    factorisation with pivots of its own.
+    """
+
+    pattern: Pattern
+    analysis: klu.Analysis
+
+    def once(self, residual: Residual, u: Float[Array, " n"]) -> Once:
+        with part("residuals"):
+            r = residual(u)
+        entries = self._entries(residual, u)
+        with part("factorisations"):
+            return Once(klu.solve_once(self.analysis, entries, r))
+
+    def nothing_kept(self, size: int) -> Array:
+        return klu.none()
+
+    def renewed(self, residual: Residual, u: Float[Array, " n"], kept: Array) -> Array:
+        entries = self._entries(residual, u)
+        with part("factorisations"):
+            return klu.factorised(self.analysis, entries, instead_of=kept)
+
+    def update(self, kept: Array, r: Float[Array, " n"]) -> Float[Array, " n"]:
+        return klu.solve_by(kept, self.analysis, r)
+
+    def known(self, kept: Array) -> Bool[Array, ""]:
+        return kept[0] > 0
+
+    def _entries(self, residual: Residual, u: Float[Array, " n"]) -> Float[Array, " e"]:
+        with part("Jacobians"):
+            return self.pattern.values(residual, u)
+
+
+#: Unknowns of all stages to a function: slope in steps to the tangent of a stage.
+TangentsBySlope: TypeAlias = Callable[[Array], Callable[[complex], Array]]
+
+
+class StageTangents(LinearSolver):
+    """Tangents of s coupled stages: one real and one complex matrix in the place of a large one.
+
+    The stages of an implicit Runge-Kutta method are coupled by its matrix A alone if all of them
+    take their tangent at one point. With A = T diag(theta) T^-1 the transformed stages are
+    decoupled: the k-th is a single stage of slope theta_k h (Butcher 1976, doi:10.1007/BF01931672;
+    Bickart 1977, doi:10.1137/0714068). Complex slopes come in conjugate pairs, and one of each is
+    enough. With three stages of n unknowns this takes 2/3 n^3 (1 + 4) operations instead of
+    2/3 n^3 27. An inverse is kept for each slope.
+
+    Unknowns are ordered component by component, residuals stage by stage.
+
+    Parameters
+    ----------
+    a
+        The method's matrix A.
+    tangents
+        From unknowns of all stages, the function that gives a single stage's tangent by its slope.
+    """
+
+    def __init__(self, a: np.ndarray, tangents: TangentsBySlope) -> None:
+        slopes, columns = np.linalg.eig(a)
+        rows = np.linalg.inv(columns)
+        self.stages, self._tangents = len(a), tangents
+        #: Slope, column of T and row of T^-1 of each transformed stage.
+        self._modes = [
+            (complex(z), 2 * columns[:, k], rows[k])
+            if z.imag
+            else (float(z.real), np.real(columns[:, k]), np.real(rows[k]))
+            for k, z in enumerate(slopes)
+            if z.imag >= 0
+        ]
+
+    def once(self, residual: Residual, u: Float[Array, " n"]) -> Once:
+        return Once(self.update(self.renewed(residual, u, None), residual(u)))
+
+    def nothing_kept(self, size: int) -> Any:
+        n = size // self.stages
+        return tuple(jnp.full((n, n), jnp.nan * slope) for slope, *_ in self._modes)
+
+    def renewed(self, residual: Residual, u: Float[Array, " n"], kept: Any) -> Any:
+        return tuple(map(small_matrices.inverse, self.assembled(u)))
+
+    def assembled(self, u: Float[Array, " n"]) -> list[Array]:
+        """The tangents of the transformed stages."""
+        tangent = self._tangents(u)
+        return [tangent(slope) for slope, *_ in self._modes]
+
+    def update(self, kept: Any, r: Float[Array, " n"]) -> Float[Array, " n"]:
+        r, du = r.reshape(self.stages, -1), jnp.zeros((len(r) // self.stages, self.stages))
+        for inverse, (_, column, row) in zip(kept, self._modes, strict=True):
+            one = small_matrices.product(inverse, row @ r)
+            du = du + jnp.real(one[:, None] * column)
+        return du.ravel()
+
+    def known(self, kept: Any) -> Bool[Array, ""]:
+        return ~jnp.isnan(kept[0][0, 0])

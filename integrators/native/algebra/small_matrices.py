@@ -1,0 +1,228 @@
+"""Dense linear algebra of small matrices, without a call of a library.
+
+XLA splits a loop that calls a library (LAPACK, or a routine for matrix products) into pieces. On
+small systems the change from piece to piece costs far more than the arithmetic. These functions
+call no library, so the whole time loop becomes one compiled function (see `problems.base.runtime`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial, reduce
+from math import prod
+from operator import add
+from typing import Any
+
+from integrators.native.algebra.jaxpr_tools import bound, evaluated, is_program, with_constants
+from problems.base.runtime import Array, Float, Int, jax, jnp
+from problems.equations.named_equations import part
+
+#: Largest size of a matrix for these functions; the libraries are faster with larger ones.
+MOST = 32
+#: Largest size of many matrices side by side.
+MOST_OF_MANY = 13
+#: A power of two above all rows.
+_ROOM = 64
+
+
+def inverse(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Inverse of a square matrix; not finite if the matrix is singular."""
+    if len(a) > MOST:
+        with part("factorisations"):
+            return jnp.linalg.inv(a)
+    alone = jax.custom_batching.custom_vmap(_by_elimination)
+
+    @alone.def_vmap
+    def _(size: int, batched: list[bool], a: Array) -> tuple[Array, bool]:
+        if a.shape[1] > MOST_OF_MANY:
+            return jnp.linalg.inv(a), True
+        return _side_by_side(a, jnp.broadcast_to(jnp.eye(a.shape[1]), a.shape)), True
+
+    with part("factorisations"):
+        return alone(a)
+
+
+def solve(a: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Solution of a x = b for one right-hand side."""
+    if len(a) > MOST:
+        with part("factorisations"):
+            return jnp.linalg.solve(a, b)
+
+    def by_inverse(a: Array, b: Array) -> Array:
+        inverted = inverse(a)
+        with part("solves"):
+            return product(inverted, b)
+
+    alone = jax.custom_batching.custom_vmap(by_inverse)
+
+    @alone.def_vmap
+    def _(size: int, batched: list[bool], *parts: Array) -> tuple[Array, bool]:
+        a, b = (x if o else jnp.stack([x] * size) for x, o in zip(parts, batched, strict=True))
+        many = _side_by_side if a.shape[1] <= MOST_OF_MANY else jnp.linalg.solve
+        return many(a, b[:, :, None])[:, :, 0], True
+
+    # An elimination has no derivative in reverse; a linear system has.
+    return jax.lax.custom_linear_solve(
+        partial(product, a), b, lambda _, b: alone(a, b), lambda _, b: alone(a.T, b)
+    )
+
+
+def product(a: Float[Array, "m n"], b: Float[Array, " n"]) -> Float[Array, " m"]:
+    """Product of a matrix and a vector, as a sum of columns: XLA fuses it with the vector's
+    computation."""
+    if len(b) > MOST:
+        return a @ b
+    return reduce(add, (a[:, k] * b[k] for k in range(len(b))))
+
+
+def weighted(
+    weights: Sequence[Sequence[float]], k: Int[Array, ""] | int, values: Float[Array, "m n"]
+) -> Float[Array, " n"]:
+    """Sum of the rows of an array, by the k-th row of weights, for loops over k; nothing is
+    computed with weights that are zero."""
+
+    def by(row: Sequence[float], values: Array) -> Array:
+        terms = [w * value for w, value in zip(row, values, strict=False) if w]
+        return sum(terms, 0.0 * values[0])
+
+    return jax.lax.switch(k, [partial(by, row) for row in weights], values)
+
+
+def _by_elimination(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Gauss-Jordan elimination in place with the largest pivot of each column; it stores pivot
+    rows instead of exchanging rows."""
+    n, rows = len(a), jnp.arange(len(a))
+    bits = jnp.int64 if jnp.finfo(a.dtype).bits == 64 else jnp.int32  # of a real part
+    zero, one = jnp.zeros((), a.dtype), jnp.ones((), a.dtype)
+    put = jax.lax.dynamic_update_index_in_dim
+
+    def eliminate(k: Array, carry: tuple) -> tuple:
+        w, row_of, column_of = carry
+        column = w[:, k]
+        # Floats without a sign have the order of their bits, and comparing integers is faster.
+        # The last bits hold the row. NaN is the largest.
+        size = jax.lax.bitcast_convert_type(jnp.abs(column), bits) & -_ROOM | rows
+        p = jnp.max(jnp.where(column_of == n, size, -1)) & (_ROOM - 1)
+        row = put(w[p], one, k, 0) / column[p]
+        w = put(w, jnp.zeros(n, a.dtype), k, 1) - put(column, zero, p, 0)[:, None] * row
+        return put(w, row, p, 0), put(row_of, p, k, 0), put(column_of, k, p, 0)
+
+    w, row_of, column_of = jax.lax.fori_loop(0, n, eliminate, (a, *2 * (jnp.full(n, n),)))
+    return w[row_of][:, column_of]
+
+
+def _side_by_side(a: Float[Array, "k n n"], b: Float[Array, "k n m"]) -> Float[Array, "k n m"]:
+    """Solutions of a x = b for many matrices a ``(k, n, n)`` and b ``(k, n, m)``.
+
+    Gauss-Jordan elimination with the largest pivot of each column. The matrices are along the last
+    axis, so that the processor works with several at once.
+    """
+    w = jnp.moveaxis(jnp.concatenate([a, b], axis=2), 0, 2)
+    for k in range(a.shape[1]):
+        w = unfused(partial(_eliminated, k), w)
+    return jnp.moveaxis(w, 2, 0)
+
+
+def unfused(function: Callable, *args: Any) -> Any:
+    """Compute function(*args) in a branch that is always taken.
+
+    XLA repeats cheap computations at every use, and would eliminate many times over. It does not
+    look into branches, and cannot find out that this condition is always true.
+    """
+    function = jax.jit(function)  # so that it is traced once
+    shapes = jax.eval_shape(function, *args)
+
+    def otherwise(*_: Any) -> Any:
+        return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+
+    first = jnp.real(jnp.ravel(jax.tree.leaves(args)[0])[0])
+    return jax.lax.cond(jnp.isnan(first) | (first <= jnp.inf), function, otherwise, *args)
+
+
+def linearised(function: Callable, *at: Any) -> tuple[Array, Callable[..., Array], int]:
+    """The value of a function at some arguments, its derivative along changes of them, of which all
+    that does not depend on the changes is computed once, and the number of steps of this."""
+    programs: list[Any] = []
+
+    def coefficients(*at: Any) -> tuple[Array, list[Array]]:
+        value, linear = jax.linearize(function, *at)
+        programs.append(jax.make_jaxpr(linear)(*at))
+        return value, list(programs[-1].consts)
+
+    value, constants = unfused(coefficients, *at)
+
+    def product(*changes: Any) -> Array:
+        return with_constants(programs[-1], constants, *jax.tree.leaves(changes))
+
+    return value, product, len(programs[-1].eqns)
+
+
+def _eliminated(k: int, w: Array) -> Array:
+    """Eliminate the k-th unknown, the first column of w, and drop this column."""
+    pivot = k + jnp.argmax(jnp.abs(w[k:, 0]), axis=0)
+    # Choices one after the other: indexing by the pivots would take the matrices one by one.
+    of_pivot = w[k]
+    for i in range(k + 1, len(w)):
+        of_pivot = jnp.where(pivot == i, w[i], of_pivot)
+    row = of_pivot[1:] / of_pivot[0]
+    below = jnp.where(pivot == jnp.arange(k + 1, len(w))[:, None, None], w[k], w[k + 1 :])
+    others = (part[:, 1:] - part[:, :1] * row for part in (w[:k], below))
+    return jnp.concatenate([next(others), row[None], *others])
+
+
+def without_products(function: Callable) -> Callable:
+    """Rewrite products of small matrices in a function as sums, in loops and branches, too."""
+
+    def rewritten(*args: Any) -> Any:
+        closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
+        out = _evaluated(closed, jax.tree.leaves(args))
+        return jax.tree.unflatten(jax.tree.structure(shape), out)
+
+    return rewritten
+
+
+def _as_sums(equation: Any, given: list) -> Sequence[Any]:
+    """The results of an equation; products of small matrices are sums."""
+    if equation.primitive.name == "dot_general":
+        (a, b), numbers = given, equation.params["dimension_numbers"]
+        if _is_small_product(a, b, numbers):
+            return [_as_sum(a, b, numbers)]
+    return bound(equation, given, **{k: _rewritten(x) for k, x in equation.params.items()})
+
+
+def _rewritten(parameter: Any) -> Any:
+    """A parameter of an equation, in which bodies of loops and branches are rewritten."""
+    if type(parameter) is tuple:
+        return tuple(map(_rewritten, parameter))
+    if not is_program(parameter) or not hasattr(parameter, "consts"):
+        return parameter
+    return jax.make_jaxpr(lambda *given: _evaluated(parameter, given))(*parameter.in_avals)
+
+
+#: Functions that know a better way for many arguments side by side keep it.
+_evaluated = partial(evaluated, rule=_as_sums, whole={"custom_vmap_call"})
+
+
+def _is_small_product(a: Array, b: Array, numbers: tuple) -> bool:
+    """True if both factors are small matrices; products with a vector need no library."""
+    (contracted, _), (batched, _) = numbers
+    inner, copies = (prod(a.shape[k] for k in axes) for axes in (contracted, batched))
+    rows, columns = (x.size // max(inner * copies, 1) for x in (a, b))
+    return min(rows, columns) > 1 and inner <= MOST and copies * rows * inner * columns <= MOST**3
+
+
+def _as_sum(a: Array, b: Array, numbers: tuple) -> Array:
+    """``dot_general`` as the sum of columns of a times rows of b."""
+
+    def ordered(x: Array, contracted: tuple, batched: tuple) -> tuple[Array, int]:
+        """x with batched, free and one contracted dimension in this order; number of free ones."""
+        free = [k for k in range(x.ndim) if k not in (*contracted, *batched)]
+        x = jnp.transpose(x, (*batched, *free, *contracted))
+        return jnp.reshape(x, (*x.shape[: len(batched) + len(free)], -1)), len(free)
+
+    (of_a, of_b), (batch_a, batch_b) = numbers
+    (a, free_a), (b, free_b) = ordered(a, of_a, batch_a), ordered(b, of_b, batch_b)
+    first = len(batch_a)
+    a = jnp.expand_dims(a, [first + free_a + k for k in range(free_b)])
+    b = jnp.expand_dims(b, [first + k for k in range(free_a)])
+    return reduce(add, (a[..., k] * b[..., k] for k in range(a.shape[-1])))

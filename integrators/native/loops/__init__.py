@@ -1,0 +1,1 @@
+"""Loops over steps, compiled, and how runs end."""

@@ -1,0 +1,187 @@
+"""Runs at constant steps, or patterns of steps: the compiled time loop.
+
+One compiled kernel serves a method on all scenes of one kind: schemes, steps, patterns, parameters
+and tolerances are traced arguments and compile nothing new. The loop stores chosen rows only, so
+memory does not grow with the number of steps.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from integrators.contract import Trajectory, Work
+from integrators.native.algebra.step_records import COUNTS, Scalar, Time
+from integrators.native.loops.kernel import (
+    ROWS,
+    STEPS,
+    Form,
+    Kernel,
+    LoopRun,
+    OnScene,
+    bounded,
+    flat_row,
+    no_counts,
+    rewritten_step,
+)
+from integrators.native.loops.status import Ending
+from integrators.native.step.step_program import Numbers, StepProgram
+from integrators.output_rows import EVERY_STEP, is_row, row_times, width_of
+from integrators.resolutions import Steps
+from problems.base.runtime import Array, Float, Int, jax, jnp
+from problems.equations.formulations import Start
+from problems.equations.named_equations import turns, with_named_blocks
+from problems.system import MechatronicSystem
+
+_OK, _REFUSED, _DIVERGED = map(int, (Ending.OK, Ending.REFUSED, Ending.DIVERGED))
+_NEWTON_FAILED = int(Ending.NEWTON_FAILED)
+_PATTERN_SLOTS = 16
+
+
+class Clock(NamedTuple):
+    """A grid of steps: the n-th step ends at t0 + length (m + ends[j]) / macro_steps.
+
+    Here m, j = divmod(n, slots), and n counts from zero. Times are in s.
+    """
+
+    t0: Scalar
+    length: Scalar
+    macro_steps: Scalar
+    fractions: Float[Array, " p"] | Float[np.ndarray, " p"]
+    ends: Float[Array, " p"] | Float[np.ndarray, " p"]
+    slots: Int[Array, ""] | int
+
+
+def step_times(clock: Clock, n: Int[Array, ""] | int) -> tuple[Time, Time]:
+    """Time at the end of the n-th step (from zero) and size of the step, in s."""
+    macro, j = n // clock.slots, n % clock.slots
+    t = clock.t0 + clock.length * ((macro + clock.ends[j]) / clock.macro_steps)
+    return t, clock.length / clock.macro_steps * clock.fractions[j]
+
+
+def grid(t0: float, t_end: float, resolution: Steps) -> tuple[Clock, int]:
+    """The clock of a run, and its number of steps."""
+    macro = resolution.count(t0, t_end)
+    slots = len(resolution.pattern)
+    fractions = np.zeros(_PATTERN_SLOTS)
+    fractions[:slots] = resolution.pattern
+    ends = np.cumsum(fractions)
+    ends[slots - 1 :] = 1.0  # exactly, whatever the fractions' rounding
+    return Clock(t0, t_end - t0, macro, fractions, ends, slots), macro * slots
+
+
+def kept_steps(clock: Clock, steps: int, times: int) -> Int[np.ndarray, " k"]:
+    """Numbers of the steps that are rows (see `is_row`), in ascending order, the last among them.
+
+    Only those beside the equally spaced times are asked, as there may be a million million.
+    """
+    if times == EVERY_STEP:
+        return np.arange(1, steps + 1)
+    beside = np.arange(-_PATTERN_SLOTS, _PATTERN_SLOTS + 2)
+    near = np.arange(times + 1)[:, None] * (steps / times) + beside
+    near: Any = np.unique(np.clip(near, 1, steps).astype(np.int64))
+    before, part = ((step_times(clock, near - k)[0] - clock.t0) / clock.length for k in (2, 1))
+    return near[is_row(near, before, part, times) | (near == steps)]
+
+
+class ConstantStepsRun(LoopRun):
+    """A run at constant steps or patterns."""
+
+    def __init__(self, method: OnScene, t_end: float, resolution: Steps) -> None:
+        self._clock, self._steps = grid(method.scene.interval[0], t_end, resolution)
+        self._t_end = float(t_end)
+        super().__init__(kernel, method, self._clock)
+        self.end_only = jnp.asarray(np.full(self._slots, self._steps)), jnp.asarray(1)
+        # A loop that keeps no row takes no step: it compiles the kernel and costs nothing else.
+        jax.block_until_ready(self.kernel(self.arguments, self.end_only[0], jnp.asarray(0)))
+
+    def measure(self) -> Trajectory:
+        times = row_times(self._steps, width_of(self._scene.sizes))
+        numbers = kept_steps(self._clock, self._steps, times)
+        parts, end, done = [], np.zeros(0), 0
+        # Each call begins at the start again, and keeps the next rows.
+        for first in range(0, len(numbers), self._slots):
+            part, end = self._rows(numbers[first : first + self._slots])
+            parts.append(part)
+            done = int(part[-1, 0]) if len(part) else done
+            if Ending(int(end[0])) is not Ending.OK:
+                break
+        if int(end[2]) > done:
+            parts.append(self._rows(np.array([int(end[2])]))[0])  # the last good step
+        rows = np.concatenate(parts) if len(parts) > 1 else parts[0]
+        work = Work(int(end[2]), 0, *map(int, end[3 : 3 + len(COUNTS)]))
+        self._turns = [*map(int, end[3 + len(COUNTS) :])]
+        run = self._trajectory(rows, end, self._t_end, work)
+        numbers: Any = rows[:, 0].astype(int) - 1  # all at once
+        _, sizes = step_times(self._clock, numbers)
+        run.notes.setdefault("h", np.append(np.nan, sizes))
+        return run
+
+    def _rows(self, wanted: Int[np.ndarray, " k"]) -> tuple[np.ndarray, np.ndarray]:
+        """The rows of wanted steps, up to a failure, and the end of the run."""
+        asked = jnp.asarray(np.resize(wanted, self._slots)), jnp.asarray(len(wanted))
+        kept, end = map(np.asarray, self._called(*asked))
+        # After a failure no row is reached. A slice is no copy of a large table.
+        return kept[: (kept[: len(wanted), 0] == wanted).sum()], end
+
+
+@cache
+def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Kernel:
+    """The compiled time loop of a method on a kind of scene, for any numbers and parameters.
+
+    It takes the step numbers of the rows to keep ``(rows,)`` and their count; later entries are
+    ignored. It returns the rows ``(rows, [steps done or -1, t, q, v, a, lam, x, xdot, y, notes])``
+    and ``[ending, t, counts...]``.
+    """
+
+    named = with_named_blocks(template)
+    step = rewritten_step(program, named)
+
+    def loop(
+        p: dict, numbers: Numbers, start: Start, clock: Clock, rows: Array, row_count: Array
+    ) -> tuple[Array, Array]:
+        scene = named.with_parameters(p)
+        state = program.begin(scene, numbers, start, step_times(clock, 0)[1])
+        first = program.read(scene, state)
+        sane = bounded(first)
+
+        def one_step(progress: tuple) -> tuple:
+            n, state, ending, counts, _ = progress
+            t, h = step_times(clock, n)
+            # Among many runs a failed run still takes steps, whose results are dropped. With a NaN
+            # step Newton's method ends at once.
+            h = jnp.where(ending == _OK, h, jnp.nan)
+            state, report = step(p, numbers, state, t, h)
+            now = program.read(scene, state)
+            failed = jnp.where(report.solved, _REFUSED, _NEWTON_FAILED)
+            ending = jnp.where(sane(now), jnp.where(report.converged, _OK, failed), _DIVERGED)
+            counts = tuple(c + r for c, r in zip(counts, (1, *report.counts), strict=True))
+            return n + 1, state, ending, counts, t
+
+        def to_row(carry: tuple) -> tuple:
+            k, kept, progress = carry
+            with turns(STEPS):
+                progress = jax.lax.while_loop(
+                    lambda now: (now[0] < rows[k]) & (now[2] == _OK), one_step, progress
+                )
+            n, state, ending, _, t = progress
+            reached = jnp.where(ending == _OK, n, -1)
+            row = jnp.concatenate([jnp.stack([reached, t]), flat_row(program.read(scene, state))])
+            return k + 1, kept.at[k].set(row), progress
+
+        counts = no_counts(1, step, p, numbers, state)
+        progress = (jnp.asarray(0), state, jnp.asarray(_OK), counts, clock.t0)
+        width = 2 + flat_row(first).size
+        with turns(ROWS):
+            _, kept, progress = jax.lax.while_loop(
+                lambda carry: (carry[0] < row_count) & (carry[2][2] == _OK),
+                to_row,
+                (jnp.asarray(0), jnp.zeros((len(rows), width)), progress),
+            )
+        _, state, ending, (steps, *counts), t = progress
+        program.finish(state)
+        return kept, jnp.stack([ending, t, steps - (ending != _OK), *counts])
+
+    return Kernel(loop, form)

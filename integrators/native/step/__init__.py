@@ -1,0 +1,1 @@
+"""One step: its equations, first guesses, options and work."""

@@ -1,0 +1,286 @@
+"""A one-step method as pure functions of a state, and with the linear algebra of its equations.
+
+`StepFunctions` are the contract between a method and its time loop: `constant_steps`,
+`adaptive_steps`, ensembles and the stability analysis use them. None of these knows a method, and
+no method knows its time loop.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+
+from integrators.native.algebra import klu
+from integrators.native.algebra.jaxpr_tools import with_constants
+from integrators.native.algebra.linear_solvers import DENSE, LinearSolver, SparseSolver
+from integrators.native.algebra.step_records import (
+    Attempt,
+    Choice,
+    Errors,
+    MethodState,
+    Reading,
+    Scalar,
+    StepReport,
+    Time,
+)
+from integrators.native.step.step_work import EquationsFinder, StepWork, keeper
+from problems.base.runtime import Array, Bool, jax, jnp
+from problems.base.spec import SpecError
+from problems.equations.formulations import Start
+from problems.equations.sparsity import Pattern
+from problems.system import MechatronicSystem
+from problems.variables import Variables
+
+if TYPE_CHECKING:
+    from jax.extend.core import ClosedJaxpr
+
+
+class StepFunctions(ABC):
+    """A one-step method on any scene.
+
+    An object is hashable and holds all options that change the compiled program. Numbers that may
+    vary without compiling again come by `with_numbers`. All functions are pure and written in
+    ``jax.numpy``; sizes are those of ``scene.sizes``.
+    """
+
+    #: True if redundant constraints are no obstacle to a step.
+    takes_redundant: bool = False
+
+    @abstractmethod
+    def with_numbers(self, numbers: Any) -> Self:
+        """A copy that holds these numbers, a pytree of floats, which may be traced."""
+
+    @abstractmethod
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> MethodState:
+        """Make the method's state at t0, before a first step of size h in s.
+
+        Parameters
+        ----------
+        start
+            Consistent values at t0: all variables in ``start.z``, xdot, and the derivatives jerk
+            and xddot.
+        """
+
+    @abstractmethod
+    def step(
+        self, scene: MechatronicSystem, state: MethodState, t: Time, h: Time, work: StepWork
+    ) -> MethodState:
+        """Advance the state by h, in s, to time t.
+
+        Solve equations by ``work.solve(residual, guess)``; count other work by
+        ``work.count(residuals=...)``.
+
+        Parameters
+        ----------
+        state
+            The method's state at t - h.
+        t, h
+            End and size of the step in s.
+        work
+            Solver and counter of this step.
+        """
+
+    @abstractmethod
+    def read(self, scene: MechatronicSystem, state: MethodState) -> Reading:
+        """Return the variables of a state."""
+
+    # ---- error control; only methods that choose their steps have it -------------------------
+    #: Order p of the method; the step controller uses it.
+    order: int
+    #: Groups whose errors are tested; the first step follows them alone.
+    tested: ClassVar[str] = "qvx"
+
+    @property
+    def order_of_estimate(self) -> int:
+        """Order of the method whose local errors are estimated, if it is not the method itself."""
+        return self.order
+
+    @property
+    def order_of_first_step(self) -> int:
+        """Order with which a run begins, where a method varies its order."""
+        return self.order_of_estimate
+
+    def estimate(self, before: MethodState, after: MethodState, h: Time) -> Errors:
+        """Estimate the local errors of the step of size h (s) from one state to the next."""
+        raise NotImplementedError
+
+    def order_of(self, after: MethodState) -> Scalar:
+        """Return the order of the estimate of the step that led to a state; methods may vary it.
+
+        The controller answers to an error by it; the size of allowed errors belongs to ``order``.
+        """
+        return self.order_of_estimate
+
+    def ratios(self) -> tuple[Scalar, Scalar]:
+        """Return the smallest and largest ratio of the next step to an accepted one."""
+        return 0.0, 5.0
+
+    def choose(self, tried: Attempt) -> Choice | None:
+        """Accept a step and choose the next one; None leaves both to the controller."""
+        return None
+
+    def first_step(self, h: Time) -> Time:
+        """Return the first step to try; h (s) is the controller's."""
+        return h
+
+
+class Numbers(NamedTuple):
+    """All numbers of a method that a compiled program takes as arguments."""
+
+    #: Numbers of the step functions, a pytree.
+    method: Any
+    #: Relative tolerance and most iterations of Newton's method.
+    tolerance: Scalar
+    most: Scalar
+    #: KLU's analyses of sparse tangents, one for each system of equations in a step.
+    analyses: tuple[klu.Analysis, ...] = ()
+
+
+class Carried(NamedTuple):
+    """The link from a step to the next one: the method's state, and tangents of modified Newton."""
+
+    state: MethodState
+    kept: tuple[Any, ...] = ()
+
+
+@dataclass(frozen=True)
+class StepProgram:
+    """A method on scenes of one kind as functions of (scene, numbers, state), for a time loop.
+
+    Methods with equal step functions have equal programs and share one compilation.
+
+    Parameters
+    ----------
+    functions
+        The method.
+    keeps_tangents
+        Modified Newton: tangents are kept over steps.
+    patterns
+        Patterns of sparse tangents, one for each system of equations in a step; dense if empty.
+    explicit
+        The method has no options of Newton's method, and may not ask for it.
+    to_rounding
+        Modified Newton ends at round-off, as full Newton does.
+    """
+
+    functions: StepFunctions
+    keeps_tangents: bool = False
+    patterns: tuple[Pattern, ...] = ()
+    explicit: bool = False
+    to_rounding: bool = False
+
+    def method(self, numbers: Numbers) -> StepFunctions:
+        """The step functions with their numbers."""
+        return self.functions.with_numbers(numbers.method)
+
+    def begin(self, scene: MechatronicSystem, numbers: Numbers, start: Start, h: Time) -> Carried:
+        """Begin at t0, before a first step of size h in s."""
+        method = self.method(numbers)
+        state = method.begin(scene, start, h)
+        if not self.keeps_tangents:
+            return Carried(state)
+        finder = EquationsFinder()
+        jax.eval_shape(lambda: method.step(scene, state, start.z.t + h, h, finder))
+        kept = (
+            keeper(self._solver(k, numbers), equations.split).nothing_kept(equations.size)
+            for k, equations in enumerate(finder.found)
+        )
+        return Carried(state, tuple(kept))
+
+    def step(
+        self, scene: MechatronicSystem, numbers: Numbers, before: Carried, t: Time, h: Time
+    ) -> tuple[Carried, StepReport]:
+        """Take a step of size h to time t; return what it passes on, and the work that was done."""
+        kept = before.kept if self.keeps_tangents else None
+        limits = numbers.tolerance, numbers.most, self.to_rounding
+        work = StepWork(lambda k: self._solver(k, numbers), kept, *limits)
+        state = self.method(numbers).step(scene, before.state, t, h, work)
+        return Carried(state, tuple(work.kept) if self.keeps_tangents else ()), work.report()
+
+    def read(self, scene: MechatronicSystem, now: Carried) -> Reading:
+        """Return the variables."""
+        return self.functions.read(scene, now.state)
+
+    def chosen(self, accepted: Bool[Array, ""], after: Carried, before: Carried) -> Carried:
+        """Return ``after`` if its step was accepted, else ``before``."""
+        chosen = jax.tree.map(lambda a, b: jnp.where(accepted, a, b), after, before)
+        # The sparse factorisations from before the step may be freed already.
+        return chosen._replace(kept=after.kept) if self.patterns else chosen
+
+    def finish(self, last: Carried) -> None:
+        """Free the factorisations that are still kept."""
+        if self.patterns:
+            for kept in last.kept:
+                klu.free(kept)
+
+    def _solver(self, k: int, numbers: Numbers) -> LinearSolver:
+        if self.explicit:
+            raise SpecError(
+                f"The step of {type(self.functions).__name__} solves equations; inherit from "
+                f"ImplicitStepMethod in place of StepMethod."
+            )
+        return SparseSolver(self.patterns[k], numbers.analyses[k]) if self.patterns else DENSE
+
+
+class SparseTangents(NamedTuple):
+    """Patterns of the tangents of a step, and KLU's analyses of them."""
+
+    patterns: tuple[Pattern, ...]
+    analyses: tuple[klu.Analysis, ...]
+    #: KLU's objects, which own the memory of the analyses.
+    symbolic: tuple[Any, ...]
+
+
+def sparse_tangents(
+    functions: StepFunctions, numbers: Any, template: MechatronicSystem
+) -> SparseTangents:
+    """Find the patterns of the equations that a method's step solves on a kind of scene."""
+    leaves, tree = jax.tree.flatten(numbers)
+    return _sparse_tangents(functions, tree, tuple(map(type, leaves)), template)
+
+
+@cache
+def _sparse_tangents(
+    functions: StepFunctions, tree: Any, kinds: tuple[type, ...], template: MechatronicSystem
+) -> SparseTangents:
+    import klujax
+
+    # One pattern serves all numbers, so no number may be zero and hide an entry.
+    generic = [jnp.asarray(False) if issubclass(k, (bool, np.bool_)) else 0.5 for k in kinds]
+    method = functions.with_numbers(jax.tree.unflatten(tree, generic))
+    residuals: list[ClosedJaxpr] = []
+    start = _at_rest(template)  # a scene computes its start with numbers
+
+    def constants() -> list[list[Array]]:
+        """Values that residuals close over; compiled, as each operation of a step takes as long."""
+        finder, h = EquationsFinder(), jnp.asarray(template.nominal_step)
+        method.step(template, method.begin(template, start, h), start.z.t + h, h, finder)
+        residuals[:] = (jax.make_jaxpr(f)(jnp.zeros(size)) for f, size, _ in finder.found)
+        return [residual.consts for residual in residuals]
+
+    values = jax.jit(constants)()
+    patterns = tuple(
+        Pattern(partial(with_constants, residual, known), residual.in_avals[0].size)
+        for residual, known in zip(residuals, values, strict=True)
+    )
+    symbolic = tuple(
+        klujax.analyze(jnp.asarray(p.rows), jnp.asarray(p.columns), p.size) for p in patterns
+    )
+    analyses = (
+        klu.Analysis(p.rows, p.columns, np.asarray(s.raw))
+        for p, s in zip(patterns, symbolic, strict=True)
+    )
+    return SparseTangents(patterns, tuple(analyses), symbolic)
+
+
+def _at_rest(scene: MechatronicSystem) -> Start:
+    """A start with derivatives of zero: patterns do not depend on them."""
+    q, v, x = map(jnp.asarray, scene.initial_state())
+    nothing, of_x = jnp.zeros_like(v), jnp.zeros_like(x)
+    t, sizes = jnp.asarray(scene.interval[0]), scene.sizes
+    z = Variables(q, v, nothing, jnp.zeros(sizes.nl), x, jnp.zeros(sizes.ny), t)
+    return Start(z, of_x, nothing, of_x)._replace(constrained_jerk=nothing)

@@ -1,0 +1,1 @@
+"""The equations of a scene in every form, and consistent starts."""

@@ -1,0 +1,1 @@
+"""Values that jump: events, samples and contact."""

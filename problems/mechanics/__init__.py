@@ -1,0 +1,1 @@
+"""Parts of scenes: bodies, joints, rotations, and drawing."""

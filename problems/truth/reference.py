@@ -1,0 +1,389 @@
+"""Reference solutions: a closed form where the scene has one, else a tight integration.
+
+The integration is Gauss' method of order 24 (`problems.truth.collocation`) on the ODE form at a
+tolerance near round-off; no integrator of the bench is of this family, or of such an order. Its
+error is estimated by another integration: by the Radau IIA method of order 23, with other steps. A
+reference that is kept for later runs, with its error, is made by one process at a time.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from problems.base import checks
+from problems.base.cache import cached
+from problems.base.runtime import Float, Int
+from problems.equations.compiled import compiled
+from problems.equations.initial_values import consistent_start, rests
+from problems.equations.layouts import state_layout
+from problems.hybrid.phases import Cut, EndlessEvents, crossing, falls, march
+from problems.system import MechatronicSystem
+from problems.truth.collocation import Motion, TooSmallStep, gauss, integrate, radau, terms
+from problems.variables import GROUPS, VARIABLES, Variables
+
+_TOLERANCE = 3e-14
+#: Longest steps of the two integrations, in nominal steps: no event lasts so short that it falls
+#: between two of the twelve nodes.
+_LONGEST = 4, 3
+#: Times in a step at which functions of events are looked at.
+_WATCHED = 25
+#: A scene with more coordinates and multipliers has no reference: each of its many evaluations is
+#: a dense solve.
+_MOST_UNKNOWNS = 300
+#: Time in s for which a process waits for another one that makes the same reference.
+PATIENCE = 100.0
+
+
+FileOf = Callable[[MechatronicSystem, float], Path | None]
+_file_of: FileOf | None = None
+_told: Callable[[str, str], object] = lambda doing, made: None  # noqa: E731
+
+
+def keep_references(file_of: FileOf | None, told: Callable[[str, str], None]) -> None:
+    """Set how this process keeps references for later ones, and reads theirs, from now on.
+
+    Parameters
+    ----------
+    file_of
+        Returns the file of a scene up to a time in s; its name tells all that decides the numbers.
+        None, or no function: nothing is kept.
+    told
+        Told "making" and "the reference of pendulum" before an integration, "waiting for" before a
+        wait for another process that makes the same one.
+    """
+    global _file_of, _told
+    _file_of, _told = file_of, told
+
+
+def _once(scene: MechatronicSystem, t_end: float, make: Callable[[], bytes]) -> bytes:
+    """Numbers of a scene from their file, or made; of several processes one makes them."""
+    made = f"the reference of {scene.spec}"
+
+    def anew() -> bytes:
+        _told("making", made)
+        return make()
+
+    path = _file_of(scene, t_end) if _file_of else None
+    if path is None or path.exists():
+        return cached(path, anew)
+    from filelock import FileLock, Timeout  # slow to import
+
+    lock = FileLock(path.with_name(f".{path.name}.lock"))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            _told("waiting for", made)
+            lock.acquire(timeout=PATIENCE)
+    except (OSError, Timeout):  # there is no folder for it, or the other one takes too long
+        return anew()
+    try:
+        return cached(path, anew)
+    finally:
+        lock.release()
+
+
+class ReferenceFailed(RuntimeError):
+    """The reference could not be computed; the message says why."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Solution of a scene that is more accurate than any run compared with it.
+
+    Parameters
+    ----------
+    scene
+        The scene; the solution begins at ``scene.interval[0]``.
+    t_end
+        Last time in s.
+    """
+
+    scene: MechatronicSystem
+    t_end: float
+
+    @property
+    def method(self) -> str:
+        """Method of its computation, in words for a report."""
+        if self.scene.has_closed_form:
+            return "closed form"
+        return f"Gauss collocation of order 24, tolerance {_TOLERANCE:g}, on the explicit ODE"
+
+    @property
+    def missing(self) -> str:
+        """Reason why no run can be judged by the reference; empty if runs can."""
+        return self._too_large or self.resting
+
+    @property
+    def _too_large(self) -> str:
+        """The sentence on a scene for which none is computed, or nothing."""
+        scene, unknowns = self.scene, self.scene.sizes.nq + self.scene.sizes.nl
+        if scene.has_closed_form or unknowns <= _MOST_UNKNOWNS:
+            return ""
+        return (
+            f"No reference is made of {scene.spec}: it has {unknowns} unknowns, more than "
+            f"{_MOST_UNKNOWNS}."
+        )
+
+    @cached_property
+    def resting(self) -> str:
+        """The sentence on a scene that stays where it starts; empty if it moves."""
+        if not rests(self.scene, self.times):
+            return ""
+        return (
+            f"{self.scene.spec} rests at its start: nothing moves that could be judged. Give "
+            f"another start, such as --set start.{self.scene.components('q')[0].name}=0.3."
+        )
+
+    def __call__(
+        self, t: Float[np.ndarray, " k"], phase: Int[np.ndarray, " k"] | None = None
+    ) -> dict[str, Float[np.ndarray, "k n"]]:
+        """Compute the solution at times t in s.
+
+        Parameters
+        ----------
+        phase
+            Where values jump, the numbers of the phases in which rows of a run lie; a time outside
+            of its phase is moved to the nearest end of that. Without them a time at which values
+            jump belongs to the phase before.
+
+        Returns
+        -------
+        dict
+            q, v, a, lam, x, xdot, y and xd, in the units of the scene.
+
+        Raises
+        ------
+        ReferenceFailed
+            If the scene is too large or the integration stops.
+        FalseAnswer
+            If the closed form lacks groups, or is not finite.
+        """
+        t = np.asarray(t, dtype=float)
+        if self.scene.has_closed_form:
+            return self._closed_form(t)
+        return self._evaluate(self._known.phases, t, phase)
+
+    def end(self) -> tuple[dict[str, Float[np.ndarray, " n"]], Float[np.ndarray, "n 2"]]:
+        """Compute the values at t_end, and `events`, by one integration, which is not kept."""
+        phases = self._integrate(0)
+        found = self._evaluate(phases, np.array([self.t_end]))
+        return {group: rows[0] for group, rows in found.items()}, phases.events
+
+    @property
+    def events(self) -> Float[np.ndarray, "n 2"]:
+        """Times in s and numbers of all events, if they are known by integration."""
+        return np.zeros((0, 2)) if self.scene.has_closed_form else self._known.phases.events
+
+    @property
+    def times(self) -> Float[np.ndarray, " k"]:
+        """500 to 4000 equally spaced times in s."""
+        t0 = self.scene.interval[0]
+        count = np.clip(4 * (self.t_end - t0) / self.scene.nominal_step, 500, 4000)
+        return np.linspace(t0, self.t_end, int(count))
+
+    @property
+    def error(self) -> dict[str, Float[np.ndarray, " n"]]:
+        """Estimated absolute error of each component by group: the largest over time, in its unit.
+
+        For a closed form it is the change under one unit of rounding of the time and of every
+        value, for an integration the difference between the two integrations. It is taken at 500
+        or more equally spaced times, and at the ends of the integration's own steps.
+        """
+        return self._known.error
+
+    @property
+    def largest(self) -> dict[str, tuple[Float[np.ndarray, " n"], float]]:
+        """By group, the largest absolute value of each component, and the largest Euclidean norm.
+
+        They are taken at the same times, in the units of the scene.
+        """
+        return {g: (self._known.sizes[g], float(self._known.norms[g])) for g in GROUPS}
+
+    @cached_property
+    def _known(self) -> _Known:
+        if self.scene.has_closed_form:
+            t = self.times
+            return _known(self._closed_form(t), self._closed_form(np.nextafter(t, np.inf)))
+        return _read(_once(self.scene, self.t_end, lambda: _written(self._integrated())))
+
+    def _integrated(self) -> _Known:
+        """The integration, compared with the other one."""
+        ours, other = self._integrate(0), self._integrate(1)
+        t = np.union1d(self.times, ours.motion.ends)
+        phase = ours.phase_at(t)
+        found, others = (self._evaluate(each, t, phase) for each in (ours, other))
+        return _known(found, others, ours)
+
+    def _closed_form(self, t: np.ndarray) -> dict[str, np.ndarray]:
+        sizes = {g: self.scene.sizes.of(g) for g in (*GROUPS, "xdot")}
+        values = {g: np.zeros((len(t), 0)) for g in ("x", "xdot", "y", "lam", "xd")}
+        return values | checks.closed_form(self.scene.exact(t), len(t), sizes)
+
+    def _evaluate(
+        self, phases: _Phases, t: np.ndarray, phase: np.ndarray | None = None
+    ) -> dict[str, np.ndarray]:
+        phase, t, states = phases(t, phase)
+        held = phases.held[phase]
+        z, xdot = self._complete(held, states, t)
+        return {group: getattr(z, group) for group in VARIABLES} | {"xdot": xdot, "xd": held}
+
+    def _complete(
+        self, held: np.ndarray, s: np.ndarray, t: np.ndarray
+    ) -> tuple[Variables, np.ndarray]:
+        """All variables in rows of held values, states and times."""
+        scene = self.scene
+        p = scene.parameters() | dict(zip(scene.held_values(), held.T, strict=True))
+        return compiled(scene).complete(p, *state_layout(scene.sizes).split(s), t)
+
+    def _integrate(self, which: int) -> _Phases:
+        if self._too_large:
+            raise ReferenceFailed(self._too_large)
+        consistent_start(self.scene)
+        held: list[list[float]] = []
+        motions: list[Motion] = []
+        events: list[tuple[float, int]] = []
+
+        def flow(phase: MechatronicSystem, stop: float) -> Cut:
+            # Events may follow each other soon: only between samples steps go on as they were.
+            go_on = motions and not phase.has("events")
+            first = 2 * float(np.diff(motions[-1].ends).max()) if go_on else None
+            motion, event = self._phase(which, phase, stop, first)
+            held.append(list(phase.held_values().values()))
+            motions.append(motion)
+            t = motion.ends[-1:]
+            if event is not None:
+                events.append((t[0], event))
+            # At 1 each Legendre polynomial is 1.
+            z, _ = self._complete(np.array(held[-1:]), motion.series[-1:].sum(axis=1), t)
+            return Cut(Variables(*(part[0] for part in z)), event)
+
+        try:
+            if self.scene.is_hybrid:
+                march(self.scene, self.t_end, flow)
+            else:
+                flow(self.scene, self.t_end)
+        except (TooSmallStep, EndlessEvents) as error:
+            raise ReferenceFailed(f"No reference for {self.scene.spec}: {error}.") from None
+        return _Phases(
+            Motion(
+                np.concatenate([motions[0].ends[:1], *(m.ends[1:] for m in motions)]),
+                np.concatenate([m.series for m in motions]),
+            ),
+            np.cumsum([0, *(len(m.series) for m in motions)]),
+            np.array(held),
+            np.array(events).reshape(-1, 2),
+        )
+
+    def _phase(
+        self, which: int, scene: MechatronicSystem, stop: float, first: float | None
+    ) -> tuple[Motion, int | None]:
+        """The motion of a phase up to its first event, and the number of that or None."""
+        at, functions, event = state_layout(scene.sizes), compiled(scene), None
+        names = scene.parameters()
+        p = np.array(list(names.values()))
+
+        def rates(*args: np.ndarray) -> np.ndarray:
+            return np.asarray(functions.rates(*args))
+
+        def watched(step: Motion, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return functions.events(names, *at.split(step(t)), t)
+
+        def first_event(step: Motion) -> float | None:
+            nonlocal event
+            t = np.linspace(step.ends[0], step.ends[1], _WATCHED)
+            for fall in falls(t, *watched(step, t)):
+
+                def value(now: float, event: int = fall.event) -> float:
+                    return float(watched(step, np.array([now]))[0][0, event])
+
+                if (found := crossing(value, t[fall.row - 1], fall.until)) is not None:
+                    event = fall.event
+                    return found
+            return None
+
+        motion = integrate(
+            partial(rates, p),
+            np.concatenate(scene.start()),
+            (scene.interval[0], stop),
+            groups=(at.q, at.v, at.x),
+            method=(gauss, radau)[which](),
+            tolerance=_TOLERANCE * (1 + which),
+            longest=_LONGEST[which] * scene.nominal_step,
+            terms=partial(terms, rates, p),
+            ends=first_event if scene.has("events") else lambda step: None,
+            first=first,
+        )
+        return motion, event
+
+
+class _Phases(NamedTuple):
+    """Motions one after the other, between which values jump; most scenes have a single one."""
+
+    motion: Motion
+    #: Number of the first piece of each, and of all pieces.
+    pieces: Int[np.ndarray, " n+1"]
+    #: Held values in each.
+    held: Float[np.ndarray, "n nd"]
+    #: Times in s and numbers of the events among the jumps.
+    events: Float[np.ndarray, "m 2"]
+
+    def phase_at(self, t: np.ndarray) -> np.ndarray:
+        """The phases of times in s; a time at which values jump belongs to the one before."""
+        return np.searchsorted(self.motion.ends[self.pieces[1:-1]], t, side="left")
+
+    def __call__(self, t: np.ndarray, phase: np.ndarray | None) -> tuple[np.ndarray, ...]:
+        """Phases, times in these, and states at times t in s."""
+        phase = self.phase_at(t) if phase is None else np.minimum(phase, len(self.held) - 1)
+        first, last = self.pieces[phase], self.pieces[phase + 1]
+        t = np.clip(t, self.motion.ends[first], self.motion.ends[last])
+        return phase, t, self.motion(t, first, last - 1)
+
+
+_NONE = _Phases(Motion(np.zeros(0), np.zeros((0, 0, 0))), *[np.zeros(0)] * 3)
+
+
+class _Known(NamedTuple):
+    """An integration, its errors, sizes of components and norms by group, as it is kept."""
+
+    phases: _Phases
+    error: dict[str, Float[np.ndarray, " n"]]
+    sizes: dict[str, Float[np.ndarray, " n"]]
+    norms: dict[str, np.ndarray]
+
+
+def _known(
+    ours: dict[str, np.ndarray], other: dict[str, np.ndarray], phases: _Phases = _NONE
+) -> _Known:
+    eps = np.finfo(float).eps
+    return _Known(
+        phases,
+        {g: np.max(abs(ours[g] - other[g]) + eps * abs(ours[g]), axis=0) for g in GROUPS},
+        {g: np.abs(ours[g]).max(axis=0) for g in GROUPS},
+        {g: np.linalg.norm(ours[g], axis=1).max() for g in GROUPS},
+    )
+
+
+def _written(known: _Known) -> bytes:
+    named = {f"{part} {g}": getattr(known, part)[g] for part in _Known._fields[1:] for g in GROUPS}
+    motion, *phases = known.phases
+    arrays = dict(zip(_Phases._fields[1:], phases, strict=True)) | motion._asdict()
+    np.savez(content := io.BytesIO(), **arrays, **named)
+    return content.getvalue()
+
+
+def _read(content: bytes) -> _Known:
+    """The integration that a file keeps."""
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        motion = Motion(file["ends"], file["series"])
+        phases = _Phases(motion, *(file[name] for name in _Phases._fields[1:]))
+        parts = ({g: file[f"{part} {g}"] for g in GROUPS} for part in _Known._fields[1:])
+        return _Known(phases, *parts)
