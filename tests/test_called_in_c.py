@@ -11,7 +11,7 @@ from probe import Probe
 
 from bench.plugins.registry import Registry
 from integrators import Tolerances
-from integrators.adapters import callbacks as packed_functions
+from integrators.adapters import callbacks
 from integrators.adapters import sundials
 from integrators.adapters.callbacks import PackedFunction, same_to_rounding
 from integrators.adapters.cvode import CVODE
@@ -210,7 +210,7 @@ def test_what_stands_against_c_is_told_in_a_sentence_and_leads_to_python(method,
     for plant, reason, scene, methods in REASONS:
         if method not in methods:
             continue
-        for kept in (packed_functions.in_c, sundials.library, native.load_c, slower):
+        for kept in (callbacks.in_c, sundials.library, native.load_c, slower):
             kept.cache_clear()
         caplog.clear()
         with pytest.MonkeyPatch.context() as at:
@@ -221,7 +221,7 @@ def test_what_stands_against_c_is_told_in_a_sentence_and_leads_to_python(method,
             assert sentence.startswith(f"{method.__name__} calls")
             assert reason in sentence
             assert found.measure().status == "ok"
-    for kept in (packed_functions.in_c, sundials.library, native.load_c, slower):
+    for kept in (callbacks.in_c, sundials.library, native.load_c, slower):
         kept.cache_clear()
     assert not run(method(), AtAZero()).why
 
