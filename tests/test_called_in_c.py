@@ -11,8 +11,7 @@ from probe import Probe
 
 from bench.plugins.registry import Registry
 from integrators import Tolerances
-from integrators.adapters import callbacks
-from integrators.adapters import sundials
+from integrators.adapters import callbacks, sundials
 from integrators.adapters.callbacks import PackedFunction, same_to_rounding
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
