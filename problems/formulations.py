@@ -1,4 +1,4 @@
-"""What an integrator of another library calls: the equations of a scene as an ODE or a DAE."""
+"""The equations of a scene as an ODE or a DAE, for integrators of other libraries."""
 
 from problems.equations.formulations import complete as complete
 from problems.equations.formulations import dae_layout as dae_layout

@@ -1,6 +1,4 @@
-"""The system contract: the blocks that a scene states.
-
-A mechatronic system in the sense of Bruels & Arnold (2008), eqs (1)-(4)::
+"""The system contract: the blocks that a scene states; Bruels & Arnold (2008), eqs (1)-(4)::
 
     M(q) a = g(q, v, t) - Phi_q(q, t)^T lam + L y        equations of motion
          0 = Phi(q, t)                                   holonomic constraints
@@ -12,12 +10,11 @@ space have four coordinates and three velocities; Phi_q then means Phi_q T. ``ve
 gives 0 = A(q) v - b(t), as of rolling wheels, whose multipliers follow those of Phi and act by A^T.
 ``coupled_force`` adds forces that depend on lam, x or y to g, as friction in joints.
 
-Values may jump at instants (`problems.hybrid.phases`): ``sample`` gives new values of held
-parameters at equal distances ``sample_time`` in time, as a sampled controller does; ``events`` are
-functions that fall through zero where something happens, as an impact, and ``jump`` says what
-changes there. ``gaps`` are distances that contacts keep from becoming negative
-(`problems.hybrid.contact`), ``sliding`` the velocities of bodies that touch along each other;
-``restitution`` and ``friction`` are numbers.
+Values may jump at instants (`problems.hybrid`): ``sample`` gives new values of held parameters at
+equal distances ``sample_time`` in time, as a sampled controller does; ``events`` are functions that
+fall through zero where something happens, as an impact, and ``jump`` says what changes there.
+``gaps`` are distances that contacts keep from becoming negative, ``sliding`` the velocities of
+bodies that touch along each other; ``restitution`` and ``friction`` are numbers.
 
 A scene is a frozen dataclass: its parameters are fields, its blocks are methods written in
 ``jax.numpy``. Blocks that it does not define do not exist, and cost nothing.
@@ -76,8 +73,8 @@ class MechatronicSystem:
     published
         Published digits, which runs are shown beside and the reference is checked by.
     sample_time, sampling
-        Time between two samples in s, and the word of `problems.hybrid.sampled.POLICIES` for what a
-        run does at samples; both may be parameters.
+        Time between two samples in s, and the policy (`problems.hybrid.sampled.POLICIES`) of a run
+        at samples; both may be parameters.
     restitution, friction
         Of contacts: part of the approaching velocity with which a body leaves after an impact, and
         Coulomb's coefficient; a number for all gaps or one for each, perhaps parameters.

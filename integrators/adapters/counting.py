@@ -1,4 +1,4 @@
-"""What solvers of other libraries do: evaluations inside compiled code, and operations on vectors.
+"""Counts of the work of other libraries' solvers: evaluations, and operations on vectors.
 
 Evaluations are counted by callbacks of JAX. A callback takes some ten microseconds, so that a
 program that counts is not one that is timed.

@@ -1,4 +1,4 @@
-"""What pages are made of: sections of tables, figures and text, in chapters, and pages of them."""
+"""Parts of pages: sections of tables, figures and text, in chapters, and pages of them."""
 
 from __future__ import annotations
 

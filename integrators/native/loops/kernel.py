@@ -154,7 +154,7 @@ class LoopRun(PreparedRun):
         return self._called(*self.end_only)
 
     def _called(self, *wanted: Array) -> Any:
-        """What the kernel returns.
+        """The kernel's results.
 
         KLU stops the program at a tangent that is exactly singular, and all results are lost; full
         matrices end the run there with a status.
