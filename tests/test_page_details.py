@@ -12,8 +12,8 @@ import msgspec
 import pytest
 import vl_convert
 from planted import Document, edited, everything, page_data, plant
-from test_ranking import costing as run
-from test_ranking import scenes_of
+from test_questions import costing as run
+from test_questions import scenes_of
 
 from bench.results.experiments import CaseResult, PartResult
 from bench.results.records import IntegratorFacts, Plan
