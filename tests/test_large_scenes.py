@@ -12,7 +12,6 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_banded
 
-from bench.plugins.reasons import why
 from integrators import Steps, Tolerances
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
@@ -28,7 +27,6 @@ from integrators.output_rows import (
     row_times,
     width_of,
 )
-from problems import jnp
 from problems.equations import compiled, start_equations
 from problems.scenes.chain import Chain
 
@@ -144,23 +142,6 @@ def test_rows_of_large_scenes_are_taken_in_blocks_that_fit(monkeypatch):
     monkeypatch.setattr(compiled, "_MOST_NUMBERS", 5)  # less than a row
     np.testing.assert_array_equal(sums({}, q), q.sum(axis=1))
     assert shapes == [(256, 8), *[(3, 8)] * 4, *[(1, 8)] * 10]
-
-
-# ---- what does not fit -----------------------------------------------------------------
-def test_memory_that_is_not_there_is_a_sentence():
-    for make in [np.zeros, jnp.zeros]:
-        with pytest.raises((MemoryError, RuntimeError)) as found:
-            make((10**7, 10**7))
-        sentence = why(found.value)
-        assert sentence.startswith("It asks for ")
-        assert "iB at once" in sentence
-        assert "sparse" in sentence
-        assert "Error" not in sentence
-
-
-def test_other_errors_keep_their_words():
-    assert why(ValueError("no memory of it")) == "ValueError: no memory of it."
-    assert "MemoryError" in why(MemoryError())
 
 
 # ---- memory ----------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from small_stores import a_record
 
-from bench.results.csv_text import csv_export, csv_text
+from bench.results.csv_text import csv_text
 from bench.results.flat_rows import flatten
 from bench.results.quantities import group_and_norm
 from bench.results.records import median
@@ -103,7 +103,7 @@ def test_flat_rows_open_in_pandas():
     assert (row["pattern"], row["run_s"]) == ([0.3, 0.7], [0.3, 0.1, 0.2])
     assert row["environment"] is None
     for frame in (
-        pd.read_csv(io.StringIO(csv_export([row]))),
+        pd.read_csv(io.StringIO(csv_text([row]))),
         pd.read_json(io.StringIO(json.dumps([row]))),
     ):
         assert frame.loc[0, "error_q_end"] == 1e-3

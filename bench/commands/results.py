@@ -11,7 +11,7 @@ from bench.commands import completion, options
 from bench.commands.options import Given, PathName
 from bench.commands.pages import write_reports
 from bench.results.compare import compare_folders, read_limits, regressions
-from bench.results.csv_text import csv_export
+from bench.results.csv_text import csv_text
 from bench.results.flat_rows import flatten
 from bench.results.merge import merge
 from bench.results.quantities import ASKED, COST, COSTS, NORM, NORMS
@@ -115,7 +115,7 @@ def _write_rows(folder: Path, form: str, out: Path | None) -> None:
     with Store(folder) as store:
         machines = store.environments()
         rows = [flatten(record, machines) for record in store.records().values()]
-    text = json.dumps(rows, indent=1) if form == "json" else csv_export(rows)
+    text = json.dumps(rows, indent=1) if form == "json" else csv_text(rows)
     if out:
         out.write_text(text, encoding="utf-8")
     click.echo(f"{len(rows)} records in {out}" if out else text, nl=bool(out))

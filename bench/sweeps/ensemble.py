@@ -24,7 +24,7 @@ from bench.guard.interrupts import remark
 from bench.guard.process import Refused
 from bench.guard.serve import RUNNING
 from bench.plugins.registry import Sources
-from bench.results.csv_text import csv_export
+from bench.results.csv_text import csv_text
 from bench.running.cluster import ClusterRunner
 from bench.running.plan import resolution_of
 from bench.running.runner import Runner, Task
@@ -284,7 +284,7 @@ def write_members(path: Path, columns: Columns) -> None:
         return
     count = len(columns["member"])
     slices = [slice(k, k + _ROWS) for k in range(0, count, _ROWS)]
-    texts = [csv_export(member_rows({k: c[of] for k, c in columns.items()})) for of in slices]
+    texts = [csv_text(member_rows({k: c[of] for k, c in columns.items()})) for of in slices]
     put(path, "".join([texts[0], *(text.partition("\n")[2] for text in texts[1:])]))
 
 

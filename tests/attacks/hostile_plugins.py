@@ -58,7 +58,7 @@ RUNS = {
         "budget_exceeded",
         "budget",
     ),
-    "measure_too_much": ("measure", "np.ones(10**14)", "crashed", "It asks for 728 TiB"),
+    "measure_too_much": ("measure", "np.ones(10**14)", "crashed", "Unable to allocate 728. TiB"),
     "measure_child": ("measure", "subprocess.Popen(['sleep', '3599'])", "ok", ""),
     "measure_threads": (
         "measure",
