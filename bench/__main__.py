@@ -2,14 +2,14 @@
 
 import sys
 
-from bench.guard.interrupts import obey
+from bench.running.interrupts import obey
 
 
 def main() -> None:
     """Run the command line."""
     obey()
     if sys.argv[1:2] == ["solve"] and len(sys.argv) > 3:
-        from bench.guard.process import start_ahead
+        from bench.running.process import start_ahead
 
         start_ahead("bench.running.worker")  # while this one reads the command line
     from bench.commands.main import main as command

@@ -162,9 +162,8 @@ def browser(_chromium):
 @pytest.fixture
 def without_processes(monkeypatch):
     """Do jobs of commands in this process, and take no times; where no process is the point."""
-    from bench.guard import process
-    from bench.guard.process import Refused
-    from bench.running import inventory, worker
+    from bench.running import inventory, process, worker
+    from bench.running.process import Refused
     from bench.running.runner import Runner
     from problems.base.spec import SpecError
     from problems.base.text import said

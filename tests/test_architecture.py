@@ -42,7 +42,6 @@ LAYERS = [
     {"bench"},
     {"bench.results"},
     {"bench.plugins"},
-    {"bench.guard"},
     {"bench.running"},
     {"bench.sweeps", "bench.stability"},
     {"bench.check", "bench.atlas"},

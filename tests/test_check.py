@@ -12,8 +12,8 @@ from helpers import long
 from bench.check.blocks import alike
 from bench.check.checker import CHECKS, examine, run_checks
 from bench.check.verdicts import FAILED, NOT_APPLICABLE, PASSED
-from bench.guard import process as limits
 from bench.plugins.registry import Registry
+from bench.running import process as limits
 from bench.running.inventory import Inventory
 
 PLUGINS = Path(__file__).parent / "wrong_plugins.py"

@@ -12,11 +12,11 @@ import time
 
 import pytest
 
-from bench.guard.process import Limits, NoAnswer
 from bench.plugins.registry import Sources
 from bench.results.store import Store
 from bench.running.cluster import ClusterRunner
 from bench.running.plan import Cell
+from bench.running.process import Limits, NoAnswer
 from bench.running.runner import Runner, measure_task
 from integrators.resolutions import Steps
 from problems.base.spec import SpecError

@@ -10,11 +10,11 @@ import pytest
 from planted import Document, everything, plant, whole_markdown, whole_report
 
 from bench.commands.suite import run_suite
-from bench.guard.process import Limits
 from bench.results.records import Damping, SceneRecord
 from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
+from bench.running.process import Limits
 from bench.running.profiles import read_profile
 from bench.running.runner import Runner
 from bench.stability import damping as analysis

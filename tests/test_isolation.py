@@ -11,12 +11,12 @@ import jax
 import pytest
 from helpers import long
 
-from bench.guard import process as limits
-from bench.guard.process import Limits
 from bench.plugins.registry import Registry
 from bench.results.store import Store
+from bench.running import process as limits
 from bench.running import worker
 from bench.running.plan import Cell
+from bench.running.process import Limits
 from bench.running.runner import Runner, measure_task, time_task
 from integrators import Steps
 

@@ -14,10 +14,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bench.guard import interrupts
-from bench.guard.process import NoAnswer
 from bench.plugins.registry import Registry, Sources
+from bench.running import interrupts
 from bench.running.cluster import ClusterRunner
+from bench.running.process import NoAnswer
 from bench.running.progress import Progress
 from bench.running.worker import Worker
 from bench.sweeps import batch, variation

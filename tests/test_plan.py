@@ -9,10 +9,10 @@ import pytest
 
 from bench.commands import terminal
 from bench.commands.terminal import RunProgress
-from bench.guard.process import NoAnswer
 from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
+from bench.running.process import NoAnswer
 from bench.running.profiles import built_in_profiles, read_profile
 from bench.running.session import measure_suite
 from problems.base.spec import SpecError

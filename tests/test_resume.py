@@ -15,10 +15,10 @@ import pytest
 from helpers import long
 from small_stores import A_SCENE
 
-from bench.guard.process import NoAnswer
 from bench.results.store import FILE, Store
 from bench.running.inventory import Inventory
 from bench.running.plan import Suite, make_suite
+from bench.running.process import NoAnswer
 from bench.running.profiles import ProfileFile, StudyFile
 from bench.running.session import missing_cells, missing_scenes, result_of
 

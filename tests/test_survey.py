@@ -7,11 +7,11 @@ from importlib.metadata import entry_points
 import pytest
 from helpers import scene_or_skip
 
-from bench.guard.process import Limits
 from bench.plugins.registry import Registry
 from bench.results.quantities import WRONG
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, resolution_of
+from bench.running.process import Limits
 from bench.running.runner import Runner, measure_task
 from bench.running.session import result_of
 

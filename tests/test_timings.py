@@ -14,13 +14,13 @@ from types import SimpleNamespace
 import pytest
 from small_stores import NO_ROWS, a_record
 
-from bench.guard.process import Limits
 from bench.plugins.registry import Registry, Sources
 from bench.results.environment import environment
 from bench.results.store import Store
 from bench.results.timings import median_interval, quotient, quotient_of_medians
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, make_suite
+from bench.running.process import Limits
 from bench.running.profiles import ProfileFile, StudyFile
 from bench.running.runner import Runner, time_task
 from bench.running.session import time_suite

@@ -21,12 +21,12 @@ from bench.atlas.measures import (
     value_of,
     within,
 )
-from bench.guard.process import Limits, NoAnswer
 from bench.plugins.fingerprint import fingerprint
 from bench.results.experiments import CaseResult, ExperimentResult, PartResult
 from bench.results.records import INTERRUPTED
 from bench.results.store import Store
 from bench.running.inventory import Inventory, MethodFacts
+from bench.running.process import Limits, NoAnswer
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task, measure_task
 from bench.running.session import result_of

@@ -22,9 +22,9 @@ from bench.check.verdicts import (
     Failed,
     shortly,
 )
-from bench.guard.process import GuardedProcess, Limits, NoAnswer
 from bench.plugins.registry import SUFFIXES, Plugin, Registry
 from bench.running.inventory import Inventory, load_registry
+from bench.running.process import GuardedProcess, Limits, NoAnswer
 from problems.base import spec
 from problems.base.spec import SpecError
 from problems.base.text import said

@@ -289,7 +289,7 @@ def guarded(
     A message on its failure begins with the words ``about`` it. A job that watches the budget
     itself, as sweeps do, is given half as much again to end by it.
     """
-    from bench.guard.process import Limits, ask_once
+    from bench.running.process import Limits, ask_once
     from bench.running.worker import start_worker
 
     processors = (os.cpu_count() or 1) if threads else 1

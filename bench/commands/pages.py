@@ -26,7 +26,7 @@ def write_reports(folder: Path, single_file: bool = False) -> None:
     click.ClickException
         If one cannot be written; the others are.
     """
-    from bench.guard.process import GuardedProcess, NoAnswer
+    from bench.running.process import GuardedProcess, NoAnswer
 
     # One process for each report: they do not wait for each other, and each may fail alone.
     processes = {}

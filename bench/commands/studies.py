@@ -15,7 +15,7 @@ import click
 
 from bench.commands import completion, options
 from bench.commands.options import Given
-from bench.guard.interrupts import remark
+from bench.running.interrupts import remark
 from bench.running.inventory import MethodFacts, SceneFacts
 from integrators.resolutions import Steps, check_end
 from problems.base.spec import SpecError

@@ -139,8 +139,8 @@ ENSEMBLE = (
 def solve_ensemble(o: Given) -> None:
     """Draw and run the members, and show or write the results."""
     from bench.commands.terminal import RunProgress, show
-    from bench.guard.process import Limits
     from bench.running.cluster import ClusterRunner
+    from bench.running.process import Limits
     from bench.running.runner import Runner
     from bench.sweeps import ensemble
     from problems.base.usage import cores

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from typing import Any
 
-from bench.guard.process import Limits, NoAnswer
 from bench.plugins.registry import plugin_files
+from bench.running.process import Limits, NoAnswer
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task
 from problems.base.spec import SpecError

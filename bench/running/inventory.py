@@ -12,10 +12,10 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
-from bench.guard.serve import LOADING, REFERENCE, WAITING, Notify
 from bench.plugins.fingerprint import fingerprint, reference_file
 from bench.plugins.reasons import PluginError, Unavailable, why
 from bench.plugins.registry import Plugin, Registry, Sources
+from bench.running.serve import LOADING, REFERENCE, WAITING, Notify
 from integrators import checks
 from problems.base import spec
 from problems.base.checks import FalseAnswer, number, refused, tidy

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Self
 
-from bench.guard.process import GuardedProcess, Limits, NoAnswer, wait_for_any
-from bench.guard.serve import REFERENCE, WAITING
 from bench.plugins.registry import Sources
 from bench.results.records import TIMING_SECONDS
 from bench.running.plan import Cell
+from bench.running.process import GuardedProcess, Limits, NoAnswer, wait_for_any
 from bench.running.progress import Progress
+from bench.running.serve import REFERENCE, WAITING
 from bench.running.worker import Worker, start_worker
 
 #: Help for whoever has a run that was stopped.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from bench.guard.process import Limits, NoAnswer
 from bench.results.environment import environment
 from bench.results.quantities import NORM, NORMS
 from bench.results.records import INTERRUPTED, TIMING_SECONDS, Record, Rows, SceneRecord
@@ -14,6 +13,7 @@ from bench.results.timings import FEWEST, contenders
 from bench.running.cluster import ClusterRunner
 from bench.running.inventory import Inventory, MethodFacts, SceneFacts
 from bench.running.plan import Cell, Suite
+from bench.running.process import Limits, NoAnswer
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task, measure_task, scene_task, time_task
 from bench.running.worker import CellResult, Worker

@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.guard.process import Limits, NoAnswer
-from bench.guard.serve import PREPARING
 from bench.plugins.registry import Sources, plugin_files
 from bench.running.inventory import MethodFacts, SceneFacts
 from bench.running.plan import Cell, resolution_of
+from bench.running.process import Limits, NoAnswer
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task, measure_task, time_task
+from bench.running.serve import PREPARING
 from bench.running.session import result_of
 from bench.running.worker import CellResult, Worker
 from integrators.resolutions import Steps, check_end

@@ -1,6 +1,6 @@
 """The worker: prepares, measures and times cells in a process of its own, one at a time.
 
-Its methods are jobs of a `bench.guard.process.GuardedProcess`. It never writes to the store.
+Its methods are jobs of a `bench.running.process.GuardedProcess`. It never writes to the store.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.guard.serve import MEASURING, PREPARING, REFERENCE, RUNNING, Notify
 from bench.plugins.reasons import why
 from bench.plugins.registry import Registry, Sources
 from bench.results.quantities import PARTS, point_notes
@@ -31,6 +30,7 @@ from bench.running.inventory import Inventory, load_registry
 from bench.running.linearisation import uncontrolled
 from bench.running.plan import Cell
 from bench.running.scene_records import drawings, scene_record
+from bench.running.serve import MEASURING, PREPARING, REFERENCE, RUNNING, Notify
 from integrators import checks
 from integrators.contract import PreparedRun, Trajectory
 from problems.base.runtime import check_runtime, compile_sooner, jax, use_threads

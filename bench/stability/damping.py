@@ -7,13 +7,13 @@ from collections.abc import Mapping
 import msgspec
 import numpy as np
 
-from bench.guard.process import NoAnswer
 from bench.plugins.registry import Sources
 from bench.results.records import INTERRUPTED, Damping, Record, SceneRecord
 from bench.results.store import Store
 from bench.running.errors import finite
 from bench.running.inventory import Inventory
 from bench.running.plan import Suite
+from bench.running.process import NoAnswer
 from bench.running.runner import Runner, Task
 from bench.running.worker import Worker
 from bench.stability.matrices import matrices, steppable

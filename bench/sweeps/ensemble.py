@@ -20,14 +20,14 @@ from typing import Any
 
 import numpy as np
 
-from bench.guard.interrupts import remark
-from bench.guard.process import Refused
-from bench.guard.serve import RUNNING
 from bench.plugins.registry import Sources
 from bench.results.csv_text import csv_text
 from bench.running.cluster import ClusterRunner
+from bench.running.interrupts import remark
 from bench.running.plan import resolution_of
+from bench.running.process import Refused
 from bench.running.runner import Runner, Task
+from bench.running.serve import RUNNING
 from bench.running.worker import Worker
 from bench.sweeps.batch import Batch, refuse
 from bench.sweeps.variation import (

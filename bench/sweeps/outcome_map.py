@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.guard.serve import RUNNING
 from bench.results.quantities import GROUPS, group_and_norm
 from bench.running.errors import Scales, component_errors, finite, scales, whole_error
 from bench.running.plan import resolution_of
+from bench.running.serve import RUNNING
 from bench.running.worker import Worker
 from bench.sweeps.batch import Batch, BatchRun, Block
 from bench.sweeps.variation import Range, SweepRequest, read_ranges, runs_with, spec_without

@@ -127,14 +127,14 @@ def test_nothing_is_imported_before_signals_are_obeyed():
     """Until then Python itself answers Ctrl-C, with a traceback."""
     bench = Path(__file__).parents[2] / "bench"
     named = set()
-    for name in ("__init__", "guard/__init__", "guard/interrupts", "__main__"):
+    for name in ("__init__", "running/__init__", "running/interrupts", "__main__"):
         for node in ast.parse((bench / f"{name}.py").read_text()).body:
             if isinstance(node, ast.Import):
                 named |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom):
                 named.add(node.module)
     small = {"contextlib", "os", "select", "signal", "sys"}
-    assert named == small | {"__future__", "bench.guard.interrupts"}
+    assert named == small | {"__future__", "bench.running.interrupts"}
 
 
 # ---- short commands, and the beginning and the end of all --------------------------------------

@@ -40,7 +40,7 @@ def _end(number: int, _frame: object) -> None:
         if select.select([], [2], [], _PATIENCE_SECONDS)[1]:
             os.write(2, f"{start}{text}\n".encode())
     with suppress(Exception):
-        from bench.guard.process import end_all  # slow to import
+        from bench.running.process import end_all  # slow to import
 
         end_all()
     os._exit(128 + number)

@@ -23,17 +23,17 @@ from multiprocessing.connection import Connection, Pipe, wait
 from typing import Any
 
 # The libraries of this program are imported late: a process may be started before that.
-from bench.guard.serve import LOADING, RUNNING, WAITING, load_libraries
+from bench.running.serve import LOADING, RUNNING, WAITING, load_libraries
 
 #: Time in s between two looks for answers, and until a process that has closed its pipe has ended.
 _BETWEEN, _ENDING = 0.1, 1.0
-#: Of the output of a job so many bytes are shown: the first ones, and the last ones.
-_SHOWN_BYTES = 1000
+#: The last bytes of the output of a job that are shown.
+_SHOWN_BYTES = 2000
 #: Signals that end a process because of its own deeds; others come from outside.
 _OWN_FAULTS = frozenset({"SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSYS", "SIGTRAP"})
 _SERVE = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from bench.guard.serve import serve; serve(int(sys.argv[2]))"
+    "from bench.running.serve import serve; serve(int(sys.argv[2]))"
 )
 #: Processor time in s for loading plugins, and at least for each phase but that and a run; these
 #: may take so many budgets of a run.
@@ -49,7 +49,6 @@ _LESS_MEMORY = (
     "take a smaller scene or ensemble, a method with sparse tangents, or a suite with a larger "
     "memory_gib"
 )
-_LOADS_AT_ONCE = "take what waits or computes out of its top level, or bodies out of its model"
 
 
 # ---- budgets -----------------------------------------------------------------------------
@@ -138,7 +137,7 @@ class Meter:
             reason = f"it did nothing for {STILL_SECONDS:g} s: it sleeps or waits"
         else:
             return ""
-        advice = _LOADS_AT_ONCE if self.phase == LOADING else self._limits.advice
+        advice = "" if self.phase == LOADING else self._limits.advice
         return f"{reason}; {advice}" if advice else reason
 
 
@@ -240,14 +239,13 @@ class GuardedProcess:
         return answer
 
     def printed(self) -> str:
-        """Return the beginning and the end of what the job in work, or the last one, printed."""
+        """Return the end of what the job in work, or the last one, printed."""
         from problems.base.text import shortened
 
-        number, some = self._output.fileno(), _SHOWN_BYTES
-        size = os.fstat(number).st_size
-        text = os.pread(number, some, 0) + b" ... " * (size > 2 * some)
-        text += os.pread(number, some, max(some, size - some))
-        return shortened(text.decode(errors="replace").strip())
+        number = self._output.fileno()
+        beyond = max(0, os.fstat(number).st_size - _SHOWN_BYTES)
+        text = os.pread(number, _SHOWN_BYTES, beyond).decode(errors="replace").strip()
+        return shortened(f"... {text}" if beyond else text)
 
     def end(self) -> None:
         """Kill the process and all that it started; nothing is lost that is not elsewhere."""

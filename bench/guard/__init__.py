@@ -1,1 +1,0 @@
-"""Guarded processes: foreign code runs in them, within budgets, and ends with this process."""
