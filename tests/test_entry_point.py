@@ -1,25 +1,20 @@
-"""Entry points in a fresh environment, and names that a shell completes."""
+"""Entry points in a fresh environment."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
 import json
-import os
 import subprocess
 import sys
 import venv
 import zipfile
 
 import pytest
-from click.shell_completion import ShellComplete
 from planted import whole_markdown
 from test_contributing import EXAMPLES
 
-from bench.commands.main import main
-from bench.plugins.registry import Registry
 from bench.results.store import Store
-from bench.running.profiles import suite_titles
 
 DIST = "tiny_plugins-0.1.dist-info"
 ENTRY_POINTS = """
@@ -94,50 +89,3 @@ def test_a_package_with_entry_points_is_listed_run_and_reported(python, tmp_path
     page = whole_markdown(tmp_path / "out")
     assert "euler" in page
     assert "A mass on a spring under a force that grows with time" in page
-
-
-def offered(*words: str) -> dict[str, str | None]:
-    """What is offered for the last of these words, with its help."""
-    completer = ShellComplete(main, {}, "stepbench", "_STEPBENCH_COMPLETE")
-    return {
-        item.value: item.help for item in completer.get_completions(list(words[:-1]), words[-1])
-    }
-
-
-def test_names_are_offered():
-    for line in [("solve",), ("order",), ("map",), ("show",), ("run", "-p"), ("list",)]:
-        assert set(offered(*line, "slider")) == {
-            name for name in Registry().problems if name.startswith("slider")
-        }
-    for line in [
-        *(("solve", "pendulum"), ("order", "pendulum"), ("map", "pendulum"), ("stability",)),
-        *(("run", "-i"), ("run", "--mine"), ("atlas", "-i"), ("report", "x", "-i")),
-        *(("check",), ("list", "pendulum")),
-    ]:
-        assert set(offered(*line, "hht")) == {"hht", "hht_classical", "hht_i3"}
-    assert offered("run", "") == suite_titles()
-    completer = ShellComplete(main, {}, "stepbench", "_STEPBENCH_COMPLETE")
-    assert [item.type for item in completer.get_completions(["run"], "my_")] == ["file"]
-    assert list(offered("atlas", "undamped")) == ["undamped_index3"]
-    assert set(offered("report", "x", "--figure", "conv")) == {"convergence"}
-    assert "--mine" in offered("run", "--m")
-
-
-def test_a_completion_loads_no_heavy_library_and_each_shell_can_be_told(stepbench):
-    code = (
-        "import sys; from bench.__main__ import main\n"
-        "try: main()\nexcept SystemExit: pass\n"
-        "heavy = {'jax', 'scipy', 'diffrax', 'sksundae', 'rich'} & set(sys.modules)\n"
-        "assert not heavy, heavy"
-    )
-    line = {"COMP_WORDS": "stepbench solve pend", "COMP_CWORD": "2"}
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | line | {"_STEPBENCH_COMPLETE": "bash_complete"},
-        capture_output=True,
-        text=True,
-    )
-    assert (done.stdout, done.stderr) == ("plain,pendulum\n", "")
-    text = stepbench("--help").stdout
-    for shell in ("bash", "zsh", "fish"):
-        assert f"_STEPBENCH_COMPLETE={shell}_source stepbench" in text

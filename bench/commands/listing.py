@@ -10,7 +10,7 @@ from typing import Any
 import click
 import msgspec
 
-from bench.commands import completion, options
+from bench.commands import options
 from bench.commands.options import BUDGET_S, Given
 from bench.plugins.registry import Plugin
 from bench.results.table import Table
@@ -28,7 +28,7 @@ _LONGEST_NAME = 40
 
 @options.command(
     "list",
-    options.argument("names", "[KIND|NAME]...", nargs=-1, shell_complete=completion.everything),
+    options.argument("names", "[KIND|NAME]...", nargs=-1),
     options.flag("--draw", "Write pages of these scenes, or of all."),
     options.folder("Folder of the pages.", "stepbench-catalogue"),
     *options.SET,

@@ -11,7 +11,6 @@ from typing import Any
 import click
 
 from bench.commands import (
-    completion,
     listing,
     orders,
     plugins,
@@ -114,9 +113,7 @@ Examples:
   stepbench order pendulum newmark --steps 0.02,0.01,0.005,0.0025
   stepbench run -i my_method --plugins my_method.py
   stepbench new integrator my_method && stepbench check my_method.py
-
-"""
-    + completion.SWITCH_ON,
+""",
 )
 @click.version_option(package_name="stepbench")
 @click.pass_context

@@ -19,7 +19,6 @@ import click
 import msgspec
 from click.core import ParameterSource
 
-from bench.commands import completion
 from bench.plugins.registry import Sources
 from bench.running.inventory import Inventory, MethodFacts, SceneFacts
 from bench.running.profiles import LARGEST_BUDGET
@@ -149,11 +148,9 @@ def _not_nan(_: click.Context, __: click.Parameter, value: float | None) -> floa
 
 
 # ---- arguments and options ---------------------------------------------------------------
-PROBLEM = argument("problem", "SCENE", shell_complete=completion.scenes)
-INTEGRATOR = argument("integrator", shell_complete=completion.integrators)
-METHODS = argument(
-    "names", "INTEGRATOR...", nargs=-1, required=True, shell_complete=completion.integrators
-)
+PROBLEM = argument("problem", "SCENE")
+INTEGRATOR = argument("integrator")
+METHODS = argument("names", "INTEGRATOR...", nargs=-1, required=True)
 FOLDER = argument("folder", type=PathName("folder"), default=RESULTS)
 STEP = option("--step", "Step size h in s (with --pattern: the macro step H).", type=float)
 PATTERN = option(
@@ -176,10 +173,7 @@ SET = (
         is_eager=True, expose_value=False,
     ),
 )  # fmt: skip
-SCENES = option(
-    "-p --problem problems", "Only this scene; repeatable.",
-    multiple=True, shell_complete=completion.scenes,
-)  # fmt: skip
+SCENES = option("-p --problem problems", "Only this scene; repeatable.", multiple=True)
 FRESH = flag("--fresh", "Forget earlier results in that folder.")
 PLUGINS = option(
     "--plugins", "Python file, or folder of them, with more scenes or integrators; repeatable.",
@@ -196,7 +190,7 @@ def numbers(name: str, metavar: str, words: str) -> click.Option:
 def integrators(words: str) -> click.Option:
     """Return -i, which may be repeated."""
     names = "-i --integrator integrators"
-    return option(names, words, multiple=True, shell_complete=completion.integrators)
+    return option(names, words, multiple=True)
 
 
 def folder(words: str, default: str) -> click.Option:

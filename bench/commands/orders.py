@@ -8,7 +8,7 @@ from typing import Any
 import click
 from msgspec.structs import replace
 
-from bench.commands import completion, options
+from bench.commands import options
 from bench.commands.options import BUDGET_S, Given
 from bench.commands.pages import write_reports
 from bench.commands.suite import in_common, run_suite
@@ -28,10 +28,8 @@ _FIGURES = ("orders", "convergence")
 
 @options.command(
     "order",
-    options.argument("problem", "SCENE|SUITE", shell_complete=completion.scenes),
-    options.argument(
-        "integrators", "[INTEGRATOR]...", nargs=-1, shell_complete=completion.integrators
-    ),
+    options.argument("problem", "SCENE|SUITE"),
+    options.argument("integrators", "[INTEGRATOR]...", nargs=-1),
     options.numbers(
         "--steps", "H1,H2,...",
         "Step sizes in s; five halvings of the scene's nominal step if not given.",

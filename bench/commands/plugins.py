@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.check.verdicts import FAILED, NOT_APPLICABLE, PASSED, CheckResult
-from bench.commands import completion, options
+from bench.commands import options
 from bench.commands.listing import WORDS
 from bench.commands.options import Given
 from bench.plugins.registry import KINDS, SUFFIXES
@@ -46,7 +46,7 @@ from problems import from_mjcf
 
 @options.command(
     "check",
-    options.argument("names", "NAME_OR_FILE...", nargs=-1, shell_complete=completion.everything),
+    options.argument("names", "NAME_OR_FILE...", nargs=-1),
     options.flag("--all everything", "Check all scenes and integrators."),
     options.budget(),
     options.PLUGINS,

@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 import msgspec
 
-from bench.commands import completion, options
+from bench.commands import options
 from bench.commands.options import Given
 from bench.commands.pages import write_reports
 from bench.plugins.registry import SUFFIXES
@@ -44,9 +44,7 @@ _PARTS = {"seconds": (0.45, 0.57, 0.66, 0.9), "operations": (0.6, 0.75, 0.85, 0.
 @options.command(
     "recommend",
     options.argument("name", "SCENE|FILE|SUITE"),
-    options.argument(
-        "methods", "[INTEGRATOR]...", nargs=-1, shell_complete=completion.integrators
-    ),
+    options.argument("methods", "[INTEGRATOR]...", nargs=-1),
     options.option(
         "--error errors", "Largest error that is allowed, such as a:1e-3 (if not given), "
         "q:end:1e-6, energy:1e-4 or points:1e-3; repeatable where integrators are named.",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from bench.commands import completion, options
+from bench.commands import options
 from bench.commands.options import Given, PathName
 from bench.commands.pages import write_reports
 from bench.results.compare import compare_folders, read_limits, regressions
@@ -41,8 +41,7 @@ _QUESTION = ("scene", "error", "cost", "component", "integrators", "t_end")
         type=click.Choice(_KINDS),
     ),
     options.option(
-        "--scene", "Figure: the scene; may be left out if the folder has one.",
-        shell_complete=completion.scenes,
+        "--scene", "Figure: the scene; may be left out if the folder has one."
     ),
     options.option(
         "--error",

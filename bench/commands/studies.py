@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from bench.commands import completion, options
+from bench.commands import options
 from bench.commands.options import Given
 from bench.running.interrupts import remark
 from bench.running.inventory import MethodFacts, SceneFacts
@@ -254,9 +254,7 @@ def stability(o: Given) -> None:
 # ---- the failure atlas -------------------------------------------------------------------
 @options.command(
     "atlas",
-    options.argument(
-        "names", "[EXPERIMENT]...", nargs=-1, shell_complete=completion.experiments
-    ),
+    options.argument("names", "[EXPERIMENT]...", nargs=-1),
     options.integrators("Put this integrator through every experiment, too; repeatable."),
     options.flag("--list only_list", "Name the experiments and stop."),
     options.folder("Folder of the results and the page.", "stepbench-atlas"),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from bench.commands import completion, options
+from bench.commands import options
 from bench.commands.options import Given
 from bench.commands.pages import write_reports
 from bench.results.experiments import ExperimentResult
@@ -105,12 +105,12 @@ def run_suite(
 
 @options.command(
     "run",
-    options.argument("suite", default="quick", shell_complete=completion.suites),
+    options.argument("suite", default="quick"),
     options.SCENES,
     options.integrators("Only this integrator; repeatable. One that the suite lacks is added."),
     options.option(
         "--mine", "Your integrator: it is run beside the others, and the report opens with it "
-        "highlighted.", metavar="INTEGRATOR", shell_complete=completion.integrators,
+        "highlighted.", metavar="INTEGRATOR"
     ),
     *options.SET,
     options.folder("Folder of the results.", options.RESULTS),
