@@ -12,8 +12,7 @@ import numpy as np
 
 from bench.commands.options import BUDGET_S, RESULTS, usable_registry
 from bench.commands.orders import order_records
-from bench.commands.pages import write_reports
-from bench.commands.suite import run_suite
+from bench.commands.suite import run_suite, write_reports
 from bench.results.flat_rows import flatten
 from bench.results.orders import order_summary
 from bench.results.quantities import GROUPS

@@ -14,14 +14,14 @@ import msgspec
 
 from bench.commands import options
 from bench.commands.options import Given
-from bench.commands.pages import write_reports
+from bench.commands.suite import write_reports
+from bench.running.interrupts import remark
+from bench.running.process import Limits
 from bench.plugins.registry import SUFFIXES
 from bench.results.demands import ENERGY, POINTS, Demand, demand, overviews
 from bench.results.store import Store
-from bench.running.interrupts import remark
 from bench.running.inventory import Inventory, SceneFacts
 from bench.running.plan import Cell, Suite, make_suite
-from bench.running.process import Limits
 from bench.running.profiles import ProfileFile, StudyFile, is_suite, read_profile
 from bench.running.race import Race
 from bench.running.rating import Candidate, Search

@@ -9,7 +9,7 @@ import click
 
 from bench.commands import options
 from bench.commands.options import Given, PathName
-from bench.commands.pages import write_reports
+from bench.commands.suite import write_reports
 from bench.results.compare import compare_folders, read_limits, regressions
 from bench.results.csv_text import csv_text
 from bench.results.flat_rows import flatten

@@ -11,11 +11,10 @@ import click
 
 from bench.commands import options
 from bench.commands.options import Given
-from bench.commands.pages import write_reports
+from bench.running.interrupts import remark
 from bench.results.experiments import ExperimentResult
 from bench.results.records import INTERRUPTED, Record, counted, endings
 from bench.results.store import Store
-from bench.running.interrupts import remark
 from bench.running.inventory import Inventory
 from bench.running.plan import Suite, make_suite
 from bench.running.profiles import read_profile, suite_titles
@@ -101,6 +100,26 @@ def run_suite(
     records = [stored[key] for key in suite.cells if key in stored]
     others = len(stored) - len(records)
     return Outcome(records, measured, results, suite.lost, others)
+
+
+def write_reports(folder: Path, single_file: bool = False) -> None:
+    """Write the pages of the results in a folder, in HTML (perhaps as one file) and in Markdown.
+
+    Raises
+    ------
+    click.ClickException
+        If the disk does not take them.
+    """
+    from reports.pages.html_report import write_html_report
+    from reports.pages.markdown_report import write_markdown_report
+
+    try:
+        click.echo(f"Report: {write_html_report(folder, single_file)}")
+        click.echo(f"Report: {write_markdown_report(folder)}")
+    except OSError as error:
+        raise click.ClickException(
+            f"The report could not be written: {error.strerror}. The results are stored."
+        ) from None
 
 
 @options.command(

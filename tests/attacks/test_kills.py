@@ -170,18 +170,6 @@ def test_a_command_whose_worker_is_killed_says_so(folder, name):
 
 
 @attack
-def test_a_killed_page_costs_that_page(folder):
-    process = Started(folder, "report", "planted")
-    process.wait_for(lambda: len(process.family("worker")) == 2)
-    time.sleep(random.Random(0).uniform(0, 0.3))
-    kill(process.family("worker")[0])
-    assert process.finish() == 1, process.said
-    assert process.said.count("Report:") == 1
-    assert "killed from outside" in process.said
-    assert "The results are stored." in process.said
-
-
-@attack
 @pytest.mark.parametrize("number", [KILL, signal.SIGINT])
 def test_workers_of_a_cluster_stop_when_the_command_has_ended(folder, number):
     distributed = pytest.importorskip("distributed")

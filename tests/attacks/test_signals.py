@@ -184,8 +184,8 @@ def test_a_plugin_that_hangs_as_it_is_imported_ends_with_its_command(folder):
 
 def test_pages_in_work_end_with_their_command(folder):
     process = Started(folder, "report", "planted")
-    process.wait_for(lambda: len(process.family("worker")) == 2)
-    time.sleep(random.Random(0).uniform(0, 0.3))
+    process.wait_for(lambda: "Report: " in process.said)  # the first; the second is in work
+    time.sleep(random.Random(0).uniform(0, 0.1))
     to_all(process, INT)
     process.check_obeys(INT)
 
