@@ -14,12 +14,11 @@ from hypothesis import strategies as st
 from planted import planted
 from test_refusals import scenes
 
-from bench.results.demands import Demand, demand
+from bench.results.demands import demand
 from bench.results.quantities import NORMS
 from bench.results.records import UNSUPPORTED
 from bench.running.race import Race
-from bench.running.rating import Candidate, Search
-from bench.running.search import MOST_RUNS
+from bench.running.search import MOST_RUNS, Candidate, Search
 from integrators.resolutions import Steps
 
 LIMIT = 1e-3
@@ -47,9 +46,9 @@ class Power:
         return self.per_step * (self.error / LIMIT) ** (1 / self.order)
 
 
-def raced(methods: list[Power], margin: float = 1.1, asked: Demand | None = None) -> Race:
+def raced(methods: list[Power]) -> Race:
     """Run a race to its end."""
-    race = Race([m.candidate for m in methods], margin, math.inf, asked)
+    race = Race([m.candidate for m in methods], 1.1, math.inf)
     while cells := race.next():
         for cell in cells:
             (method,) = (m for m in methods if m.candidate.method.spec == cell.integrator)
@@ -89,17 +88,6 @@ def test_the_winner_hangs_neither_on_the_order_of_the_start_nor_on_a_first_step_
     assert not race.is_dropped(fine.candidate)
     assert race.leader is fine.candidate
     assert race.operations(fine.candidate) == pytest.approx(100.0)
-
-
-def test_the_next_digit_is_a_race_of_its_own():
-    methods = [Power("a", 2, 5.0, 7.0), Power("b", 3, 2.0, 11.0)]
-    race, harder = raced(methods), demand(f"q:{LIMIT / 10}")
-    for method in methods:
-        assert method.candidate.best(harder) is None
-        method.candidate.demands = [*method.candidate.demands, harder]
-    raced(methods, asked=harder)
-    best = race.leader.best(harder)
-    assert harder.of(best) <= LIMIT / 10 < harder.of(race.leader.best(race.asked))
 
 
 @settings(deadline=None)

@@ -11,10 +11,10 @@ import click
 
 from bench.commands import options
 from bench.commands.options import Given
-from bench.running.interrupts import remark
 from bench.results.experiments import ExperimentResult
 from bench.results.records import INTERRUPTED, Record, counted, endings
 from bench.results.store import Store
+from bench.running.interrupts import remark
 from bench.running.inventory import Inventory
 from bench.running.plan import Suite, make_suite
 from bench.running.profiles import read_profile, suite_titles

@@ -1,14 +1,24 @@
-"""Search for the coarsest resolution of a method whose error is at most a limit."""
+"""Search for the coarsest resolutions of methods on scenes whose errors are at most a limit."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
-from bench.results.demands import bracket
-from bench.running.inventory import MethodFacts, SceneFacts
+import msgspec
+
+from bench.results.demands import Demand, bracket
+from bench.results.records import UNSUPPORTED, Record, Study
+from bench.results.store import Store
+from bench.running.inventory import Inventory, MethodFacts, SceneFacts
+from bench.running.plan import Cell, Suite, planned
+from bench.running.profiles import FIGURES
+from bench.running.runner import Runner, Task
+from bench.running.session import measure_suite, missing_cells, time_suite
+from bench.running.worker import Worker
 from integrators.resolutions import Steps, Tolerances
+from problems.base.spec import SpecError
 
 #: Quotient of the finest size that fails and the coarsest that is good, at which a search ends.
 RESOLVED = 1.1
@@ -124,3 +134,160 @@ def multiple(limit: float, error: float, power: float) -> float:
     """Return the quotient by which sizes, or costs, lead from an error to a limit."""
     far = (math.log(error) - math.log(limit)) / power
     return math.exp(min(max(far, -_FARTHEST), _FARTHEST))
+
+
+@dataclass
+class Candidate:
+    """A method on a scene, and what is demanded of it; the cells and records of its search by
+    their sizes; the reason why the method does not take the scene, if that is known before."""
+
+    scene: SceneFacts
+    method: MethodFacts
+    t_end: float
+    demands: Sequence[Demand]
+    cells: dict[float, Cell] = field(default_factory=dict)
+    runs: dict[float, Record] = field(default_factory=dict)
+    refused: str = ""
+
+    @property
+    def place(self) -> tuple[str, float]:
+        """The scene's printed name, and the end time in s."""
+        return self.scene.spec, self.t_end
+
+    @property
+    def refusal(self) -> str:
+        """The reason why the method does not take the scene, if so."""
+        told = (r.message for r in self.runs.values() if r.status == UNSUPPORTED)
+        return self.refused or next(told, "")
+
+    def next(self, asked: Demand) -> Cell | None:
+        """Return the cell to try next for a demand."""
+        sizes = Sizes.of(self.scene, self.method, self.t_end)
+        size = None if self.refusal else sizes.next(self.errors(asked), asked.limit)
+        if size is None:
+            return None
+        resolution = sizes.resolution(size)
+        cell = Cell(self.scene.spec, self.method.spec, self.t_end, resolution)
+        return self.cells.setdefault(size, cell)
+
+    def take(self, records: Mapping[str, Record]) -> None:
+        """Take the records of all cells that have one."""
+        self.runs = {s: records[c.key] for s, c in self.cells.items() if c.key in records}
+
+    def errors(self, asked: Demand) -> dict[float, float]:
+        """Return the errors of a demand by sizes."""
+        return {size: asked.of(record) for size, record in self.runs.items()}
+
+    def best(self, asked: Demand) -> Record | None:
+        """Return the run with the coarsest good size, if there is one."""
+        return asked.best(self.runs.values())
+
+    @property
+    def obstacle(self) -> str:
+        """The reason why finer sizes do not help: the end of the finest run."""
+        if self.refusal:
+            return f"{UNSUPPORTED}: {self.refusal}"
+        finest = self.runs[min(self.runs)]
+        if finest.status == "ok":
+            return f"Errors do not fall below that; the finest run had {finest.resolution}."
+        return f"{finest.status}: {finest.message}"
+
+    def nearest(self, asked: Demand) -> Record:
+        """Return the run with the smallest error."""
+        return min(self.runs.values(), key=asked.of)
+
+    def least(self, asked: Demand) -> float:
+        """Return the least operations that a good run can take: those of the finest bad size."""
+        bad = bracket(self.errors(asked), asked.limit).bad
+        run = None if bad is None else self.runs[bad]
+        return (run.cost("operations") or 0.0) if run and run.status == "ok" else 0.0
+
+
+@dataclass(frozen=True)
+class Search:
+    """Searches of candidates for the coarsest resolution that meets each of their demands.
+
+    Runs are stored as they end; those that the store has are not made again. The plan of the store
+    lists the cells of the candidates, the ``suite`` has limits and the number of timings.
+    """
+
+    candidates: Sequence[Candidate]
+    suite: Suite
+    store: Store
+    registry: Inventory
+    runner: Runner
+
+    def run(self, choose: Callable[[], list[Cell]], after_run: Callable[[], None]) -> None:
+        """Search until no cells are left to run.
+
+        ``choose`` gives the cells that are worth a run now, the best first (`Race`); ``after_run``
+        is called when candidates have got new runs.
+
+        Raises
+        ------
+        SpecError
+            If no scene moves.
+        """
+        self._refuse_rest()
+
+        def further() -> list[Cell]:
+            self._take()
+            after_run()
+            while cells := choose():
+                suite = self._restricted(cells)
+                if missing := missing_cells(suite, self.store, self.registry):
+                    self.store.keep(suite.plan)
+                    return missing
+                self._take()
+            return []
+
+        measure_suite(self._restricted(()), self.store, self.registry, self.runner, further)
+        self._take()
+
+    def take_times(self, runs: Iterable[Record]) -> None:
+        """Take the times of runs, and of no others."""
+        cells = {cell.key: cell for c in self.candidates for cell in c.cells.values()}
+        suite = self._restricted(cells[run.key] for run in runs)
+        time_suite(suite, self.store, self.registry, self.runner)
+        self._take()
+
+    def _refuse_rest(self) -> None:
+        scenes = {c.place: c.scene.sources for c in self.candidates}
+        tasks = [
+            Task(Worker.resting, scene, f"start of {scene[0]}", sources=sources)
+            for scene, sources in scenes.items()
+        ]
+        answers = [answer for _, answer in self.runner.run([[task] for task in tasks])]
+        if all(isinstance(answer, str) and answer for answer in answers) and answers:
+            raise SpecError(answers[0])
+
+    def _take(self) -> None:
+        records = self.store.records()
+        for c in self.candidates:
+            c.take(records)
+
+    def _restricted(self, cells: Iterable[Cell]) -> Suite:
+        plan = msgspec.structs.replace(
+            self.suite.plan,
+            studies=_studies(self.candidates),
+            integrators={c.method.spec: planned(c.method) for c in self.candidates},
+        )
+        return replace(self.suite, plan=plan, cells={cell.key: cell for cell in cells})
+
+
+def _studies(candidates: Sequence[Candidate]) -> list[Study]:
+    """Return a study of each scene with all its runs."""
+    places: dict[tuple[str, float], list[Candidate]] = {}
+    for candidate in candidates:
+        places.setdefault(candidate.place, []).append(candidate)
+    return [
+        Study(
+            title=problem,
+            problem=problem,
+            t_end=t_end,
+            figures=list(FIGURES),
+            demands=list(dict.fromkeys(asked.text for c in own for asked in c.demands)),
+            cells=[cell.key for c in own for cell in c.cells.values()],
+        )
+        for (problem, t_end), own in places.items()
+    ]

@@ -1,0 +1,260 @@
+"""The cheapest method for a scene, or the coarsest good run of each method that is named."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from bench.results.demands import ENERGY, POINTS, Demand, demand, overviews
+from bench.results.store import Store
+from bench.results.table import Table
+from bench.running.interrupts import remark
+from bench.running.inventory import Inventory, SceneFacts
+from bench.running.plan import Cell, make_suite
+from bench.running.process import Limits
+from bench.running.profiles import ProfileFile, StudyFile, is_suite, read_profile
+from bench.running.progress import Progress
+from bench.running.race import FORMS, MOST_TIMED, SPREAD, TIE, Race, Verdict
+from bench.running.runner import Runner
+from bench.running.search import Candidate, Search
+from problems.base.spec import SpecError, split_spec
+
+#: Demands of the rules by name; those of "work-precision" are asked for. "iftomm" has the low and
+#: the high precision of the library's specifications.
+RULES = {"work-precision": ("a:1e-3",), "iftomm": (f"{POINTS}:1e-1", f"{POINTS}:1e-3")}
+#: Parts of the budget after which the search, that among other forms of the best, and timing end,
+#: by the cost.
+PARTS = {"seconds": (0.5, 0.65, 0.9), "operations": (0.65, 0.85, 0.9)}
+_STORED = "Finished runs are stored; the same command goes on."
+
+
+class Recommendation:
+    """A race of all methods that take a scene; or a search for each method that is named, or that
+    a suite has for its scenes.
+
+    All methods have ``budget`` seconds together, and so are dropped as soon as they cannot win; of
+    named ones it is the processor time in s after which a run is stopped. ``remarks`` are sentences
+    on what scenes lack, ``verdicts`` are those of each scene and demand, and ``tables`` those of
+    several scenes.
+
+    Parameters
+    ----------
+    registry
+        Facts of scenes and methods.
+    name
+        A scene, perhaps with ``settings`` of its parameters and the end time ``t_end`` in s; or a
+        suite.
+    methods
+        Their names; none stands for all, and for those of a suite.
+    errors, rule
+        Demands, as `bench.results.demands.demand` reads them; without any those of one of `RULES`.
+    cost
+        That of the ranking, "seconds" or "operations".
+
+    Raises
+    ------
+    SpecError
+        If a name or a demand is not known, no method takes the scene, or several errors are asked
+        for of all methods.
+    """
+
+    def __init__(
+        self,
+        registry: Inventory,
+        name: str,
+        methods: Sequence[str] = (),
+        *,
+        errors: Sequence[str] = (),
+        rule: str = "work-precision",
+        cost: str = "seconds",
+        budget: float = 60.0,
+        t_end: float | None = None,
+        settings: Mapping[str, str] | None = None,
+    ) -> None:
+        self.began, self.budget, self._registry = time.monotonic(), budget, registry
+        self.of_all = not (methods or is_suite(name))
+        if is_suite(name):
+            if settings or t_end is not None:
+                raise SpecError("--set and --t-end belong to one scene; a suite has its own.")
+            suite = make_suite(*read_profile(name), registry, (), methods, budget)
+        else:
+            scene = registry.problem(name, **(settings or {}))
+            name, methods = scene.spec, methods or _methods(registry, scene)
+            study = StudyFile(problems=[name], integrators=[*methods], t_end=t_end)
+            suite = make_suite("rating", ProfileFile(study=[study], budget_s=budget), registry)
+        margin, self._ends = math.inf, [math.inf] * 3
+        if self.of_all:
+            margin = SPREAD if cost == "seconds" else TIE
+            self._ends = [self.began + part * budget for part in PARTS[cost]]
+        self.remarks: list[str] = []
+        self.candidates: list[Candidate] = []
+        races: list[Race] = []
+        for place in dict.fromkeys((c.problem, c.t_end) for c in suite.cells.values()):
+            scene = registry.problem(place[0])
+            demands = self._demands_on(scene, errors, rule)
+            if self.of_all and len(demands) > 1:
+                raise SpecError(
+                    f"All integrators are ranked by one error, and {len(demands)} are asked for; "
+                    "give one by --error, or name integrators."
+                )
+            own = [c.integrator for c in suite.cells.values() if (c.problem, c.t_end) == place]
+            refused = registry.refusals(scene.spec, own) if demands else {}
+            candidates = [
+                Candidate(
+                    scene, registry.integrator(m), place[1], demands, refused=refused.get(m, "")
+                )
+                for m in dict.fromkeys(own)
+            ]
+            self.candidates += candidates if demands else []
+            in_turns = _in_turns(candidates)
+            races += [Race(in_turns, margin, self._ends[0], asked) for asked in demands]
+        if not races:
+            raise SpecError(" ".join(self.remarks))
+        if all(c.refused for c in self.candidates):
+            raise SpecError(f"No integrator takes {name}: {self.candidates[0].refused}")
+        self.about = ", ".join(dict.fromkeys(str(race.asked) for race in races))
+        plan = msgspec.structs.replace(suite.plan, title=f"Recommendation for {name}: {self.about}")
+        self.name, self._suite = name, replace(suite, plan=plan)
+        self.verdicts = [Verdict(race, cost) for race in races]
+        self.tables: list[Table] = []
+        self._machines: object = {}
+
+    @property
+    def runs(self) -> int:
+        """Number of runs that have ended."""
+        return sum(len(c.runs) for c in self.candidates)
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """All that was found, for a file that can be sent."""
+        return {
+            "cost": self.verdicts[0].ranked_by,
+            "machine": self._machines,
+            "sentences": [text for verdict in self.verdicts for text in verdict.sentences()],
+            "ratings": [rating for verdict in self.verdicts for rating in verdict.ratings()],
+            "runs": self.runs,
+        }
+
+    def search(self, out: Path, progress: Progress, jobs: int = 2, fresh: bool = False) -> None:
+        """Make the runs that the folder ``out`` lacks, and take the times of the best.
+
+        Raises
+        ------
+        SpecError
+            If no scene moves, or no run ends in time.
+        """
+        *_, self._until, over = self._ends  # processes are ended with all that they do then
+        leaders: dict[int, Candidate] = {}
+
+        def tell() -> None:
+            for k, verdict in enumerate(self.verdicts):
+                if (order := verdict.order) and order[0] is not leaders.get(k):
+                    leaders[k] = order[0]
+                    remark(f"So far: {verdict.first} {_STORED}")
+                    progress.note(f"{time.monotonic() - self.began:.0f} s: {verdict.first}")
+
+        limits = Limits(self.budget / (4 if self.of_all else 1), self._suite.memory_gib)
+        with (
+            Runner(jobs, limits, progress, lambda: time.monotonic() < self._until) as runner,
+            Store(out, create=True, fresh=fresh) as store,
+        ):
+            search = Search(self.candidates, self._suite, store, self._registry, runner)
+            remark(_STORED)
+            within = f", within {self.budget:g} s" if self.of_all else ""
+            progress.note(f"{len(self.candidates)} methods and forms on {self.name}{within}:")
+            try:
+                runner.draft = True
+                search.run(self._next, tell)
+                runner.end_workers()
+                runner.draft, self._until = False, over
+                most = MOST_TIMED if self.of_all else None
+                search.take_times(v.best(c) for v in self.verdicts for c in v.order[:most])
+            finally:  # the records that were found before an error stay
+                self._machines = store.environments()
+                if len({c.place for c in self.candidates}) > 1:
+                    self.tables = overviews(store.plan(), store.records())
+        if not self.runs:
+            raise SpecError(
+                f"{self.budget:g} s were over before the first run had ended; give a larger "
+                "--budget."
+            )
+
+    def _next(self) -> list[Cell]:
+        """Runs of the races; of all integrators also those of other forms of the best."""
+        cells = [cell for verdict in self.verdicts for cell in verdict.race.next()]
+        if cells or not self.of_all or time.monotonic() >= self._ends[1]:
+            return cells
+        (verdict,) = self.verdicts
+        race, race.end = verdict.race, self._ends[1]
+        for leader in verdict.leading if race.leader else ():
+            forms = self._other_forms(leader)
+            self.candidates[:0] = forms
+            race.candidates[:0] = forms
+        return race.next()
+
+    def _other_forms(self, leader: Candidate) -> list[Candidate]:
+        """Candidates with other choices of one of `FORMS`, if they are not known."""
+        name, own = split_spec(leader.method.spec)
+        specs = {c.method.spec for c in self.candidates}
+        found = []
+        for option in self._registry.integrators[name].options:
+            for choice in (option.get("choices") or ()) if option["name"] in FORMS else ():
+                values = own | {option["name"]: choice}
+                text = ",".join(f"{key}={value}" for key, value in values.items())
+                method = self._registry.integrator(f"{name}[{text}]")
+                if method.spec not in specs:
+                    found.append(replace(leader, method=method, cells={}, runs={}))
+        return found
+
+    def _demands_on(self, scene: SceneFacts, errors: Sequence[str], rule: str) -> list[Demand]:
+        """The demands on a scene; sentences on what it lacks become remarks."""
+        texts = list(errors or RULES[rule])
+        if not (errors or scene.points) and rule == "iftomm":
+            texts = [text.replace(POINTS, ENERGY) for text in texts]
+            self.remarks.append(f"{scene.spec} names no points: its change of energy is judged.")
+        for what, there, lack in (
+            (POINTS, scene.points, "names no points"),
+            (ENERGY, scene.energy, "states no energy"),
+        ):
+            lost = [] if there else [text for text in texts if text.startswith(f"{what}:")]
+            texts = [text for text in texts if text not in lost]
+            if lost:
+                judged = " and ".join(lost)
+                self.remarks.append(f"{scene.spec} {lack}: it is not judged by {judged}.")
+        return [demand(text) for text in texts]
+
+
+def _methods(registry: Inventory, scene: SceneFacts) -> list[str]:
+    """All usable integrators; on constraints also in stabilised form, if they have it."""
+    names = []
+    for name, plugin in registry.integrators.items():
+        if plugin.reason:
+            continue
+        names.append(name)
+        for option in plugin.options if scene.constrained else ():
+            if (form := "stabilised_index2") in (option.get("choices") or ()):
+                names.append(f"{name}[{option['name']}={form}]")
+    return names
+
+
+def _in_turns(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Order candidates: high orders first, but one of each family before the second of any."""
+
+    def order(c: Candidate) -> float:
+        """The highest order; a method that chooses its order as it goes may reach five."""
+        return max(c.method.orders.values(), default=2 if c.method.controls == "step" else 5)
+
+    turns: Counter[str] = Counter()
+    keys: dict[int, int] = {}
+    strongest = sorted(candidates, key=order, reverse=True)
+    for k, c in enumerate(strongest):
+        keys[k] = turns[c.method.family]
+        turns[c.method.family] += 1
+    return [strongest[k] for k in sorted(keys, key=keys.__getitem__)]
