@@ -7,14 +7,14 @@ from model_files import LOOPS, ROBOTS, STUDENTS, File, actuated, body, chain, mj
 #: What an actuator of MuJoCo can be, with what of it is refused.
 ACTUATORS = {
     '<motor joint="j0" delay="0.004" nsample="2"/>': ("actuators",),
-    '<motor joint="j0" armature=".2"/>': (),
-    '<motor joint="j0" damping=".3 .1"/>': (),
+    '<motor joint="j0" armature=".2"/>': ("actuators",),
+    '<motor joint="j0" damping=".3 .1"/>': ("actuators",),
     '<position joint="j0" kp="3" timeconst=".1"/>': ("actuators",),
     '<intvelocity joint="j0" kp="3" actrange="-1 1"/>': ("actuators",),
-    '<damper joint="j0" kv="3" ctrlrange="0 1"/>': (),
+    '<damper joint="j0" kv="3" ctrlrange="0 1"/>': ("actuators",),
     '<velocity joint="j0" kv="3"/>': (),
     '<cylinder joint="j0"/>': ("actuators",),
-    '<general joint="j0" gaintype="affine" gainprm="1 2 3" biastype="affine" biasprm="1 2 3"/>': (),
+    '<general joint="j0" gainprm="2" biastype="affine" biasprm="1 2 3"/>': (),
     '<general joint="j0" dyntype="user" actdim="1"/>': ("actuators",),
     '<general jointinparent="j0" gear="2"/>': (),
     '<general site="s" gear="1 0 0 0 1 0"/>': ("actuators",),
@@ -46,8 +46,7 @@ FIELDS = {
 
 #: A little of all that a flag can switch off.
 ALL = (
-    chain(2, 'range="-20 20" frictionloss=".2" stiffness="3" damping=".4"', axes=("0 1 0",),
-    ).replace("<body ", '<body gravcomp=".2" ')
+    chain(2, 'range="-20 20" frictionloss=".2" stiffness="3" damping=".4"', axes=("0 1 0",))
     + '<geom type="plane" size="1 1 1"/>'
 )  # fmt: skip
 ALL_ELSE = (
@@ -79,7 +78,8 @@ FLAGS = {
     for flag in ON
 } | {
     "flags spring and damper": File(
-        mjcf(ALL, ALL_ELSE, '<option><flag spring="disable" damper="disable"/></option>', ""),
+        mjcf(ALL.replace("<body ", '<body gravcomp=".2" '), ALL_ELSE,
+             '<option density="2"><flag spring="disable" damper="disable"/></option>', ""),
         left_out=_RIGID,),
 }  # fmt: skip
 

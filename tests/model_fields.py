@@ -11,51 +11,49 @@ from typing import Any
 from problems.models.mjcf_parts import load_mujoco
 
 
-def _listed(prefix: str, names: str) -> set[str]:
-    return {prefix + name for name in names.split()}
+def _listed(table: str) -> set[str]:
+    """Names by their beginnings, the first word of each line ("-": none)."""
+    rows = (line.split() for line in table.strip().splitlines())
+    return {first.strip("-") + name for first, *names in rows for name in names}
 
 
 #: Fields that the equations, the start or the names have.
-READ = (
-    {"qpos0", "qpos_spring", "npair", "exclude_signature"}
-    | _listed("opt.", "timestep gravity wind density viscosity integrator disableactuator")
-    | _listed("body_", "parentid weldid mocapid jntnum jntadr pos quat ipos iquat mass inertia")
-    | _listed("body_", "gravcomp")
-    | _listed("jnt_", "type qposadr dofadr pos axis stiffness stiffnesspoly")
-    | _listed("jnt_", "actfrclimited actfrcrange actgravcomp limited springyield")
-    | _listed("dof_", "jntid armature damping dampingpoly frictionloss")
-    | _listed("geom_", "bodyid contype conaffinity fluid")
-    | _listed("site_", "bodyid pos quat")
-    | _listed("eq_", "type obj1id obj2id objtype active0 data")
-    | _listed("actuator_", "ctrladr trnid gainprm biasprm damping dampingpoly armature group gear")
-    | _listed("actuator_", "outadr forcelimited forcerange ctrllimited ctrlrange ctrlnum outnum")
-    | _listed("actuator_", "trntype dyntype gaintype biastype delay")
-    | _listed("key_", "qpos qvel ctrl mpos mquat")
-)
+READ = _listed("""
+- exclude_signature npair qpos0 qpos_spring
+actuator_ armature biasprm biastype ctrladr ctrllimited ctrlnum ctrlrange damping dampingpoly delay
+actuator_ dyntype forcelimited forcerange gainprm gaintype gear group outadr outnum trnid trntype
+body_ gravcomp inertia ipos iquat jntadr jntnum mass mocapid parentid pos quat weldid
+dof_ armature damping dampingpoly frictionloss jntid
+eq_ active0 data obj1id obj2id objtype type
+geom_ bodyid conaffinity contype
+jnt_ actfrclimited actfrcrange axis dofadr limited pos qposadr springyield stiffness stiffnesspoly
+jnt_ type
+key_ ctrl mpos mquat qpos qvel
+opt. density disableactuator gravity integrator timestep viscosity
+site_ bodyid pos quat
+""")
 #: Fields that change no motion here: they draw, name, count and measure; follow from others;
 #: belong to parts that are refused; soften constraints, which are rigid here; or say how MuJoCo
 #: steps and solves. Those of the objects in `_NO_MOTION` are all such.
-IDLE = (
-    {"vis", "stat", "names", "names_map", "paths", "signature", "plugin", "nconmax", "njmax"}
-    | _listed("opt.", "impratio tolerance ls_tolerance noslip_tolerance ccd_tolerance magnetic")
-    | _listed("opt.", "sleep_tolerance o_margin o_solref o_solimp o_friction cone jacobian solver")
-    | _listed("opt.", "iterations ls_iterations noslip_iterations ccd_iterations sdf_initpoints")
-    | _listed("opt.", "sdf_iterations disableflags enableflags")
-    | _listed("body_", "rootid dofnum dofadr treeid geomnum geomadr simple sameframe subtreemass")
-    | _listed("body_", "plugin invweight0 margin user contype conaffinity bvhadr bvhnum")
-    | _listed("jnt_", "bodyid actuatorid group plasticadr solref solimp range margin user")
-    | _listed("dof_", "bodyid parentid treeid Madr simplenum solref solimp invweight0 M0 length")
-    | _listed("tree_", "bodyadr bodynum dofadr dofnum sleep_policy")
-    | _listed("geom_", "type condim dataid matid group priority plugin sameframe castshadow solmix")
-    | _listed("geom_", "solref solimp size aabb rbound pos quat friction margin gap surfacevel")
-    | _listed("geom_", "adhesion user rgba")
-    | _listed("site_", "type dataid matid group sameframe size user rgba")
-    | _listed("eq_", "solref solimp")
-    | _listed("actuator_", "actadr actnum ctrlspec cranklength dynprm actlimited actrange actearly")
-    | _listed("actuator_", "history historyadr user plugin acc0 length0 lengthrange")
-    | _listed("key_", "time act plastic")
-    | _listed("flg_", "gravcomp surfacevel adhesion")
-)
+IDLE = _listed("""
+- names names_map nconmax njmax paths plugin signature stat vis
+actuator_ acc0 actadr actearly actlimited actnum actrange cranklength ctrlspec dynprm history
+actuator_ historyadr length0 lengthrange plugin user
+body_ bvhadr bvhnum conaffinity contype dofadr dofnum geomadr geomnum invweight0 margin plugin
+body_ rootid sameframe simple subtreemass treeid user
+dof_ M0 Madr bodyid invweight0 length parentid simplenum solimp solref treeid
+eq_ solimp solref
+flg_ adhesion gravcomp surfacevel
+geom_ aabb adhesion castshadow condim dataid fluid friction gap group margin matid plugin pos
+geom_ priority quat rbound rgba sameframe size solimp solmix solref surfacevel type user
+jnt_ actgravcomp actuatorid bodyid group margin plasticadr range solimp solref user
+key_ act plastic time
+opt. ccd_iterations ccd_tolerance cone disableflags enableflags impratio iterations jacobian
+opt. ls_iterations ls_tolerance magnetic noslip_iterations noslip_tolerance o_friction o_margin
+opt. o_solimp o_solref sdf_initpoints sdf_iterations sleep_tolerance solver tolerance wind
+site_ dataid group matid rgba sameframe size type user
+tree_ bodyadr bodynum dofadr dofnum sleep_policy
+""")
 #: Beginnings of fields of objects that move nothing, or of parts that are refused.
 _NO_MOTION = (
     "n", "bvh_", "oct_", "cam_", "light_", "flex_", "flexedge_", "efm0_", "efmC_", "mesh_", "skin_",
@@ -66,15 +64,14 @@ _NO_MOTION = (
 
 #: Flags that the equations read, and those that change no motion here; ``sleep`` is refused.
 FLAGS = {
-    "mjtDisableBit": _listed(
-        "mjDSBL_",
-        "CONSTRAINT EQUALITY FRICTIONLOSS LIMIT CONTACT SPRING DAMPER GRAVITY CLAMPCTRL WARMSTART "
-        "FILTERPARENT ACTUATION REFSAFE SENSOR MIDPHASE EULERDAMP AUTORESET NATIVECCD ISLAND "
-        "MULTICCD",
-    ),
-    "mjtEnableBit": _listed(
-        "mjENBL_", "OVERRIDE ENERGY FWDINV INVDISCRETE SLEEP DIAGEXACT IPC SPECULATIVE"
-    ),
+    "mjtDisableBit": _listed("""
+mjDSBL_ ACTUATION AUTORESET CLAMPCTRL CONSTRAINT CONTACT DAMPER EQUALITY EULERDAMP FILTERPARENT
+mjDSBL_ FRICTIONLOSS GRAVITY ISLAND LIMIT MIDPHASE MULTICCD NATIVECCD REFSAFE SENSOR SPRING
+mjDSBL_ WARMSTART
+"""),
+    "mjtEnableBit": _listed("""
+mjENBL_ DIAGEXACT ENERGY FWDINV INVDISCRETE IPC OVERRIDE SLEEP SPECULATIVE
+"""),
 }  # fmt: skip
 
 

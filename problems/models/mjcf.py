@@ -12,7 +12,7 @@ import dataclasses
 import hashlib
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
@@ -27,7 +27,7 @@ from problems.models.mjcf_load import Start, checked_start, read, reset
 from problems.models.mjcf_model import Model
 from problems.models.mjcf_parts import called, lacking, load_mujoco, numbers
 from problems.system import MechatronicSystem
-from problems.variables import Component, State, parameter
+from problems.variables import State, parameter
 
 #: What a parameter says of a part that the equations do not have.
 REFUSED, LEFT_OUT = "refused", "left_out"
@@ -36,8 +36,7 @@ REFUSED, LEFT_OUT = "refused", "left_out"
 class MujocoScene(MechatronicSystem):
     """Base of scenes from MuJoCo's models; see `from_mjcf`.
 
-    M, bias, springs, dampers, armatures, gravity, actuators of constant control and equality
-    constraints are MuJoCo's. A soft equality of MuJoCo is a rigid constraint here.
+    A soft equality of MuJoCo is a rigid constraint here.
     """
 
     dear_tangents = True
@@ -131,10 +130,9 @@ def from_mjcf(
     name: str | None = None,
     interval: tuple[float, float] = (0.0, 2.0),
     nominal_step: float | None = None,
-    meshes: str | Path | None = None,
     defaults: Mapping[str, Any] | None = None,
     keyframe: str | None = None,
-    start: Mapping[str, float | Sequence[float]] | None = None,
+    start: Mapping[str, float] | None = None,
 ) -> type[MechatronicSystem]:
     """Return the scene class of a model of MuJoCo or a URDF.
 
@@ -152,17 +150,13 @@ def from_mjcf(
         Start and end in s.
     nominal_step
         Largest step of a convergence study in s; by default five steps of the model's own.
-    meshes
-        Folder in which meshes are looked for, too. One that is not there is left out, unless it
-        gives a body its mass.
     defaults
         Defaults of parameters of the scene, such as ``{"contacts": "left_out"}``.
     keyframe
         Name of the keyframe at which it starts, or its number if it has none; by default the first.
     start
-        Values at the start in place of those, in m, rad, m/s and rad/s: of the qpos of a joint by
-        its name, of its qvel by "name.v", of all by "qpos" and "qvel". The others follow from the
-        equalities.
+        Values at the start in place of those, by names of coordinates, or of velocities with ".v"
+        behind, such as ``{"hip": 0.3, "hip.v": 1}``. The others follow from the equalities.
 
     Raises
     ------
@@ -175,7 +169,7 @@ def from_mjcf(
     cls = "".join(part[:1].upper() + part[1:] for part in name.split("_"))
     if not (is_name(name) and cls.isidentifier()):
         raise SpecError(f"{name!r} is no name of a scene, such as 'robot'; give another one.")
-    m, notes = read(path, None if meshes is None else Path(meshes))
+    m, notes = read(path)
     try:
         digest, keys = _digest(m), [called(m, "KEY", k).removeprefix("key ") for k in range(m.nkey)]
         if keyframe is not None:
@@ -210,7 +204,9 @@ def from_mjcf(
         fields["keyframe"] = _word(keys[at_key or 0], text, tuple(keys), keyframe is not None)
     coordinates = _names(m, "[rad]", "[m]", [f"p{i}" for i in range(4)])
     rates = _names(m, "[rad/s]", "[m/s]", [f"Omega {i} [rad/s]" for i in (1, 2, 3)])
-    given = _given(start or {}, coordinates, rates)
+    if vectors := [key for key, value in (start or {}).items() if np.ndim(value)]:
+        raise SpecError(f"start[{vectors[0]!r}] is no number; give one for each coordinate.")
+    given = tuple(sorted((key, float(value)) for key, value in (start or {}).items()))
     fields["given"] = dataclasses.field(default=given, kw_only=True, repr=False)
     absent = {
         "kinematics": not model.balls,
@@ -258,23 +254,6 @@ def scene_name(path: Path) -> str:
     return word if word[:1].isalpha() else f"model_{word}".rstrip("_")
 
 
-def _given(
-    start: Mapping[str, float | Sequence[float]], coordinates: Sequence[str], rates: Sequence[str]
-) -> tuple[tuple[str, float], ...]:
-    """Values at the start by names of single coordinates and velocities."""
-    found: dict[str, float] = {}
-    for key, value in start.items():
-        joint, end = key.removesuffix(".v"), ".v" if key.endswith(".v") or key == "qvel" else ""
-        names = [Component.read(text).name for text in (rates if end else coordinates)]
-        if key not in ("qpos", "qvel"):
-            names = [n for n in names if n == joint or n.startswith(f"{joint} ")] or [joint]
-        values = np.atleast_1d(np.asarray(value, dtype=float))
-        if values.shape != (len(names),):
-            raise SpecError(f"start[{key!r}] has {values.size} values; give {len(names)}.")
-        found |= {f"{n}{end}": float(v) for n, v in zip(names, values, strict=True)}
-    return tuple(sorted(found.items()))
-
-
 def _digest(m: Any) -> str:
     """A digest of all numbers of a model."""
     data = np.empty(load_mujoco().mj_sizeModel(m), dtype=np.uint8)
@@ -312,11 +291,8 @@ def _names(m: Any, angle: str, way: str, turning: list[str]) -> tuple[str, ...]:
 
 def _controls(m: Any) -> tuple[str, ...]:
     """Names of the parameters that are controls of actuators."""
-    own = []
-    for k in range(m.nactuator):
-        one = called(m, "ACTUATOR", k).removeprefix("actuator ")
-        count = int(m.actuator_ctrlnum[k])
-        own += [f"{one}_{i}" for i in range(count)] if count > 1 else [one] * count
+    own = [called(m, "ACTUATOR", k).removeprefix("actuator ") for k in range(m.nactuator)]
+    own = [*np.repeat(own, m.actuator_ctrlnum)]
     names = ["control_" + "".join(c if c.isalnum() else "_" for c in name) for name in own]
     unique = len({*names}) == len(names)
     return tuple(names) if unique else tuple(f"control_{k}" for k in range(m.nu))

@@ -5,18 +5,17 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import re
 import tempfile
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from problems.base.cache import keep, kept
+from problems.base.cache import cached
 from problems.base.runtime import CACHE, FEW_CALLS, Array, Float, jax, jnp
 from problems.base.spec import SpecError
 from problems.base.text import said
@@ -60,20 +59,20 @@ def checked_start(model: Model, digest: str, keyframe: int | None) -> tuple[Star
     sources = (f.read_text("utf-8") for f in sorted(Path(__file__).parent.glob("*.py")))
     parts = digest, str(keyframe), load_mujoco().__version__, *sources
     place = CACHE / "models" / hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
-    if (stored := kept(place)) is not None:
-        start = Start(*json.loads(stored))
-        model.in_bodies = start.in_bodies
-        return start, False
-    data = reset(model.m, keyframe)
-    compare(model, data.qpos, data.ctrl)
-    start = _start(model, data)
-    if start.redundant:
-        model.in_bodies = True
-        start = min(start, _start(model, data), key=lambda start: start.redundant)
-        model.in_bodies = start.in_bodies
-    with suppress(OSError):
-        keep(place, json.dumps(start).encode())
-    return start, True
+    made: list[Start] = []
+
+    def make() -> bytes:
+        data = reset(model.m, keyframe)
+        compare(model, data.qpos, data.ctrl)
+        made.append(_start(model, data))
+        if made[0].redundant:
+            model.in_bodies = True
+            made.append(_start(model, data))
+        return json.dumps(min(made, key=lambda start: start.redundant)).encode()
+
+    start = Start(*json.loads(cached(place, make)))
+    model.in_bodies = start.in_bodies
+    return start, bool(made)
 
 
 def reset(m: Any, keyframe: int | None) -> Any:
@@ -86,7 +85,7 @@ def reset(m: Any, keyframe: int | None) -> Any:
 
 def _start(model: Model, data: Any) -> Start:
     """The start of the model, moved to the nearest place that satisfies its equalities."""
-    q, v, rows, redundant = data.qpos.copy(), data.qvel.copy(), np.arange(len(model.rows)), 0
+    q, v, rows = data.qpos.copy(), data.qvel.copy(), np.arange(len(model.rows))
     for at_q, _ in model.balls:
         q[at_q : at_q + 4] /= np.linalg.norm(q[at_q : at_q + 4])
     if not len(rows):
@@ -99,12 +98,9 @@ def _start(model: Model, data: Any) -> Start:
         return jax.jacfwd(lambda w: model.equalities(shifted(q, w)))(jnp.zeros(len(v)))
 
     once, rng = partial(jax.jit, compiler_options=FEW_CALLS), np.random.default_rng(1)
-    residual, jacobian = once(model.equalities), once(along)
+    residual, jacobian, near = once(model.equalities), once(along), once(shifted)
 
-    def near(q: Any, w: Any) -> np.ndarray:
-        return np.asarray(shifted(q, w))
-
-    def closed(q: np.ndarray) -> np.ndarray:
+    def closed(q: Any) -> np.ndarray:
         """The nearest place that satisfies the equalities, by Newton's method."""
         for _ in range(30):
             gap, by = np.asarray(residual(q))[rows], np.asarray(jacobian(q))[rows]
@@ -112,21 +108,16 @@ def _start(model: Model, data: Any) -> Start:
             q = near(q, step)
             if np.abs(step).max() < 1e-15:
                 break
-        return q
+        return np.asarray(q)
 
     # A combination that moves with nothing, as a plane loop across its plane, says nothing.
     rows = _independent([jacobian(near(q, rng.normal(size=len(v)))) for _ in range(3)])
     first, q = q, closed(q)
     worst, far = np.abs(residual(q)).max(), np.abs(q - first).max()
-    if worst > CONSISTENCY_TOLERANCE:
+    if worst > CONSISTENCY_TOLERANCE or far > FAR:
         raise SpecError(
-            f"The equalities cannot be satisfied near the start; the nearest position violates "
-            f"them by {worst:.2g} (m or rad)."
-        )
-    if far > FAR:
-        raise SpecError(
-            f"The start violates the equalities; the nearest position that satisfies them is "
-            f"{far:.2g} away in qpos (m or rad). Give a keyframe that does."
+            f"The start violates the equalities; the nearest position found is {far:.2g} away in "
+            f"qpos and violates them by {worst:.2g} (m or rad). Give a keyframe that does not."
         )
     by = np.asarray(jacobian(q))[rows]
     if np.linalg.matrix_rank(by, tol=1e-9) < len(rows):
@@ -170,7 +161,6 @@ def compare(model: Model, q: Float[np.ndarray, " nq"], control: Float[np.ndarray
         own = model.mass(q), model.mass_product(q, v), model.force(q, v, control)
         return *own, model.equalities(q)
 
-    names = "mass matrix", "products of it", "forces", "equalities"
     for _ in range(STATES):
         data, mass = mujoco.MjData(m), np.zeros((m.nv, m.nv))
         data.qpos[:], data.qvel[:] = q, rng.normal(size=m.nv)
@@ -180,133 +170,99 @@ def compare(model: Model, q: Float[np.ndarray, " nq"], control: Float[np.ndarray
         mujoco.mj_fullM(m, data, mass)
         parts = [data.qfrc_passive, data.qfrc_actuator, data.qfrc_bias]
         forces = data.qfrc_passive + data.qfrc_actuator - data.qfrc_bias
-        theirs = mass, mass @ data.qvel, forces, data.efc_pos
         # Where no force acts, as on a turntable, rounding is measured by that of M a.
         most = np.abs(mass).max()
-        sizes = most, most, max(np.abs(parts).max(), most), 1.0
-        found = map(np.asarray, ours(data.qpos.copy(), data.qvel.copy(), data.ctrl.copy()))
-        for name, own, given, size in zip(names, found, theirs, sizes, strict=True):
-            if own.shape != given.shape:
+        theirs = {
+            "mass matrix": (mass, most),
+            "products of it": (mass @ data.qvel, most),
+            "forces": (forces, max(np.abs(parts).max(), most)),
+            "equalities": (data.efc_pos, 1.0),
+        }
+        found = ours(data.qpos.copy(), data.qvel.copy(), data.ctrl.copy())
+        for own, (name, (given, size)) in zip(map(np.asarray, found), theirs.items(), strict=True):
+            same = own.shape == given.shape
+            gap = np.abs(own - given).max(initial=0.0) / size if same else np.inf
+            if not gap <= SAME:
                 raise SpecError(
-                    f"MuJoCo has {len(given)} equations of constraints where {len(own)} were read. "
-                    f"The model has something that is not read."
-                )
-            gap = np.abs(own - given).max(initial=0.0)
-            if not gap <= SAME * size:
-                raise SpecError(
-                    f"MuJoCo computes other {name}; the largest difference is {gap / size:.1e} of "
-                    f"the largest entry. The model has something that is not read."
+                    f"MuJoCo computes other {name}; the largest difference is {gap:.1e} of the "
+                    f"largest entry. The model has something that is not read."
                 )
 
 
 # ---- reading --------------------------------------------------------------------------
 
 
-def read(path: Path, meshes: Path | None) -> tuple[Any, list[str]]:
+def read(path: Path) -> tuple[Any, list[str]]:
     """Return the compiled model of a file, and sentences on what is not as in the file.
 
     A mesh shows and touches; the mass of its body is stated in the file, or the mesh is needed.
-    Where its file is not there, as behind ``package://``, it is left out.
-
-    Parameters
-    ----------
-    path
-        File of MuJoCo or URDF.
-    meshes
-        Folder in which meshes and textures are looked for, too.
+    Where its file is not there, as behind ``package://``, it is left out. Textures are not read:
+    they move nothing.
 
     Raises
     ------
     SpecError
         If MuJoCo does not take the file, or a mesh is not there that gives a body its mass.
     """
-    mujoco, notes = load_mujoco(), []
-    with _remarks() as remarks:
-        try:
-            spec = mujoco.MjSpec.from_file(str(path))
-            if lost := [*_without_lost(spec, path, meshes)]:
+    notes: list[str] = []
+    try:
+        with _remarks(notes):
+            spec = load_mujoco().MjSpec.from_file(str(path))
+            if lost := [*_without_lost(spec, path)]:
                 names = ", ".join(dict.fromkeys(lost))
-                notes.append(f"Meshes and textures are left out that are not there ({names}).")
-            compiled = spec.compile()
-        except SpecError:
-            raise
-        except (ValueError, RuntimeError, OSError) as error:
-            raise SpecError(f"MuJoCo cannot read {path}: {said(error)}") from None
-    return compiled, [*notes, *remarks]
+                notes.append(f"Meshes are left out that are not there ({names}).")
+            return spec.compile(), notes
+    except SpecError:
+        raise
+    except (ValueError, RuntimeError, OSError) as error:
+        raise SpecError(f"MuJoCo cannot read {path}: {said(error)}") from None
 
 
 @contextmanager
-def _remarks() -> Iterator[list[str]]:
-    """The warnings of MuJoCo as sentences, each once.
-
-    It gives them to a callback, to Python, or writes them to the standard error stream of C.
-    """
+def _remarks(notes: list[str]) -> Iterator[None]:
+    """Note the warnings of MuJoCo once: those to a callback, to Python, or on C's error stream."""
     mujoco, found, stream = load_mujoco(), [], os.dup(2)
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(found.append)
-    with (
-        warnings.catch_warnings(record=True, action="always") as told,
-        tempfile.TemporaryFile() as written,
-    ):
+    told = warnings.catch_warnings(record=True, action="always")
+    with told as others, tempfile.TemporaryFile() as written:
         os.dup2(written.fileno(), 2)
         try:
-            yield found
+            yield
         finally:
             os.dup2(stream, 2)
             os.close(stream)
             mujoco.set_mju_user_warning(before)
             written.seek(0)
-            lines = written.read().decode(errors="replace").splitlines()
-            found += [str(warning.message) for warning in told] + [*filter(None, lines)]
+            found += [str(other.message) for other in others]
+            found += filter(None, written.read().decode(errors="replace").splitlines())
             texts = (" ".join(text.split()).removeprefix("WARNING: ") for text in found)
-            found[:] = dict.fromkeys(f"MuJoCo warns: {text.rstrip('.')}." for text in texts)
+            notes += dict.fromkeys(f"MuJoCo warns: {text.rstrip('.')}." for text in texts)
 
 
-def _without_lost(spec: Any, path: Path, root: Path | None) -> Iterator[str]:
-    """Leave meshes and textures out whose files are not there, and give their names."""
+def _without_lost(spec: Any, path: Path) -> Iterator[str]:
+    """Leave meshes out whose files are not there, and give their names; leave out all textures."""
     mujoco = load_mujoco()
+    always = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     for mesh in [*spec.meshes]:
-        if mesh.file and not _found(spec, mesh, spec.meshdir, path, root, _MESHES):
-            yield mesh.file
-            for geom in spec.geoms:
-                if geom.meshname == mesh.name:
-                    _check_mass(spec, geom, path, mesh.file)
-                    # A small ball without mass stands in for it: it may touch.
-                    geom.meshname, geom.mass = "", 0.0
-                    geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [0.01, 0.0, 0.0]
-            spec.delete(mesh)
+        is_there = mesh.file in spec.assets or (path.parent / spec.meshdir / mesh.file).is_file()
+        if not mesh.file or (is_there and mesh.file.lower().endswith(_MESHES)):
+            continue
+        yield mesh.file
+        for geom in spec.geoms:
+            if geom.meshname != mesh.name:
+                continue
+            stated = geom.parent.explicitinertial and not always
+            # The links of a URDF state their masses, or have none.
+            if not (stated or path.suffix == ".urdf" or geom.parent == spec.worldbody):
+                raise SpecError(
+                    f"{path}: the mesh {mesh.file} is not there, which gives the body "
+                    f"{geom.parent.name!r} its mass; put it there, or state the inertia."
+                )
+            # A small ball without mass stands in for it: it may touch.
+            geom.meshname, geom.mass = "", 0.0
+            geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [0.01, 0.0, 0.0]
+        spec.delete(mesh)
     for texture in spec.textures:
-        if texture.file and not _found(spec, texture, spec.texturedir, path, root):
-            yield texture.file
-            texture.file, texture.builtin = "", mujoco.mjtBuiltin.mjBUILTIN_FLAT
-            texture.width = texture.height = 1
-
-
-def _found(
-    spec: Any, asset: Any, folder: str, path: Path, root: Path | None, endings: Any = ""
-) -> bool:
-    """Whether the file of an asset is there; it is named anew if it is in the root."""
-    if not asset.file.lower().endswith(endings):
-        return False
-    if asset.file in spec.assets or (path.parent / folder / asset.file).is_file():
-        return True
-    # package://robot/meshes/arm.stl: the root may hold robot, meshes or arm.stl.
-    parts = Path(re.sub(r"^\w+://", "", asset.file)).parts
-    for k in range(len(parts) if root else 0):
-        place = Path(root or "").resolve().joinpath(*parts[k:])
-        if place.is_file():
-            asset.file = str(place)
-            return True
-    return False
-
-
-def _check_mass(spec: Any, geom: Any, path: Path, file: str) -> None:
-    """Refuse that a mesh is not there which gives a body its mass."""
-    always = load_mujoco().mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    stated = geom.parent.explicitinertial and spec.compiler.inertiafromgeom != always
-    # The links of a URDF state their masses, or have none.
-    if not (stated or path.suffix == ".urdf" or geom.parent == spec.worldbody):
-        raise SpecError(
-            f"{path}: the mesh {file} is not there, which gives the body {geom.parent.name!r} its "
-            f"mass; name its folder: stepbench new problem NAME --from FILE --meshes FOLDER."
-        )
+        texture.file, texture.builtin = "", mujoco.mjtBuiltin.mjBUILTIN_FLAT
+        texture.width = texture.height = 1

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -44,23 +44,10 @@ def called(m: Any, kind: str, k: int) -> str:
     return own or f"{kind.lower()} {k}"
 
 
-def at_joints(m: Any) -> Bool[np.ndarray, " k"]:
-    """Return whether actuators act on joints."""
-    ways = numbers("mjtTrn")
-    return np.isin(m.actuator_trntype, [ways.JOINT, ways.JOINTINPARENT])
-
-
 def acting(m: Any) -> Bool[np.ndarray, " k"]:
     """Return whether actuators have a force."""
-    gains, biases = numbers("mjtGain"), numbers("mjtBias")
-    own = (m.actuator_gaintype != gains.FIXED) | m.actuator_gainprm.any(1)
-    return own | (m.actuator_biastype != biases.NONE)
-
-
-def are_turning(m: Any) -> Bool[np.ndarray, " n"]:
-    """Return whether joints are ball or free joints."""
-    kinds = numbers("mjtJoint")
-    return np.isin(m.jnt_type, [kinds.FREE, kinds.BALL])
+    own = (m.actuator_gaintype != numbers("mjtGain").FIXED) | m.actuator_gainprm.any(1)
+    return own | (m.actuator_biastype != numbers("mjtBias").NONE)
 
 
 #: Fields that are zero where a flag of MuJoCo is off.
@@ -82,9 +69,9 @@ def _is_off(m: Any, flag: str) -> bool:
 
 
 def _clear(m: Any, fields: str, those: Any = slice(None)) -> None:
-    """Make fields of objects zero."""
+    """Make fields of objects zero, and of their degrees of freedom those of all."""
     for field in fields.split():
-        getattr(m, field)[those] = 0
+        getattr(m, field)[slice(None) if field.startswith("dof") else those] = 0
 
 
 def settled(m: Any) -> Any:
@@ -102,59 +89,52 @@ def settled(m: Any) -> Any:
     return m
 
 
-class Part(NamedTuple):
-    """Something that a scene cannot state.
+def _parts(m: Any) -> dict[str, tuple[str, str, dict[str, np.ndarray], str]]:
+    """Parts of a settled model that a scene cannot state, by the parameter that leaves them out.
 
-    ``words``, ``kind``
-        what it is, and of which objects
-    ``those``
-        objects that have it, ``(k,)``, by the attribute that says so, if it has to be named
-    ``fields``
-        those that are zero where it is left out
+    Of each: what it is; the kind of its objects, and those that have it ``(k,)``, by the attribute
+    that says so, if it has to be named; and the fields that are zero where it is left out.
     """
-
-    words: str
-    kind: str
-    those: dict[str, np.ndarray]
-    fields: str
-
-
-def _parts(m: Any) -> dict[str, Part]:
-    """All parts of a settled model but contacts, by the parameter that leaves them out."""
-    gains, biases, ties = map(numbers, ("mjtGain", "mjtBias", "mjtEq"))
-    rubs, turning = np.zeros(m.njnt, dtype=bool), are_turning(m)
+    joints, ways, ties = map(numbers, ("mjtJoint", "mjtTrn", "mjtEq"))
+    turning = np.isin(m.jnt_type, [joints.FREE, joints.BALL])
+    rubs, bends = (np.zeros(m.njnt, dtype=bool) for _ in range(2))
     rubs[m.dof_jntid[m.dof_frictionloss != 0]] = True
-    springs = (m.jnt_stiffness != 0) | m.jnt_stiffnesspoly.any(1)
-    immersed = bool(m.opt.density or m.opt.viscosity)
-    acts, on_balls = acting(m), np.zeros(len(m.actuator_group), dtype=bool)
-    on_balls[at_joints(m)] = turning[m.actuator_trnid[at_joints(m), 0]]
+    bends[m.dof_jntid[m.dof_dampingpoly.any(1)]] = True
+    at_joints = np.isin(m.actuator_trntype, [ways.JOINT, ways.JOINTINPARENT])
+    on_balls = at_joints.copy()
+    on_balls[at_joints] = turning[m.actuator_trnid[at_joints, 0]]
     odd = {
-        "target": ~at_joints(m),
+        "target": ~at_joints,
         "dyntype": m.actuator_dyntype != numbers("mjtDyn").NONE,
-        "gaintype": ~np.isin(m.actuator_gaintype, [gains.FIXED, gains.AFFINE]),
-        "biastype": ~np.isin(m.actuator_biastype, [biases.NONE, biases.AFFINE]),
+        "gaintype": m.actuator_gaintype != numbers("mjtGain").FIXED,
+        "biastype": m.actuator_biastype > numbers("mjtBias").AFFINE,
         "delay": m.actuator_delay != 0,
         "inputs": m.actuator_ctrlnum != 1,
         "outputs": m.actuator_outnum != 1,
         "joint": on_balls,
     }
+    actuators = {attribute: those & acting(m) for attribute, those in odd.items()}
+    springs = {
+        "type": turning & ((m.jnt_stiffness != 0) | m.jnt_stiffnesspoly.any(1)),
+        "stiffness": m.jnt_stiffnesspoly.any(1),
+        "damping": bends,
+        "springyield": m.jnt_springyield != 0,
+    }
+    drag = (m.actuator_damping != 0) | m.actuator_dampingpoly.any(1)
     rigid = np.isin(m.eq_type, [ties.CONNECT, ties.WELD, ties.JOINT])
     return {
-        part: Part(words, kind, those if isinstance(those, dict) else {"": those}, fields)
+        part: (words, kind, those if isinstance(those, dict) else {"": those}, fields)
         for part, words, kind, those, fields in (
             ("limits", "limits of joints", "JOINT", m.jnt_limited != 0, "jnt_limited"),
             ("friction_loss", "frictionloss", "JOINT", rubs, "dof_frictionloss"),
             ("tendons", "tendons", "TENDON", np.ones(m.ntendon, dtype=bool),
              "tendon_stiffness tendon_stiffnesspoly tendon_damping tendon_dampingpoly "
              "tendon_armature tendon_limited tendon_frictionloss tendon_springyield"),
-            ("fluid", "forces of a fluid on an ellipsoid", "GEOM",
-             (m.geom_fluid[:, 0] != 0) & immersed, ""),
-            ("plasticity", "springs that yield", "JOINT", m.jnt_springyield != 0,
-             "jnt_springyield"),
-            ("ball_springs", "springs of ball or free joints", "JOINT", springs & turning,
-             "jnt_stiffness jnt_stiffnesspoly"),
-            ("actuators", "actuators that are no affine force of a joint", "ACTUATOR",
-             {attribute: those & acts for attribute, those in odd.items()},
+            ("springs", "springs and dampers that are no linear ones of a hinge or slide", "JOINT",
+             springs, "jnt_stiffness jnt_stiffnesspoly jnt_springyield dof_dampingpoly"),
+            ("gravcomp", "gravcomp", "BODY", m.body_gravcomp != 0, "body_gravcomp"),
+            ("actuators", "actuators other than motors and servos of a joint", "ACTUATOR",
+             actuators | {"armature": m.actuator_armature != 0, "damping": drag},
              f"{_FORCE} actuator_armature actuator_damping actuator_dampingpoly"),
             ("equalities", "equalities other than connect, weld, joint", "EQUALITY",
              (m.eq_active0 != 0) & ~rigid, "eq_active0"),
@@ -176,14 +156,15 @@ def lacking(m: Any) -> dict[str, str]:
                 f"The model has {words} of MuJoCo ({called(m, kind, 0)!r}); a scene can neither "
                 f"state nor leave out these."
             )
-    pair = "" if _is_off(m, "CONTACT") else _contact(m)
+    pair, m = "" if _is_off(m, "CONTACT") else _contact(m), settled(m)
     found = {"contacts": f"contacts ({pair})"} if pair else {}
-    for part, (words, kind, objects, _) in _parts(settled(m)).items():
+    for part, (words, kind, objects, _) in _parts(m).items():
         for attribute, those in objects.items():
             if part not in found and those.any():
-                name = repr(called(m, kind, int(np.argmax(those))))
                 by = f", by its {attribute}" * bool(attribute)
-                found[part] = f"{words} ({name}{by})"
+                found[part] = f"{words} ({called(m, kind, int(np.argmax(those)))!r}{by})"
+    if m.opt.density or m.opt.viscosity:
+        found["fluid"] = "a fluid (density, viscosity)"
     if m.opt.enableflags & numbers("mjtEnableBit").SLEEP:
         found["sleep"] = "bodies that fall asleep (flag sleep)"
     return found
@@ -192,12 +173,10 @@ def lacking(m: Any) -> dict[str, str]:
 def without(m: Any) -> Any:
     """Return a copy of a model that has what a scene states, and nothing else."""
     parts, m = _parts(settled(m)), copy.copy(m)
-    for part in parts.values():
-        those = np.any([*part.those.values()], axis=0)
-        if those.any():
-            _clear(m, part.fields, slice(None) if part.fields.startswith("dof") else those)
-    if any(those.any() for those in parts["fluid"].those.values()):
-        m.opt.density = m.opt.viscosity = 0.0
+    for _, _, objects, fields in parts.values():
+        if (those := np.any([*objects.values()], axis=0)).any():
+            _clear(m, fields, those)
+    m.opt.density = m.opt.viscosity = 0.0
     off, on = numbers("mjtDisableBit"), numbers("mjtEnableBit")
     m.opt.disableflags |= off.CONTACT
     m.opt.enableflags &= ~(on.SLEEP | on.IPC)  # that of flexes asks for one of the integrators
@@ -209,21 +188,19 @@ def _contact(m: Any) -> str:
     """The first pair of geometries that may touch, by the rules of MuJoCo's documentation."""
     if m.npair:
         return f"pair {called(m, 'PAIR', 0)!r}"
-    excluded = {int(signature) for signature in m.exclude_signature}
-    # Bodies that are welded to each other, or parent and child, do not touch.
-    weld, up = m.body_weldid, m.body_weldid[m.body_parentid[m.body_weldid]]
-    filtered = not _is_off(m, "FILTERPARENT")
     able = np.flatnonzero(m.geom_contype | m.geom_conaffinity)
-    for i, first in enumerate(able):
-        for other in able[i + 1 :]:
-            a, b = sorted((int(m.geom_bodyid[first]), int(m.geom_bodyid[other])))
-            family = weld[a] and weld[b] and (up[b] == weld[a] or up[a] == weld[b])
-            meet = (m.geom_contype[first] & m.geom_conaffinity[other]) or (
-                m.geom_contype[other] & m.geom_conaffinity[first]
-            )
-            if not meet or weld[a] == weld[b] or (filtered and family) or (a << 16) + b in excluded:
-                continue
-            owners = (called(m, "BODY", int(m.geom_bodyid[geom])) for geom in (first, other))
-            geoms = (called(m, "GEOM", int(geom)) for geom in (first, other))
-            return f"geom {' and '.join(map('{!r} of body {!r}'.format, geoms, owners))}"
-    return ""
+    geoms = able[np.stack(np.triu_indices(len(able), 1))]
+    one, other = bodies = np.sort(m.geom_bodyid[geoms], axis=0).astype(int)
+    types, affinities = m.geom_contype[geoms], m.geom_conaffinity[geoms[::-1]]
+    # Bodies that are welded to each other, or parent and child, do not touch.
+    weld = m.body_weldid[bodies]
+    family = weld.all(0) & (m.body_weldid[m.body_parentid[weld]] == weld[::-1]).any(0)
+    family &= not _is_off(m, "FILTERPARENT")
+    excluded = np.isin((one << 16) + other, m.exclude_signature)
+    touch = (types & affinities).any(0) & (weld[0] != weld[1]) & ~family & ~excluded
+    if not touch.any():
+        return ""
+    return "geom " + " and ".join(
+        f"{called(m, 'GEOM', int(k))!r} of body {called(m, 'BODY', int(m.geom_bodyid[k]))!r}"
+        for k in geoms[:, np.argmax(touch)]
+    )

@@ -70,8 +70,6 @@ class Tree:
     mass, centre, inertia
         in kg, m, and kg m^2 about the centre in the axes of the link: ``(n,)``, ``(n, 3)``,
         ``(n, 3, 3)``
-    weightless
-        part of the weight that is held up ``(n,)``
     gravity
         in m/s^2 ``(3,)``
     nq, nv
@@ -90,7 +88,6 @@ class Tree:
     mass: np.ndarray
     centre: np.ndarray
     inertia: np.ndarray
-    weightless: np.ndarray
     gravity: np.ndarray
     nq: int
     nv: int
@@ -182,21 +179,16 @@ class Tree:
     def mass_product(self, q: Float[Array, " nq"], a: Float[Array, " nv"]) -> Float[Array, " nv"]:
         """Return M(q) a, in N (or N m), with fewer operations than by M."""
         at = self.poses(q)
-        rise, angular = self.speeds(at, a)
-        return self.on_joints(at, self.mass[:, None] * rise, _turn(self._bodies(at)[1], angular))
-
-    def speeds(self, at: Poses, v: Float[Array, " nv"]) -> tuple[Array, Array]:
-        """Return the velocities of the centres of mass, and angular velocities: ``(n, 3)`` each."""
+        centres, inertias = self._bodies(at)
         above = self._above[:, self._of]
-        angular = jnp.matmul(above, v[:, None] * at.turning)
-        speed = jnp.matmul(above, v[:, None] * at.moving) + jnp.cross(angular, self._bodies(at)[0])
-        return speed, angular
+        spin = jnp.matmul(above, a[:, None] * at.turning)
+        rise = jnp.matmul(above, a[:, None] * at.moving) + jnp.cross(spin, centres)
+        return self._on_joints(at, centres, self.mass[:, None] * rise, _turn(inertias, spin))
 
-    def on_joints(self, at: Poses, force: Any, spin: Array) -> Float[Array, " nv"]:
-        """Return the forces of joints that balance forces at the centres, and moments about them:
-        ``(n, 3)`` each."""
+    def _on_joints(self, at: Poses, centres: Array, force: Any, spin: Array) -> Array:
+        """Forces of joints that balance forces at the centres, and moments about them."""
         hanging = self._above.T[self._of]
-        moment = spin + jnp.cross(self._bodies(at)[0], force)
+        moment = spin + jnp.cross(centres, force)
         return (at.moving * (hanging @ force) + at.turning * (hanging @ moment)).sum(axis=1)
 
     @traced_once
@@ -213,15 +205,9 @@ class Tree:
         linear = self._above @ (jnp.cross(w_above, u) + jnp.cross(u_above, w))
         w, u = w_above + w, u_above + u
         rise = linear + jnp.cross(angular, centres) + jnp.cross(w, u + jnp.cross(w, centres))
-        force = self.mass[:, None] * (rise - (1 - self.weightless)[:, None] * self.gravity)
+        force = self.mass[:, None] * (rise - self.gravity)
         spin = _turn(inertias, angular) + jnp.cross(w, _turn(inertias, w))
-        return self.on_joints(at, force, spin)
-
-    def held(self, q: Float[Array, " nq"]) -> Float[Array, " nv"]:
-        """Return the forces of joints that hold up the weightless parts, in N (or N m)."""
-        at = self.poses(q)
-        force = -(self.mass * self.weightless)[:, None] * self.gravity
-        return self.on_joints(at, force, jnp.zeros_like(at.origins))
+        return self._on_joints(at, centres, force, spin)
 
     def centres(self, q: Float[Array, " nq"]) -> Float[Array, "n 3"]:
         """Return the centres of mass, in m."""
@@ -229,4 +215,4 @@ class Tree:
 
     def weight_energy(self, q: Float[Array, " nq"]) -> Float[Array, ""]:
         """Return the potential energy of the weights, in J."""
-        return -jnp.sum((self.mass * (1 - self.weightless)) * (self.centres(q) @ self.gravity))
+        return -jnp.sum(self.mass * (self.centres(q) @ self.gravity))
