@@ -117,7 +117,7 @@ def test_the_headline_has_at_most_twelve_words():
     for wins, line in (
         ([(1, 9), (1, 9), (9, 1)], "A is cheapest on 2 of 3 scenes."),
         ([(1, 9), (1, 9), (None, None)], "A is cheapest on 2 of 3 scenes; nobody reaches 1."),
-        ([(1, 9), (1, 1), (9, 1), (1, 9)], "A is cheapest on 3 of 4 scenes, alone on 2."),
+        ([(1, 9), (1, 1), (9, 1), (1, 9)], "A is cheapest on 3 of 4 scenes, tied on 1."),
         ([(1, 1), (2, 2)], "A and B are each cheapest on both scenes, always tied."),
         ([(1, 9, 9), (9, 1, 9), (9, 9, 1)], "3 methods tie: each is cheapest on 1 of 3 scenes."),
         ([(1, 9), (1, 9)], "A is cheapest on both scenes."),
@@ -126,7 +126,7 @@ def test_the_headline_has_at_most_twelve_words():
         # Both are first on three scenes, B on one of them by itself.
         (
             [(1, 1, 5), (5, 1, 5), (1, 5, 1), (1, 1, 1)],
-            "B is cheapest on 3 of 4 scenes, alone on 1.",
+            "B is cheapest on 3 of 4 scenes, tied on 2.",
         ),
     ):  # fmt: skip
         found = answer(scenes_of(field(*wins, rivals="ABC"[: len(wins[0])])), COUNTS)
@@ -146,7 +146,7 @@ def test_both_costs_have_a_headline_and_the_leader_of_one_its_count_by_the_other
         record.run_s = [1e-3 if record.integrator == "two" else 3e-3] * 7
     found = {q: a for q, a in answers(scenes_of(records), ["a"]).items() if q.target == 1e-4}
     assert [plain(s) for s in headlines(found, {})] == [
-        operations, "Least time: two is cheapest on both scenes (one: 0).",
+        operations, "Least time: two is cheapest on both scenes (one on none).",
     ]  # fmt: skip
 
 

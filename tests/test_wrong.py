@@ -119,7 +119,7 @@ def test_pages_and_terminal_say_the_same(store):
     operations, time, count, silent = method_card(store, "")
     assert operations.startswith("1e-4 in acceleration, fewest operations: ")
     assert operations.endswith("cheapest on 1 of 2 scenes.")
-    assert time.endswith("least time: good 0.8 is cheapest on both scenes, alone on 1.")
+    assert time.endswith("least time: good 0.8 is cheapest on both scenes, tied on 1.")
     assert count.startswith("Wrong without warning: ")
     assert (
         silent == "Wrong at every resolution, silently (smallest error): ringing 1 (pendulum: 9)."

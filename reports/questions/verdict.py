@@ -31,7 +31,7 @@ LATER, WRONG_A = "ties from a later start", "a wrong in every run"
 def headline(found: Answer, names: Names, of: Answer | None = None) -> Sentence:
     """'A is cheapest on 6 of 9 scenes; nobody reaches 2.': twelve words, a name counted as one.
 
-    Where the leader of ``of``, by another cost, does not lead, its count is told: ' (B: 1)'.
+    Where the leader of ``of``, by another cost, does not lead, its count is told: ' (B on 1)'.
     """
     judged, rows = len(found.scenes), found.standings
     every = {1: "the scene", 2: "both scenes"}.get(judged, f"all {judged} scenes")
@@ -45,13 +45,13 @@ def headline(found: Answer, names: Names, of: Answer | None = None) -> Sentence:
     on = every if count == judged else f"{count} of {judged} scenes"
     but = f"; nobody reaches {missed}" if missed else ""
     if alone < count:
-        but = f", alone on {alone}" if alone else ", always tied"
+        but = f", tied on {count - alone}" if alone else ", always tied"
     kind = {1: "one", 2: "two"}.get(len(lead), "many")
     said = HEADLINES[kind].rpartition("{who}")[2].format(count=len(lead), on=on, but=but)
     who = listed([method_ref(label, names)] for label in lead) if kind != "many" else []
     other = of.standings[0].label if of and of.standings else ""
     own = next((s.alone + s.tied for s in rows if s.label == other), count)
-    beside = f" ({names.get(other, other)}: {own})." if own < count else "."
+    beside = f" ({names.get(other, other)} on {own or 'none'})." if own < count else "."
     return [*who, said.removesuffix(".") + beside]
 
 
