@@ -174,13 +174,13 @@ def test_mine_is_run_reported_and_told(stepbench, monkeypatch, tmp_path):
     result = stepbench("run", "--mine", "wbz", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert asked == ["wbz[rho_inf=0.8]"]
-    assert "wbz[rho_inf=0.8] wins in out.\n" in result.stdout
-    assert "1 cell: 1 ok, 0 failed with a reason; 1 measured now" in result.stdout
-    assert "All wins in out.\n" in result.stdout
-    assert "more run" not in result.stdout
+    mine, then, every, counts = result.stdout.splitlines()
+    assert (mine, every) == ("wbz[rho_inf=0.8] wins in out.", "All wins in out.")
+    assert then.startswith(f"Next: stepbench report {tmp_path / 'out'} --open ")
+    assert counts.startswith("1 cell: 1 ok, 0 failed with a reason; 1 measured now")
     other = Outcome([ended("ok")], 1, [], (), 2).sentences
     assert other[1:] == ["The folder has 2 more runs; so has its report."]
-    assert "] wins" not in stepbench("run", "--out", tmp_path / "out").stdout
+    assert stepbench("run", "--out", tmp_path / "out").stdout.startswith("All wins in out.\nNext: ")
     for name in ("", "wbzz"):
         wrong = stepbench("run", "--mine", name)
         assert wrong.exit_code == 1

@@ -114,8 +114,9 @@ def write_reports(folder: Path, single_file: bool = False) -> None:
     from reports.pages.markdown_report import write_markdown_report
 
     try:
-        click.echo(f"Report: {write_html_report(folder, single_file)}")
-        click.echo(f"Report: {write_markdown_report(folder)}")
+        page = write_html_report(folder, single_file)
+        paper = write_markdown_report(folder)
+        click.echo(f"Report: {page}; {paper.name} beside it is the same in Markdown.")
     except OSError as error:
         raise click.ClickException(
             f"The report could not be written: {error.strerror}. The results are stored."
@@ -173,16 +174,16 @@ def run_(o: Given) -> None:
             err=True,
         )
     outcome = run_suite(suite, registry, o.out, o.fresh, o.jobs, o.cluster)
-    for sentence in outcome.sentences:
-        click.echo(sentence)
-    write_reports(o.out)
     from bench.commands.terminal import say
     from reports.questions.method_card import method_card
 
-    # The answer, runs that are wrong without warning, and where one's own integrator stands.
-    for integrator in dict.fromkeys(("", suite.plan.mine)):
-        for line in method_card(o.out, integrator):
-            say(line)
+    answer, *others = method_card(o.out, "")
+    for line in method_card(o.out, suite.plan.mine) if suite.plan.mine else [answer]:
+        say(line)
+    write_reports(o.out)
+    say(f"Next: stepbench report {o.out} --open shows it; stepbench run --mine METHOD adds yours.")
+    for line in (*[answer] * bool(suite.plan.mine), *others, *outcome.sentences):
+        say(line)
     if not any(record.status == "ok" for record in outcome.records):
         raise click.ClickException(f"No cell succeeded. {in_common(outcome.records)}")
     if cut := outcome.interrupted:

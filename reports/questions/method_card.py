@@ -93,10 +93,10 @@ def method_card(folder: Path, integrator: str) -> list[str]:
     names, first = stored.names, stored.first
     found = answer(stored.series, first)
     if not integrator:
-        aim = f"{first.accuracy} in {first.quantity}, "
-        said = [
-            [f"{aim}{COSTS[q.cost].least}: ", *headline(answer(stored.series, q), names, found)]
-            for q in first.by_both
+        aim = f" to {first.accuracy} in {first.quantity}: "
+        said: list[Sentence] = [
+            [COSTS[own.question.cost].least.capitalize(), aim, *headline(own, names, found)]
+            for own in (answer(stored.series, q) for q in first.by_both)
         ]
         said += wrong_sentences(first.group, stored.wrong(first.group), names)
         return [*map(plain, said)]
