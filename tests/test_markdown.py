@@ -59,6 +59,8 @@ def test_the_report_has_no_faults_and_its_pictures_exist(folder):
     for page in (path, *scenes):
         assert faults(page) == []
         assert missing(page) == []
+        prose = re.sub(r"^\|.*|\]\(.*?\)", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+        assert [s for s in re.split(r"(?<=[.:;])\s|\n\n", prose) if len(s.split()) > 40] == []
     assert "![" in scenes[0].read_text(encoding="utf-8")
     (folder / FIGURES / "scene-2-scene.svg").unlink()
     assert len(missing(scenes[0])) == 1

@@ -65,10 +65,8 @@ def write_markdown_report(folder: Path) -> Path:
         "report.md.j2",
         names,
         report=report,
-        answer=[
-            rendered(s, _escaped, links)
-            for s in (*headlines(report.answered, report.names), [DIFFER], *report.wrong)
-        ],
+        answer=[rendered(s, _escaped, links) for s in headlines(report.answered, report.names)],
+        doubts=[rendered(s, _escaped, links) for s in ([DIFFER], *report.wrong)],
         standings=standings_table(report.answer),
         scenes=[(scene_name(s.name), files[s.name]) for s in report.scenes],
         figures=_FIGURES,

@@ -198,18 +198,19 @@ class Report:
     @property
     def overview(self) -> list[Figure]:
         """Pictures of the answer to the first question, which a page draws itself."""
-        which = f"({self.stored.first.text}; {COSTS[self.stored.first.cost].title})"
+        first = self.stored.first
+        which = f"Accuracy: {first.text}. Cost: {COSTS[first.cost].title}."
         heat = (
-            "Cost of the cheapest run that reaches an accuracy, as a multiple of the best on the "
-            f"scene {which}. Grey: not reached, or the cost is not measured; empty: not tried."
+            f"Cost as a multiple of the cheapest on the scene. {which} Grey: not reached, or the "
+            "cost is not measured; empty: not tried."
         )
         profile = (
-            f"Performance profile {which}: part of the scenes on which an integrator costs at most "
-            "so many times the best (Dolan and More 2002). On the left: part on which it is the "
-            "cheapest; on the right: part on which it reaches the accuracy. Counted are all scenes "
-            "with several integrators."
+            "Part of the scenes on which an integrator costs at most so many times the cheapest "
+            f"(performance profile, Dolan and More 2002). {which} On the left: part on which it is "
+            "the cheapest; on the right: part on which it reaches the accuracy. Counted are all "
+            "scenes with several integrators."
         )
-        errors = error_against_cost(self.series, self.styles, self.stored.first)
+        errors = error_against_cost(self.series, self.styles, first)
         return [
             Figure(heat, {"overview-heat": cost_heat_map(self.answer, self.styles)}),
             Figure(profile, {"overview-profile": performance_profile(self.answer, self.styles)}),

@@ -18,11 +18,8 @@ from reports.series import Series
 
 #: When costs tie.
 _TIES = (
-    "".join(
-        f"{', ' if k else 'Ties '}in {COSTS[cost].words}: {tie_text(cost)}"
-        for k, cost in enumerate(RANKED_COSTS)
-    )
-    + "; and where another one is the cheapest if the runs start later on the same motion"
+    "".join(f"Ties in {COSTS[cost].words}: {tie_text(cost)}. " for cost in RANKED_COSTS)
+    + "One that is the cheapest from a later start on the same motion ties, too."
 )
 
 
@@ -71,7 +68,7 @@ def targets_table(series: Sequence[Series], names: Names) -> Table | None:
         for question in found
         if question.cost == COST
     }
-    note = f"Relative error: {NORMS[NORM]}. {_TIES}. Seconds also compare languages; counts and "
+    note = f"Relative error: {NORMS[NORM]}. {_TIES} Seconds also compare languages; counts and "
     note += "operations do not."
     caption, head = "Cheapest way to an accuracy", "relative error"
     return _verdicts(caption, head, rows, names, note, "") if rows else None
@@ -85,7 +82,7 @@ def winners_table(found: Mapping[Question, Answer], names: Names) -> Table | Non
         return None
     scenes = dict.fromkeys([*several, *(k for own in by_cost for k in own.unjudged)])
     caption = f"Cheapest way to {by_cost[0].question.text}"
-    note = f"{_TIES}. Other accuracies: on the scenes' pages."
+    note = f"{_TIES} Other accuracies: on the scenes' pages."
     return _verdicts(caption, "scene", dict.fromkeys(scenes, by_cost), names, note)
 
 
@@ -100,7 +97,7 @@ def standings_table(found: Answer) -> Table | None:
         ["integrator", "alone cheapest", "tied", "reached", "tried"],
         [[s.label, *map(str, (s.alone, s.tied, s.reached, s.tried))] for s in rows],
         note=f"Numbers of scenes. Relative error: {NORMS[NORM]}. First places count on scenes "
-        f"on which several integrators are compared. {_TIES}.",
+        "on which several integrators are compared.",
     )
 
 
