@@ -11,7 +11,6 @@ import scipy.integrate
 import scipy.optimize
 from helpers import errors_at, local_slopes, reference
 
-from bench.check.blocks import check_parameters
 from bench.plugins.registry import Registry
 from integrators import Reading, StepMethod, Steps, Tolerances
 from problems import MechatronicSystem, SampledSystem, State, held, jax, jnp, parameter
@@ -140,10 +139,6 @@ def test_gears_with_play_touch_and_part_as_in_their_closed_form():
     assert run.events[0, 0] == pytest.approx(first, abs=1e-8)
     momentum = 0.5 * (1 - np.cos(12 * run.t[-1])) / 12
     assert run.v[-1] @ [0.01, 0.05] == pytest.approx(momentum, abs=1e-9)
-
-
-def test_a_parameter_that_acts_in_a_later_phase_is_used():
-    assert "Acting when traced: play, k, side" in check_parameters(Registry([]), Gears())
 
 
 # ---- step methods --------------------------------------------------------------------------

@@ -224,17 +224,7 @@ class Stubborn(MechatronicSystem):
 
 
 @dataclass(frozen=True)
-class Late(Stubborn):
-    """A right scene, with a force that begins after half a second."""
-
-    begin: float = parameter(0.5, "s", "time at which the force begins")
-
-    def force(self, q, v, t):
-        return jnp.maximum(t - self.begin, 0.0) - self.k * q
-
-
-@dataclass(frozen=True)
 class Idle(Pendulum):
-    """A parameter without use and without a unit."""
+    """A parameter without a unit."""
 
     c: float = parameter(1.0, "", "nothing")
