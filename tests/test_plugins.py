@@ -9,7 +9,11 @@ import pytest
 from helpers import long
 
 from bench.plugins.reasons import Unavailable
+from bench.plugins.registry import Registry
+from bench.running import worker
 from bench.running.inventory import Inventory
+from bench.running.plan import Cell
+from integrators import Steps
 
 HEAD = """
 from dataclasses import dataclass
@@ -78,6 +82,55 @@ def test_a_plugin_that_fails_when_it_is_made_or_is_set_twice_is_one_sentence(ref
     assert "'m' is given in 'pendulum[m=2]' and again by itself" in refused(
         "solve", "pendulum[m=2]", "hht", "--set", "m=1"
     )
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("from problems import MechatronicSystem\nclass Half(MechatronicSystem):\n    'A half.'\n",
+         "it lacks mass, force, initial_state"),
+        *long(
+            ("raise SystemExit('bye')\n", "SystemExit: bye"),
+            ("x = 1\n", "defines no MechatronicSystem"),
+            (HEAD + "class Another(Pendulum):\n    'Another.'\n    name = 'pendulum'\n",
+             "is taken by stepbench"),
+            (HEAD + "class Bare(Pendulum):\n    'Bare.'\n    c = parameter(1.0, 'kg', 'c')\n",
+             "decorate Bare"),
+        ),
+    ],
+)  # fmt: skip
+def test_a_broken_plugin_is_listed_with_its_reason_and_stops_nothing(
+    stepbench, refused, tmp_path, code, words
+):
+    file = tmp_path / "plug.py"
+    file.write_text(code)
+    listed = stepbench("list", "--json", "--plugins", file)
+    assert listed.exit_code == 0, listed.output
+    rows = [row for kind in json.loads(listed.output).values() for row in kind]
+    assert any(words in row["reason"] and not row["available"] for row in rows)
+    assert {"pendulum", "newmark"} <= {row["name"] for row in rows if row["available"]}
+    assert words in refused("solve", "pendulum", "newmark", "--plugins", file)  # to use it
+    text = tmp_path / "plug.txt"
+    text.write_bytes(bytes(range(256)))
+    assert "is not a Python file" in refused("list", "--plugins", text)
+
+
+@pytest.mark.long
+def test_programs_are_forgotten_before_memory_mappings_run_out(monkeypatch):
+    bench = worker.Worker(Registry())
+    first, second = (Cell("pendulum", "newmark", 1.0, Steps(h)) for h in (0.1, 0.05))
+    before = bench.measure(first)
+    # Of all steps of this short run the errors are stored: the largest is that of the record.
+    noted = {g: before.rows.notes[f"error_{g}"] for g in ("q", "v", "a", "lam")}
+    largest = {g: before.record.errors[g]["max"] for g in noted}
+    assert {g: max(values) for g, values in noted.items()} == pytest.approx(largest, rel=5e-3)
+    monkeypatch.setattr(worker, "memory_mappings", lambda: worker.MOST_MAPPINGS + 1)
+    monkeypatch.setattr(worker, "COUNTED_EVERY", 1)
+    bench.measure(second)
+    assert set(bench.prepared) == {second.key}
+    assert bench.time(first) > 0.0
+    assert set(bench.prepared) == {first.key}
+    assert bench.measure(first).record.errors == before.record.errors
 
 
 def test_an_empty_plugin_path_does_not_import_the_current_folder(refused, tmp_path, monkeypatch):

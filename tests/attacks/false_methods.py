@@ -120,6 +120,7 @@ MENDED = {
         run, status="step_too_small", message="Late.", t=run.t[[0, 1, 2, 3, 4, 4]]
     ),
     "nan_rows": lambda run: replace(run, q=np.full((ROWS, 1), NAN)),
+    "half_of_the_interval": moved("t", lambda t: t / 2),
 }
 
 
