@@ -24,17 +24,14 @@ WITH_METHOD = {
 }
 #: Commands that run a method of this project on a scene.
 WITH_SCENE = {
-    "order": "order {} newmark --steps 0.1,0.05,0.025 --t-end 1",
-    "show": "show {}",
-    "animate": "show {} --animate",
+    "show": "show {} --animate",
     "map": "map {} newmark --over h,beta --range h:0.01..0.1 --grid 3x3",
     "ensemble": "solve {} newmark --step 0.1 --ensemble 3 --vary q0:1..2",
-    "check": "check {} --json",
 }
-#: Methods and scenes that fail in every command that runs them.
+#: A method and a scene that fail in every command that runs them.
 FAILING = [
-    *((name, *c) for name in ("f_spec_raises", "r_measure_segv") for c in WITH_METHOD.items()),
-    *((name, *c) for name in ("c_start_garbage", "c_force_segv") for c in WITH_SCENE.items()),
+    *(("r_measure_segv", *c) for c in WITH_METHOD.items()),
+    *(("c_start_garbage", *c) for c in WITH_SCENE.items()),
 ]
 
 
@@ -66,22 +63,3 @@ def test_a_faulty_plugin_costs_its_own_runs(tmp_path, name, command, line):
     else:
         assert code in (1, 2), said
         assert "Error: " in said
-
-
-@attack
-@pytest.mark.parametrize(
-    ("name", "line"),
-    [
-        ("c_draw_exits", "solve {} newmark --step 0.1 --t-end 1"),
-        ("c_draw_huge", "solve {} newmark --step 0.1 --t-end 1"),
-        ("r_measure_segv", "list --json"),
-        ("i_sys_exit", "list --json"),
-        ("c_nominal_step_odd", "list --json"),
-    ],
-)
-def test_what_a_command_does_not_need_costs_it_nothing(tmp_path, name, line):
-    code, said = said_by(tmp_path, name, line)
-    assert code == 0, said
-    if line.startswith("list"):
-        assert '"pendulum"' in said
-        assert '"newmark"' in said

@@ -42,14 +42,6 @@ ENDLESS = {
     "pages of scenes": "list --draw",
     "check": "check method.py",
 }
-#: Commands of about so many seconds.
-SHORT = {
-    "show": ("show pendulum --animate", 1.5),
-    "figure": ("report planted --figure convergence --scene pendulum", 1.2),
-    "report": ("report planted", 2.0),
-    "export": ("report planted --csv", 0.2),
-    "list": ("list", 0.2),
-}
 ENTRIES = {"script": STEPBENCH, "module": MODULE}
 
 
@@ -137,24 +129,7 @@ def test_nothing_is_imported_before_signals_are_obeyed():
     assert named == small | {"__future__", "bench.running.interrupts"}
 
 
-# ---- short commands, and the beginning and the end of all --------------------------------------
-@attack
-@pytest.mark.parametrize("name", SHORT)
-def test_short_work_ends_at_a_random_moment_or_is_done(folder, name):
-    (command, seconds), number = SHORT[name], INT
-    moment = random.Random(name).uniform(0, seconds)
-    process = Started(folder, *command.split())
-    process.wait_until_it_obeys()
-    time.sleep(moment)
-    to_all(process, number)
-    if process.process.wait(promised_seconds()) != 0:  # else it had done all before
-        process.check_obeys(number)
-    process.finish()
-    done = Started(folder, *command.split())
-    assert done.finish() == 0, done.said
-    assert not list(folder.rglob("*.tmp*"))
-
-
+# ---- the beginning and the end of all --------------------------------------
 @pytest.mark.parametrize(
     ("entry", "seed"),
     [

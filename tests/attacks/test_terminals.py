@@ -101,7 +101,7 @@ def ended(arguments: list[str], **more) -> subprocess.CompletedProcess[bytes]:
     return result
 
 
-LINES = "list", "list --json", "report --csv", "--help", "--version", "run -h"
+LINES = "list", "list --json", "report --csv"
 
 
 def words_of(line: str, store) -> list[str]:
@@ -123,7 +123,7 @@ def test_an_answer_that_cannot_be_given_is_no_success(store, line, kind):
 
 @pytest.mark.attack
 def test_a_reader_that_leaves_early_ends_it_quietly(store):
-    for line in LINES[:3]:
+    for line in LINES:
         reader, writer = os.pipe()
         os.close(reader)
         result = ended(words_of(line, store), stdout=writer)
@@ -135,13 +135,9 @@ def test_a_reader_that_leaves_early_ends_it_quietly(store):
 @pytest.mark.parametrize(
     "setting",
     [
-        {"PYTHONIOENCODING": "ascii"},
         {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
-        {"LC_ALL": "nonsense"},
-        {"TERM": "dumb"},
-        {"TERM": "", "FORCE_COLOR": "1"},
-        *({"COLUMNS": width} for width in ("0", "1", "-5", "wide", "999999")),
         {"LINES": "0", "COLUMNS": "1", "PYTHONIOENCODING": "ascii", "FORCE_COLOR": "1"},
+        {"TERM": "dumb", "COLUMNS": "wide"},
     ],
     ids=str,
 )
@@ -154,18 +150,3 @@ def test_an_odd_terminal_gets_the_whole_answer(tmp_path, setting):
     refused = ended(["check", os.fsdecode(b"p\xc3\xa9nd\xff")], env=environment)
     assert refused.returncode == 1
     assert refused.stderr.startswith(b"Error: ")
-
-
-@pytest.mark.attack
-def test_a_run_needs_no_name_in_utf_8(stepbench, tmp_path):
-    profile = tmp_path / "tiny.toml"
-    profile.write_text(
-        'samples = 1\n[[study]]\nproblems = ["spring_mass"]\nintegrators = ["newmark"]\n'
-        "steps = [0.1]\nt_end = 1.0\n"
-    )
-    folder = os.fsdecode(os.fsencode(tmp_path) + b"/r\xe9sults")
-    result = ended(["run", str(profile), "--out", folder])
-    assert result.returncode == 0
-    assert sum(name.startswith("report.") for name in os.listdir(folder)) == 2
-    exported = stepbench("report", folder, "--json")
-    assert [row["status"] for row in json.loads(exported.stdout)] == ["ok"]
