@@ -1,4 +1,4 @@
-"""Merging results of several folders, and opening a page."""
+"""Merging results of several folders."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import pytest
 from planted import STEPS, edited, everything, plant, planted
 from small_stores import filled
 
-from bench.results.compare import compare_folders
 from bench.results.merge import merge
 from bench.results.records import Record
 from bench.results.store import FILE, Store
@@ -27,7 +26,6 @@ def records(folder: Path) -> dict[str, Record]:
         return store.records()
 
 
-# ---- merge -------------------------------------------------------------------------------
 def machine(folder: Path, runs: list[Record], cpu: str, date: str, **more: object) -> Path:
     """Results whose environment is the second of its store."""
     for record in runs:
@@ -84,24 +82,22 @@ def test_of_a_run_or_a_scene_in_two_folders_that_of_the_last_one_is_kept(tmp_pat
     assert (record.work, record.status) == ({"steps": 0}, "ok")
 
 
-def test_a_study_that_was_shared_out_is_one_again(tmp_path):
+def test_plans_become_one_with_the_most_samples_and_the_largest_budget(tmp_path):
     runs = [planted("pendulum", name, FREE, h=0.1) for name in ("one", "two", "three")]
-    first, second = plant(tmp_path / "1", runs[:2]), plant(tmp_path / "2", runs[1:])
-    merge([first, second], tmp_path / "out")
-    with Store(tmp_path / "out") as store:
-        plan = store.plan()
-    assert plan.studies[0].cells == [r.key for r in runs]
-    assert len(plan.studies) == 1
-
-
-def test_the_most_samples_and_the_largest_budget_are_the_plan_of_both(tmp_path):
-    folders = [tmp_path / "few", tmp_path / "many"]
+    folders = [plant(tmp_path / "1", runs[:2]), plant(tmp_path / "2", runs[1:])]
     for folder, most in zip(folders, (3, 9), strict=True):
-        with Store(plant(folder, [planted("pendulum", "m", FREE, h=0.1)]), create=True) as store:
+        with Store(folder, create=True) as store:
             store.keep(msgspec.structs.replace(store.plan(), samples=most, budget_s=10.0 * most))
-    merge(folders, tmp_path / "out")
-    with Store(tmp_path / "out") as store:
-        assert (store.plan().samples, store.plan().budget_s) == (9, 90.0)
+    bare = [plant(tmp_path / r.integrator, [r], plan=False) for r in runs[:2]]
+    for given, planned in ((folders, True), (bare, False)):
+        merge(given, out := tmp_path / f"out {planned}")
+        with Store(out) as store:
+            plan = store.plan()
+            assert len(store.records()) == 2 + planned
+        assert (plan is not None) == planned
+        if plan:
+            assert (plan.samples, plan.budget_s, len(plan.studies)) == (9, 90.0, 1)
+            assert plan.studies[0].cells == [r.key for r in runs]
 
 
 def test_merged_samples_keep_their_rounds_and_invocations(tmp_path):
@@ -115,39 +111,16 @@ def test_merged_samples_keep_their_rounds_and_invocations(tmp_path):
     assert merged.rounds == [(2, 0), (2, 1), (1, 4)]
 
 
-@pytest.mark.long
-def test_merged_results_have_a_report(old, tmp_path, stepbench):
-    merge([old, filled(tmp_path / "one_of_each")], tmp_path / "all")
-    assert stepbench("report", tmp_path / "all").exit_code == 0
-
-
-def test_merging_with_oneself_changes_nothing(old, tmp_path):
+def test_merging_with_oneself_changes_nothing_and_all_kinds_are_merged(old, tmp_path):
     merge([old, old], tmp_path / "out")
-    assert not compare_folders(old, tmp_path / "out").changes
     with Store(old) as one, Store(tmp_path / "out") as two:
-        assert (one.plan(), one.scenes()) == (two.plan(), two.scenes())
-        assert one.records() == two.records()
-        assert one.environments() == two.environments()
-
-
-def test_what_is_kept_beside_records_is_merged(old, tmp_path):
+        for kind in ("plan", "scenes", "records", "environments"):
+            assert getattr(one, kind)() == getattr(two, kind)()
     merge([old, filled(tmp_path / "one_of_each")], tmp_path / "all")
     with Store(tmp_path / "all") as store, Store(tmp_path / "one_of_each") as origin:
         for kind in ("long_runs", "experiments", "damping"):
-            found = getattr(origin, kind)()
-            assert found
+            assert (found := getattr(origin, kind)())
             assert found.items() <= getattr(store, kind)().items()
-
-
-def test_a_store_without_a_plan_is_merged(tmp_path):
-    folders = [
-        plant(tmp_path / name, [planted("pendulum", name, FREE, h=0.1)], plan=False)
-        for name in ("1", "2")
-    ]
-    merge(folders, tmp_path / "out")
-    with Store(tmp_path / "out") as store:
-        assert store.plan() is None
-        assert len(store.records()) == 2
 
 
 def test_merge_refuses_and_leaves_everything_as_it_is(old, tmp_path, stepbench):
