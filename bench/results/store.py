@@ -8,23 +8,19 @@ run killed at any moment has lost nothing but the cell in work.
 
 from __future__ import annotations
 
-import errno
 import os
 import sqlite3
 import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
 from bench.results.drift import LongRun
 from bench.results.experiments import ExperimentResult
 from bench.results.records import SCHEMA, Damping, Environment, Plan, Record, Rows, SceneRecord
-
-if TYPE_CHECKING:
-    from filelock import FileLock
 
 T = TypeVar("T")
 
@@ -81,50 +77,25 @@ class Store:
     def __init__(self, folder: Path, create: bool = False, fresh: bool = False) -> None:
         self.folder = Path(folder)
         self._path = self.folder / FILE
-        self._lock: FileLock | None = None
-        opened: sqlite3.Connection | None = None
-        try:
-            if create:
-                self.folder.mkdir(parents=True, exist_ok=True)
-                self._lock = _locked(self.folder)
-                if fresh:
-                    # The file goes last: a log left without its file would meet the new one.
-                    for suffix in ("-wal", "-shm", ""):
-                        self._path.with_name(FILE + suffix).unlink(missing_ok=True)
-                opened = sqlite3.connect(self._path, isolation_level=None, timeout=30.0)
-                opened.execute("PRAGMA journal_mode=WAL")
-                opened.execute("PRAGMA synchronous=NORMAL")
-                if not opened.execute("SELECT 1 FROM sqlite_master").fetchone():
-                    opened.executescript(_TABLES)
-            elif self._path.is_file():
-                opened = _opened_to_read(self._path)
-            else:
+        with ExitStack() as opened:
+            try:
+                self._db = self._writing(opened, fresh) if create else self._reading()
+                opened.callback(self._db.close)
+                (version,) = self._db.execute("PRAGMA user_version").fetchone()
+            except (OSError, sqlite3.Error) as error:
                 raise StoreError(
-                    f"{self.folder} holds no stepbench results; run 'stepbench run' first."
-                )
-            (version,) = opened.execute("PRAGMA user_version").fetchone()
+                    f"The store {self._path} cannot be opened ({error}); {_WAY_OUT}."
+                ) from error
             if version != SCHEMA:
                 raise StoreError(
                     f"{self._path} is no stepbench store of this version (its schema is {version}, "
                     f"not {SCHEMA}); {_WAY_OUT}."
                 )
-        except (OSError, sqlite3.Error, StoreError) as error:
-            if opened is not None:
-                opened.close()
-            if self._lock is not None:
-                self._lock.release()
-            if isinstance(error, StoreError):
-                raise
-            raise StoreError(
-                f"The store {self._path} cannot be opened ({error}); {_WAY_OUT}."
-            ) from error
-        self._db = opened
+            self._opened = opened.pop_all()
 
     def close(self) -> None:
         """Close the file; the write-ahead log is folded in."""
-        self._db.close()
-        if self._lock is not None:
-            self._lock.release()
+        self._opened.close()
 
     def __enter__(self) -> Store:
         return self
@@ -167,21 +138,8 @@ class Store:
         return number
 
     def save(self, record: Record, rows: Rows) -> None:
-        """Keep a finished cell with its rows, in one transaction; forgets older samples.
-
-        A record that could not be read again has its place taken by one with the reason.
-        """
+        """Keep a finished cell with its rows, in one transaction; forgets older samples."""
         rows = Rows(t=_short(rows.t), values=_short(rows.values), notes=_short(rows.notes))
-        try:
-            _encoded(record)
-        except ValueError as error:
-            names = (
-                "key problem integrator controls h pattern rtol atol t0 t_end environment family"
-            )
-            names = [*names.split(), "budget_s", "formulation", "fingerprint"]
-            whose = {name: getattr(record, name) for name in names}
-            reason = f"The result cannot be stored: {error}."
-            record, rows = Record(**whose, status="crashed", message=reason), Rows(t=[])
         self._put([(record.key, rows), (record.key, record)], forget_samples=record.key)
 
     def add_sample(
@@ -268,6 +226,49 @@ class Store:
         return self.values(Rows, key)[key]
 
     # ---- parts -------------------------------------------------------------------------
+    def _writing(self, opened: ExitStack, fresh: bool) -> sqlite3.Connection:
+        """Open the file, made if it is not there, and lock the folder."""
+        from filelock import FileLock, Timeout  # not needed to read, and slow to import
+
+        self.folder.mkdir(parents=True, exist_ok=True)
+        try:
+            opened.enter_context(FileLock(self.folder / _LOCK, timeout=0))
+        except Timeout:
+            raise StoreError(
+                f"Another run is writing into {self.folder}; wait for its end, or give another "
+                f"--out."
+            ) from None
+        if fresh:
+            # The file goes last: a log left without its file would meet the new one.
+            for suffix in ("-wal", "-shm", ""):
+                self._path.with_name(FILE + suffix).unlink(missing_ok=True)
+        db = sqlite3.connect(self._path, isolation_level=None, timeout=30.0)
+        try:
+            db.execute("PRAGMA journal_mode=WAL")
+            db.execute("PRAGMA synchronous=NORMAL")
+            if not db.execute("SELECT 1 FROM sqlite_master").fetchone():
+                db.executescript(_TABLES)
+        except sqlite3.Error:
+            db.close()
+            raise
+        return db
+
+    def _reading(self) -> sqlite3.Connection:
+        """Open a file that must not change, also in a folder that cannot be written."""
+        if not self._path.is_file():
+            raise StoreError(
+                f"{self.folder} holds no stepbench results; run 'stepbench run' first."
+            )
+        log = self._path.with_name(FILE + "-wal")
+        # In a folder that cannot be written there is no place for the log's index. Nobody writes
+        # there either, so the file stands still, but rows still in a log would be lost.
+        logged = log.exists() and log.stat().st_size > 0
+        as_user = os.access in os.supports_effective_ids
+        written = os.access(self.folder, os.W_OK, effective_ids=as_user)
+        still = "" if written or logged else "&immutable=1"
+        uri = f"{self._path.absolute().as_uri()}?mode=ro{still}"
+        return sqlite3.connect(uri, uri=True, isolation_level=None, timeout=30.0)
+
     def _put(self, values: Iterable[tuple[str, Any]], forget_samples: str | None = None) -> None:
         try:
             rows = [(type(value).__name__, key, _encoded(value)) for key, value in values]
@@ -324,34 +325,3 @@ def _short(values: Any) -> Any:
     if isinstance(values, list):
         return [_short(own) for own in values]
     return float(f"{values:.{_DIGITS}g}") if isinstance(values, float) else values
-
-
-def _locked(folder: Path) -> FileLock | None:
-    """The lock of a folder, taken; None where the file system has no locks."""
-    from filelock import FileLock, Timeout  # not needed to read, and slow to import
-
-    lock = FileLock(folder / _LOCK)
-    try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        raise StoreError(
-            f"Another run is writing into {folder}; wait for its end, or give another --out."
-        ) from None
-    except OSError as error:
-        if error.errno in (errno.ENOLCK, errno.EOPNOTSUPP):
-            return None
-        raise
-    return lock
-
-
-def _opened_to_read(path: Path) -> sqlite3.Connection:
-    """Open a file that must not change, also in a folder that cannot be written."""
-    log = path.with_name(path.name + "-wal")
-    # In a folder that cannot be written there is no place for the log's index. Nobody writes there
-    # either, so the file stands still, but rows still in a log would be lost.
-    logged = log.exists() and log.stat().st_size > 0
-    as_user = os.access in os.supports_effective_ids
-    written = os.access(path.parent, os.W_OK, effective_ids=as_user)
-    still = "" if written or logged else "&immutable=1"
-    uri = f"{path.absolute().as_uri()}?mode=ro{still}"
-    return sqlite3.connect(uri, uri=True, isolation_level=None, timeout=30.0)
