@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.atlas.experiments import Settings, read_experiments
-from bench.atlas.measures import number_of, quantity_words, value_of, within
+from bench.atlas.measures import number_of, value_of, within
 from bench.atlas.runs import digest
 from bench.results.experiments import (
     CaseResult,
@@ -18,7 +18,6 @@ from bench.results.experiments import (
     experiments_table,
     part_table,
 )
-from bench.results.quantities import NORMS
 from bench.results.records import Record, Rows
 from bench.running.inventory import Inventory
 
@@ -47,12 +46,6 @@ def test_a_better_number_is_never_hit(number, better):
                         improved = value / (1 + better)
                     if within(value, part.healthy):
                         assert within(improved, part.healthy), (experiment.name, part.text)
-
-
-def test_every_norm_has_its_words(monkeypatch):
-    monkeypatch.setitem(NORMS, "mean", "mean over time")
-    said = [quantity_words(Settings(measure="error", group="q", norm=norm)) for norm in NORMS]
-    assert said == [f"relative error of q, {name}" for name in NORMS.values()]
 
 
 def planted(number, message="", **changes):

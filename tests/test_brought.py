@@ -12,9 +12,9 @@ import scipy.optimize
 from helpers import errors_at, local_slopes, reference
 
 from bench.plugins.registry import Registry
-from integrators import Reading, StepMethod, Steps, Tolerances
-from problems import MechatronicSystem, SampledSystem, State, held, jax, jnp, parameter
-from problems.equations.formulations import complete, ode_rate
+from integrators import Reading, StepMethod, Tolerances
+from problems import MechatronicSystem, SampledSystem, State, held, jnp, parameter
+from problems.equations.formulations import complete
 from problems.scenes.oscillator import Oscillator
 
 
@@ -49,22 +49,6 @@ def test_the_orbit_of_arenstorf_closes():
     end = reference(scene, scene.interval[1])(np.array([scene.interval[1]]))
     assert end["q"][0] == pytest.approx([0.994, 0], abs=1e-8)
     assert end["v"][0] == pytest.approx([0, -2.001585106379082], abs=1e-6)
-
-
-@dataclass(frozen=True)
-class Charge(MechatronicSystem):
-    """A charge in a magnetic field: its velocity turns clockwise at a constant rate."""
-
-    turn: float = parameter(1.3, "rad/s", "rate of turn")
-
-    def mass(self, q):
-        return jnp.eye(2)
-
-    def force(self, q, v, t):
-        return self.turn * jnp.array([v[1], -v[0]])
-
-    def initial_state(self):
-        return State(np.zeros(2), np.array([1.0, 0.0]))
 
 
 LEVELS = np.array([0.5, -1.0, 2.0, 0.0])
@@ -157,62 +141,6 @@ class OwnMethod(StepMethod):
 
     def read(self, scene, state):
         return state
-
-
-@dataclass(frozen=True)
-class MeanKick(OwnMethod):
-    """Drift, kick by the force at the mean velocity, in which it is linear, drift (Boris 1970)."""
-
-    def step(self, scene, state, t, h, work):
-        half = state.q + h / 2 * state.v
-        force = lambda v: complete(scene, half, v, state.x, t - h / 2)[0].a  # noqa: E731
-        matrix, still = jax.jacfwd(force)(state.v), force(jnp.zeros_like(state.v))
-        left = jnp.eye(len(half)) - h / 2 * matrix
-        v = jnp.linalg.solve(left, state.v + h / 2 * matrix @ state.v + h * still)
-        work.count(residuals=3)
-        return self.row(scene, half + h / 2 * v, v, t)
-
-
-@dataclass(frozen=True)
-class OldKick(OwnMethod):
-    """Velocity Verlet that takes the old velocity in its second kick."""
-
-    def step(self, scene, state, t, h, work):
-        q = state.q + h * state.v + h**2 / 2 * state.a
-        last = complete(scene, q, state.v, state.x, t)[0].a
-        work.count(residuals=2)
-        return self.row(scene, q, state.v + h / 2 * (state.a + last), t)
-
-
-def test_kicks_turn_a_charge_by_the_angle_of_their_formula():
-    for method, angle, growth in [
-        (MeanKick(), 2 * np.arctan(1.3 * 0.2 / 2), 1.0),
-        (OldKick(), None, np.hypot(1, 1.3 * 0.2)),
-    ]:
-        run = method.prepare(Charge(), 6.0, Steps(0.2)).measure()
-        angle = np.arctan(1.3 * 0.2) if angle is None else angle
-        k = np.arange(31)
-        wanted = growth**k * np.stack([np.cos(k * angle), -np.sin(k * angle)])
-        assert run.v == pytest.approx(wanted.T, abs=1e-11)
-
-
-@dataclass(frozen=True)
-class Exponential(OwnMethod):
-    """Rosenbrock-Euler by the exponential of the Jacobian (Hochbruck et al. 2009), order 2."""
-
-    def step(self, scene, state, t, h, work):
-        s = jnp.concatenate([state.q, state.v])
-        rate = lambda s: ode_rate(scene, t - h, s)  # noqa: E731
-        big = jnp.zeros((len(s) + 1, len(s) + 1))
-        big = big.at[:-1, :-1].set(jax.jacfwd(rate)(s)).at[:-1, -1].set(rate(s))
-        s = s + jax.scipy.linalg.expm(h * big)[:-1, -1]
-        work.count(residuals=3)
-        return self.row(scene, *jnp.split(s, 2), t)
-
-
-def test_an_exponential_method_is_exact_on_linear_equations():
-    errors = errors_at(Exponential(), Oscillator(), 2.0, 0.5)
-    assert max(errors[group].max() for group in "qva") < 1e-12
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,7 @@ from integrators.contract import Trajectory
 from integrators.resolutions import Steps
 from problems.base.spec import SpecError
 from problems.truth.reference import Reference
-from reports.charts.line_styles import style_of
 from reports.pages.drift import drift_chapter, drift_chart
-from reports.pages.html_report import write_html_report
-from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
 from reports.pages.site import Site
 
@@ -94,14 +91,6 @@ def test_projection_ends_the_drift_of_constraints(worker):
     for name in ("position", "velocity"):
         assert drifts[name].largest > 1e-6 > 1e-14 > held[name].largest
     assert drifts["position"].per_s > 1e-8
-
-
-def test_rows_do_not_grow_with_the_steps(worker):
-    found = drift_job(worker, "oscillator", "newmark", 0.1, 40_000)
-    assert (found.steps, len(found.t)) == (40_000, 200)
-    assert found.rows < 5000
-    assert found.t[-1] == pytest.approx(4000.0)
-    assert {len(band) for d in found.drifts.values() for band in (d.least, d.most)} == {200}
 
 
 def test_a_method_without_constant_steps_is_refused(worker):
@@ -229,19 +218,3 @@ def test_long_runs_have_a_page_that_the_side_links(tmp_path):
     assert linked.count("report/drift.html") == 1
     (chapter,) = [c for c in report.chapters if c.file == "drift.html"]
     assert site.address(chapter.sections[0].anchor, "report.html") == "report/drift.html#drift-1"
-
-
-@pytest.mark.long
-def test_the_report_has_a_chapter_on_long_runs(tmp_path):
-    plant_long_runs(tmp_path)
-    assert 'href="report/drift.html"' in write_html_report(tmp_path).read_text(encoding="utf-8")
-    page = Document((tmp_path / "report" / "drift.html").read_text(encoding="utf-8"))
-    assert len(page.rows("Largest drift, and its trend")) == 5
-    (chart,) = page.charts.values()
-    assert len(chart["concat"]) == 2
-    colors = chart["concat"][0]["layer"][-1]["encoding"]["color"]["scale"]
-    assert colors["range"] == [style_of(run.integrator).color for run in RUNS]
-    text = write_markdown_report(tmp_path).read_text(encoding="utf-8")
-    assert "## Long runs" in text
-    assert r"| energy \[1\] |" in text
-    assert (tmp_path / "report_figures" / "drift-1-chart.svg").is_file()

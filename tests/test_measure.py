@@ -45,13 +45,6 @@ def trajectory(**changes: np.ndarray) -> Trajectory:
     return Trajectory(**{"t": TIMES, **rows, **changes}, status="diverged")
 
 
-def test_a_finite_trajectory_is_kept_whole():
-    rows = stored_rows(trajectory())
-    assert rows.t == TIMES.tolist()
-    assert set(rows.values) == {"q", "v", "a", "y"}
-    assert rows.values["y"] == [[t, t] for t in TIMES]
-
-
 def test_rows_end_before_the_first_that_is_not_finite_and_can_be_read_back(tmp_path):
     for group in ["t", "q", "y"]:
         for bad in [np.inf, -np.inf, np.nan]:
@@ -65,7 +58,10 @@ def test_rows_end_before_the_first_that_is_not_finite_and_can_be_read_back(tmp_p
                 assert store.rows("k") == rows
 
 
-def test_nothing_is_left_of_a_run_without_rows_or_without_numbers():
+def test_a_finite_trajectory_is_kept_whole_and_nothing_is_left_without_rows_or_numbers():
+    rows = stored_rows(trajectory())
+    assert (rows.t, set(rows.values)) == (TIMES.tolist(), {"q", "v", "a", "y"})
+    assert rows.values["y"] == [[t, t] for t in TIMES]
     assert stored_rows(Trajectory.failed("unsupported", "no")).t == []
     lost = stored_rows(trajectory(v=np.full((5, 1), np.nan)))
     assert lost.t == []
