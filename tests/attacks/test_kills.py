@@ -16,7 +16,6 @@ from pathlib import Path
 import psutil
 import pytest
 from busy_methods import BUSY
-from planted import everything, plant
 from processes import Started, end_all, promised_seconds
 
 attack = pytest.mark.attack
@@ -37,14 +36,8 @@ QUICK = ("worker", "locks_in_turns")
 LONG_HALT = 12.0
 
 
-@pytest.fixture(scope="module")
-def planted(tmp_path_factory) -> Path:
-    return plant(tmp_path_factory.mktemp("kills") / "planted", everything())
-
-
 @pytest.fixture
-def folder(tmp_path, planted) -> Iterator[Path]:
-    shutil.copytree(planted, tmp_path / "planted")
+def folder(tmp_path) -> Iterator[Path]:
     shutil.copy(Path(__file__).with_name("busy_methods.py"), tmp_path / "busy.py")
     write_profile(tmp_path, "well")
     yield tmp_path
