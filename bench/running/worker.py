@@ -38,7 +38,6 @@ from problems.base.spec import SpecError
 from problems.base.text import said
 from problems.base.usage import computed_seconds, undisturbed
 from problems.equations.initial_values import InconsistentStart, NoConsistentStart
-from problems.equations.start_equations import miscounted
 from problems.system import MechatronicSystem
 from problems.truth.published import named_points
 from problems.truth.reference import Reference
@@ -185,9 +184,7 @@ class Worker:
             method = self.registry.integrator(record.integrator)
             caution = checks.caution(method, scene) or ""
             overlap = measure.end_at_overlap(run, scene, bool(method.passes_impacts))
-            return (
-                f"{caution} {overlap} {miscounted(scene)} {uncontrolled(scene, run, record.rtol)}"
-            )
+            return f"{caution} {overlap} {uncontrolled(scene, run, record.rtol)}"
 
         def claims() -> dict[str, int]:
             stated = self.registry.integrator(record.integrator).claims(scene)

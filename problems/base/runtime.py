@@ -61,12 +61,6 @@ SPARE_THREADS = int(version("jaxlib").startswith(("0.10.", "0.11.0")))
 FEW_CALLS = {"xla_backend_optimization_level": 0}
 #: What the same adds to XLA_FLAGS.
 SOONER = " --xla_backend_optimization_level=0"
-#: Room for addresses in bytes below which JAX does not start: XLA then asks for it without end.
-_LEAST_ADDRESSES = 3 * 2**29
-
-
-class RuntimeFault(RuntimeError):
-    """The environment keeps JAX from computing; the message names the variable and the remedy."""
 
 
 def configure() -> None:
@@ -116,7 +110,6 @@ def _loaded(name: str) -> ModuleType:
     program.
     """
     if "jax" not in sys.modules:
-        _refuse_little_room()
         _leave_out_unusable_cache()
         _tell_once_of_broken_programs()
     module = importlib.import_module(name)
@@ -157,8 +150,6 @@ def check_runtime() -> str:
     """
     try:
         platform = jax.local_devices()[0].platform
-    except RuntimeFault as fault:
-        return str(fault)
     except Exception as error:  # of whatever kind: JAX has none for a platform that is missing
         reason = next(iter(str(error).splitlines()), "") or type(error).__name__
         return f"JAX does not start ({reason}); unset {users_settings() or 'its variables'}."
@@ -181,19 +172,6 @@ def users_settings() -> str:
         and value != _SETTINGS.get(name)
         and "CACHE" not in name
     )
-
-
-def _refuse_little_room() -> None:
-    try:
-        import resource
-    except ImportError:  # a system without such limits
-        return
-    room, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if 0 <= room < _LEAST_ADDRESSES:
-        raise RuntimeFault(
-            f"JAX needs {_LEAST_ADDRESSES / 2**30:g} GiB of virtual memory, and a process may have "
-            f"{room / 2**30:.3g} GiB; raise the limit by 'ulimit -v'."
-        )
 
 
 def _leave_out_unusable_cache() -> None:

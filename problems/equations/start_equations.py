@@ -29,8 +29,6 @@ _SMALLEST_PIVOT = 1e-14
 _ZERO = 1e-10
 #: Beyond this condition of the constraints' derivatives, lines of size one, no digit is left.
 _REGULAR = 1e-13
-#: Below this one constraint depends on the others where q may be off by 1e-9.
-_DEPENDENT = 1e-6
 #: Most coordinates of a scene whose constraints are examined by a full matrix.
 _MOST_COORDINATES = 1000
 
@@ -84,8 +82,8 @@ def least_start(scene: MechatronicSystem, state: State, t: float) -> Start:
     return _with_rates(scene, z, xdot, equations, factors)
 
 
-def missing_rank(scene: MechatronicSystem, q: np.ndarray, t: float, small: float = _REGULAR) -> int:
-    """The number of constraints that depend on the others at q and t (s), but for a small part.
+def missing_rank(scene: MechatronicSystem, q: np.ndarray, t: float) -> int:
+    """The number of constraints that depend on the others at q and t (s).
 
     Scenes of more than 1000 coordinates are not examined, as it would take minutes: 0 is returned.
     """
@@ -96,22 +94,7 @@ def missing_rank(scene: MechatronicSystem, q: np.ndarray, t: float, small: float
     unit = np.divide(rows, sizes, out=np.zeros_like(rows), where=sizes > 0)
     if not np.isfinite(unit).all():
         return 0
-    return scene.sizes.nl - int((np.linalg.svd(unit, compute_uv=False) > small).sum())
-
-
-def miscounted(scene: MechatronicSystem) -> str:
-    """A sentence if a scene states another number of redundant constraints than are redundant at
-    its start; empty if it states none."""
-    if not scene.redundant or scene.sizes.nq > _MOST_COORDINATES:
-        return ""
-    q = np.asarray(scene.start().q)
-    missing = missing_rank(scene, q, scene.interval[0], small=_DEPENDENT)
-    if missing == scene.redundant:
-        return ""
-    return (
-        f"The scene states redundant = {scene.redundant}, and {missing} of its {scene.sizes.nl} "
-        f"constraints depend on the others at the start; state redundant = {missing}."
-    )
+    return scene.sizes.nl - int((np.linalg.svd(unit, compute_uv=False) > _REGULAR).sum())
 
 
 @cache

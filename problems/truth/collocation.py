@@ -224,7 +224,6 @@ def integrate(
     method: Collocation,
     tolerance: float,
     longest: float,
-    least: Float[np.ndarray, " n"] | float = 0.0,
     terms: Callable[[float, np.ndarray], np.ndarray | float] = lambda t, s: 0.0,
     ends: Callable[[Motion], float | None] = lambda step: None,
     first: float | None = None,
@@ -243,8 +242,6 @@ def integrate(
         Of the last coefficient of each step, relative to the largest value of the component so far.
     longest
         Longest step in s.
-    least
-        Size that a component has at least.
     terms
         Sizes ``(n,)`` of the terms whose sums are the rates at a time and a state; as rounding of a
         sum is that of its terms, a component counts at least as a part of them times the step.
@@ -258,7 +255,7 @@ def integrate(
     TooSmallStep
         If no step is small enough, as where the solution ends.
     """
-    (t, end), u, largest = interval, start, np.maximum(np.abs(start), least)
+    (t, end), u, largest = interval, start, np.abs(start)
     rounded = _ROUNDED * terms(t, start)
     stages, guess = _Stages(method, rates), np.zeros((STAGES, len(start)))
     times, pieces, carry, before = [t], [], np.zeros_like(start), np.inf

@@ -8,7 +8,7 @@ reference that is kept for later runs, with its error, is made by one process at
 
 from __future__ import annotations
 
-import io
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -172,12 +172,6 @@ class Reference:
             return self._closed_form(t)
         return self._evaluate(self._known.phases, t, phase)
 
-    def end(self) -> tuple[dict[str, Float[np.ndarray, " n"]], Float[np.ndarray, "n 2"]]:
-        """Compute the values at t_end, and `events`, by one integration, which is not kept."""
-        phases = self._integrate(0)
-        found = self._evaluate(phases, np.array([self.t_end]))
-        return {group: rows[0] for group, rows in found.items()}, phases.events
-
     @property
     def events(self) -> Float[np.ndarray, "n 2"]:
         """Times in s and numbers of all events, if they are known by integration."""
@@ -213,7 +207,7 @@ class Reference:
         if self.scene.has_closed_form:
             t = self.times
             return _known(self._closed_form(t), self._closed_form(np.nextafter(t, np.inf)))
-        return _read(_once(self.scene, self.t_end, lambda: _written(self._integrated())))
+        return pickle.loads(_once(self.scene, self.t_end, lambda: pickle.dumps(self._integrated())))
 
     def _integrated(self) -> _Known:
         """The integration, compared with the other one."""
@@ -370,20 +364,3 @@ def _known(
         {g: np.abs(ours[g]).max(axis=0) for g in GROUPS},
         {g: np.linalg.norm(ours[g], axis=1).max() for g in GROUPS},
     )
-
-
-def _written(known: _Known) -> bytes:
-    named = {f"{part} {g}": getattr(known, part)[g] for part in _Known._fields[1:] for g in GROUPS}
-    motion, *phases = known.phases
-    arrays = dict(zip(_Phases._fields[1:], phases, strict=True)) | motion._asdict()
-    np.savez(content := io.BytesIO(), **arrays, **named)
-    return content.getvalue()
-
-
-def _read(content: bytes) -> _Known:
-    """The integration that a file keeps."""
-    with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        motion = Motion(file["ends"], file["series"])
-        phases = _Phases(motion, *(file[name] for name in _Phases._fields[1:]))
-        parts = ({g: file[f"{part} {g}"] for g in GROUPS} for part in _Known._fields[1:])
-        return _Known(phases, *parts)
