@@ -1,4 +1,4 @@
-"""Mechanics of a scene at one state and over time, and scenes with a flipped sign."""
+"""Mechanics of a scene at one state."""
 
 from __future__ import annotations
 
@@ -22,45 +22,6 @@ def cross(a, b):
 
 def options(scene):
     return {field.name: getattr(scene, field.name) for field in fields(scene)}
-
-
-# ---- sign errors -----------------------------------------------------------------------
-def with_signs(cls: type[MechatronicSystem], signs: dict[str, tuple[dict, dict]]) -> type:
-    """A class of scenes whose blocks use parameters and arguments with other signs.
-
-    ``signs`` has for a block the signs of parameters by name, and those of the entries of its
-    arguments by place; all may be traced.
-    """
-
-    def block(name: str) -> Any:
-        right, (of_parameters, of_arguments) = getattr(cls, name), signs[name]
-
-        def wrong(self, *given):
-            changed = {key: sign * getattr(self, key) for key, sign in of_parameters.items()}
-            parts = [
-                part * of_arguments[k] if k in of_arguments and jnp.ndim(part) == 1 else part
-                for k, part in enumerate(given)
-            ]
-            return right(self.with_parameters(changed), *parts)
-
-        return wrong
-
-    return type("Flipped", (cls,), {name: block(name) for name in signs})
-
-
-def flip(scene: MechatronicSystem, what: str) -> tuple[dict, dict]:
-    """The sign of a parameter; or of q0, q1, ... or v0, v1, ..., an entry of the first or second
-    argument."""
-    if hasattr(scene, what):
-        return {what: -1.0}, {}
-    sign = np.ones(scene.sizes.nq)
-    sign[int(what[1:])] = -1.0
-    return {}, {"qv".index(what[0]): sign}
-
-
-def flipped(scene: MechatronicSystem, block: str, what: str) -> MechatronicSystem:
-    """The scene with a sign error: wherever one of its blocks uses something, its negative."""
-    return with_signs(type(scene), {block: flip(scene, what)})(**options(scene))
 
 
 # ---- values at a state -----------------------------------------------------------------
@@ -95,41 +56,23 @@ def _of_all(scene: MechatronicSystem, q: Any, v: Any, t: Any) -> dict[str, Any]:
 
 
 @cache
-def _program(template: MechatronicSystem, blocks: tuple[str, ...]) -> Any:
-    def values(p, signs, q, v, t):
-        cls = with_signs(type(template), dict(zip(blocks, signs, strict=True)))
-        return _of_all(template.with_parameters(p, cls), q, v, t)
-
-    return jax.jit(values)
+def _program(template: MechatronicSystem) -> Any:
+    return jax.jit(lambda p, *state: _of_all(template.with_parameters(p), *state))
 
 
 class Measured:
-    """Values of a scene's blocks at states, by one compiled program for all its sign errors.
+    """Values of a scene's blocks at states, by one compiled program."""
 
-    Compiling each of a hundred mutants, or each operation of a block, would take minutes.
-    """
-
-    def __init__(self, scene: MechatronicSystem, blocks: tuple[str, ...] = ()) -> None:
-        self._scene, self._blocks, self._wrong = scene, blocks, ("", "")
-
-    def with_error(self, block: str, what: str) -> Measured:
-        """The same with a flipped sign."""
-        other = Measured(self._scene, self._blocks)
-        other._wrong = block, what
-        return other
+    def __init__(self, scene: MechatronicSystem) -> None:
+        self._scene = scene
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._scene, name)
 
     def at(self, q: Any, v: Any, t: float = 0.0) -> dict[str, Any]:
-        scene, signs = self._scene, []
-        names, n = scene.parameters(), scene.sizes.nq
-        for block in self._blocks:
-            of = flip(scene, self._wrong[1]) if block == self._wrong[0] else ({}, {})
-            ones = dict.fromkeys(names, 1.0), {0: np.ones(n), 1: np.ones(n)}
-            signs.append(tuple(one | other for one, other in zip(ones, of, strict=True)))
+        scene = self._scene
         state = np.asarray(q, dtype=float), np.asarray(v, dtype=float), float(t)
-        found = _program(scene.template(), self._blocks)(names, signs, *state)
+        found = _program(scene.template())(scene.parameters(), *state)
         return jax.tree.map(np.asarray, found)
 
     def energy(self, q, v):

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scene_mechanics import flipped, options, solved
+from scene_mechanics import options, solved
 from scipy.integrate import solve_ivp
 
 from integrators import Steps
@@ -21,7 +21,7 @@ METHOD = GeneralizedAlpha(rho_inf=0.9)
 EARLY = {"t_left": 0.5, "t_right": 1.0, "pulse": 0.2}
 
 
-# ---- balances, and their violation by a sign error -------------------------------------
+# ---- balances --------------------------------- -------------------------------------
 def sides(scene):
     """x and y of the wheels, written down again."""
     front, rear = scene.track_front / 2, scene.track_rear / 2
@@ -143,22 +143,9 @@ def check_balances(scene):
     assert y[:4] == pytest.approx(np.asarray(by_hand), abs=1e-9)
 
 
-MUTANTS = {
-    "_kinetic_energy": "h q3 v4 v10",
-    "_potential_energy": "k_rear k_tyre gravity anti_roll_front anti_roll_rear q7 q4",
-    "_contact_velocities": "trail q5 q11 b", "_tyre_forces": "slope", "_tyre_loads": "k_tyre",
-    "constraint": "arm arm_out rack q2 q10", "actuation": "a", "_pressure_rates": "a_piston",
-    "_damper_force": "a_rod", "state_rate": "leak", "output": "gain_roll",
-}  # fmt: skip
-
-
 @pytest.mark.long
-@pytest.mark.parametrize("block", MUTANTS)
-def test_momenta_energy_and_controller_are_balanced_but_for_a_flipped_sign(block):
+def test_momenta_energy_and_controller_are_balanced():
     check_balances(FullCar())
-    for what in MUTANTS[block].split():
-        with pytest.raises(AssertionError):
-            check_balances(flipped(FullCar(), block, what))
 
 
 @pytest.mark.long
@@ -311,18 +298,8 @@ def check_quarter(scene):
         assert (z.y[0] > middle) == (usable and 3.0 * abs(x[2]) > middle - scene.i_min)
 
 
-QUARTER_MUTANTS = {
-    "force": "k k_tyre q0 q1", "_pressure_rates": "a_piston a_rod bulk", "state_rate": "leak",
-    "_damper_force": "a_piston a_rod", "_flows": "check soft_area", "output": "gain",
-}  # fmt: skip
-
-
-def test_momentum_energy_and_control_of_the_quarter_car_are_balanced_but_for_a_flipped_sign():
+def test_momentum_energy_and_control_of_the_quarter_car_are_balanced():
     check_quarter(QuarterCar())
-    for block, names in QUARTER_MUTANTS.items():
-        for what in names.split():
-            with pytest.raises(AssertionError):
-                check_quarter(flipped(QuarterCar(), block, what))
 
 
 def test_it_starts_at_rest():

@@ -1,4 +1,4 @@
-"""Identities and starts of scenes: they hold, and fail for a flipped sign."""
+"""Identities and starts of scenes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from problems.scenes.slider_crank_flexible import SliderCrankFlexible
 from problems.truth.reference import Reference
 
 
-@of(DrivenSprings(), DrivenSprings(m2=2.0), force="k1 k2 c1 q0 q1 v0")
+@of(DrivenSprings(), DrivenSprings(m2=2.0))
 def check_driven_springs(scene):
     """Power balance: the energy gains what the driven point and the damper give and take."""
     for (q, v), t in zip(rng().normal(size=(3, 2, 2)), (0.0, 0.7, 4.1), strict=True):
@@ -33,7 +33,7 @@ def check_driven_springs(scene):
         assert scene.m1 * a[0] + scene.m2 * a[1] == pytest.approx(pull, rel=1e-11)
 
 
-@of(Friction(), Friction(mu=0.7), force="k mu v0")
+@of(Friction(), Friction(mu=0.7))
 def check_friction(scene):
     for q, v in ((2.0, 0.3), (-1.0, -2.0), (0.5, 0.0)):
         total = scene.m * solved(scene, [q], [v])[0][0] + scene.k * q
@@ -49,9 +49,9 @@ def check_oscillator(scene):
 
 @pytest.mark.parametrize("others", [False, *long(True)])
 def test_scenes_satisfy_their_identities_from_a_consistent_start(others):
-    for scenes, check, mutants in CHECKS:
+    for scenes, check in CHECKS:
         for scene in scenes[1:] if others else scenes[:1]:
-            check(Measured(scene, tuple(mutants)))
+            check(Measured(scene))
             q, v, _ = scene.initial_state()
             t = scene.interval[0]
             if scene.has("constraint"):
@@ -61,17 +61,6 @@ def test_scenes_satisfy_their_identities_from_a_consistent_start(others):
             for line in scene.draw(q):
                 assert line.shape[1:] == (2,)
                 assert np.isfinite(line).all()
-
-
-def test_a_flipped_sign_is_caught():
-    for (scene, *_), check, mutants in CHECKS:
-        for block, names in mutants.items():
-            for what in names.split():
-                with pytest.raises(AssertionError):
-                    check(Measured(scene, tuple(mutants)).with_error(block, what))
-    pushing = type("Pushing", (Oscillator,), {"force": lambda self, q, v, t: self.omega**2 * q})
-    with pytest.raises(AssertionError):
-        check_oscillator(Measured(pushing()))
 
 
 @pytest.mark.long
