@@ -11,7 +11,6 @@ import msgspec
 from bench.results.drift import Drift, LongRun
 from bench.results.experiments import CaseResult, ExperimentResult, PartResult
 from bench.results.records import (
-    Damping,
     Environment,
     Plan,
     Record,
@@ -21,7 +20,6 @@ from bench.results.records import (
 from bench.results.store import FILE, Store
 
 NO_ROWS = Rows(t=[])
-A_DAMPING = Damping(omega_h=[0.1], radius=[0.9], ratio=[None], period_error=[-0.1], fingerprint="f")
 AN_EXPERIMENT = ExperimentResult(
     name="e", number=1, title="", claim="", remedy="", source="", parts=[]
 )
@@ -106,7 +104,6 @@ def filled(folder: Path) -> Path:
         store.keep(Plan(name="p", title="", samples=1, budget_s=1.0, studies=[]))
         store.save_environment(machine)
         store.keep(A_SCENE)
-        store.keep(A_DAMPING, "newmark")
         store.keep(AN_EXPERIMENT)
         store.keep(A_LONG_RUN)
         store.save(a_record(), NO_ROWS)

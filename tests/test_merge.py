@@ -118,7 +118,7 @@ def test_merging_with_oneself_changes_nothing_and_all_kinds_are_merged(old, tmp_
             assert getattr(one, kind)() == getattr(two, kind)()
     merge([old, filled(tmp_path / "one_of_each")], tmp_path / "all")
     with Store(tmp_path / "all") as store, Store(tmp_path / "one_of_each") as origin:
-        for kind in ("long_runs", "experiments", "damping"):
+        for kind in ("long_runs", "experiments"):
             assert (found := getattr(origin, kind)())
             assert found.items() <= getattr(store, kind)().items()
 

@@ -8,11 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import msgspec
 import pytest
 from numpy.random import random
-from small_stores import A_DAMPING, A_SCENE, NO_ROWS, a_record, change, filled
+from small_stores import A_SCENE, AN_EXPERIMENT, NO_ROWS, a_record, change, filled
 
-from bench.results.records import Damping, Environment, Plan, Rows, Study
+from bench.results.records import Environment, Plan, Rows, Study
 from bench.results.store import FILE, Store, StoreError
 
 NOT_A_DATABASE = "not a database, but long enough to have a header" * 50
@@ -37,9 +38,7 @@ def test_everything_written_is_read_back(tmp_path):
         store.keep(plan)
         number = store.save_environment(machine)
         store.keep(A_SCENE)
-        store.keep(A_DAMPING, "newmark")
-        store.keep(A_DAMPING, "forgotten")
-        store.forget(Damping, "forgotten")
+        store.keep(AN_EXPERIMENT)
         store.save(a_record(environment=number), long)
         for k, seconds in enumerate((0.1, 0.2, 0.05)):
             store.add_sample("k", k, seconds)
@@ -47,7 +46,7 @@ def test_everything_written_is_read_back(tmp_path):
         assert store.plan() == plan
         assert store.environments() == {number: machine}
         assert store.scenes() == {("pendulum", 1.35): A_SCENE}
-        assert store.damping() == {"newmark": A_DAMPING}
+        assert store.experiments() == {"e": AN_EXPERIMENT}
         assert store.rows("k") == rows
         assert store.records()["k"] == a_record(
             environment=number, run_s=[0.1, 0.2, 0.05], rounds=[(number, k) for k in range(3)]
@@ -92,13 +91,14 @@ def test_what_cannot_be_read_is_named_with_the_way_out(tmp_path):
 def test_a_result_that_could_not_be_read_again_is_refused_and_leaves_the_earlier_one(tmp_path):
     with Store(tmp_path, create=True) as store:
         store.save(a_record(), NO_ROWS)
-        store.keep(A_DAMPING, "d")
+        store.keep(AN_EXPERIMENT)
         for odd in ({"message": ValueError("x")}, {"errors": {"q": {"max": -1.0}}}):
             with pytest.raises(StoreError, match="cannot be stored"):
                 store.save(a_record(**odd), NO_ROWS)
         with pytest.raises(StoreError, match="cannot be stored"):
-            store.keep(Damping(omega_h=[float("nan")]), "d")
-        assert (store.records(), store.damping()) == ({"k": a_record()}, {"d": A_DAMPING})
+            store.keep(msgspec.structs.replace(AN_EXPERIMENT, number=float("nan")))
+        assert store.records() == {"k": a_record()}
+        assert store.experiments() == {"e": AN_EXPERIMENT}
 
 
 def test_records_come_in_the_order_of_the_plan(tmp_path):

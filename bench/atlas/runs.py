@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from bench.atlas.experiments import Case, Experiment, Part, Settings, Sweep, sweep_of
 from bench.atlas.measures import (
@@ -25,13 +26,16 @@ from bench.plugins.fingerprint import fingerprint
 from bench.results.experiments import CaseResult, ExperimentResult, PartResult
 from bench.results.records import INTERRUPTED
 from bench.results.store import Store
+from bench.running.errors import finite
 from bench.running.inventory import Inventory, MethodFacts
 from bench.running.process import Limits, NoAnswer
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task, measure_task
 from bench.running.session import result_of
 from bench.running.worker import Worker
-from bench.stability.damping import linear_response
+from bench.stability.matrices import matrices, steppable
+from bench.stability.spectra import eigenvalues, oscillation, overshoot, radii
+from bench.stability.systems import Oscillator
 from problems.base.spec import SpecError
 
 
@@ -55,6 +59,21 @@ class _Trial:
             measure_task(cell, cell.sources(registry), s.measure in ("error", "events"))
             for cell in self.sweep.cells
         ]
+
+
+def linear_response(
+    worker: Worker,
+    integrator: str,
+    omega_h: tuple[float, ...],
+    pattern: tuple[float, ...] = (1.0,),
+) -> dict[str, list[float | None]]:
+    """Step a method on the undamped oscillator: columns over omega h, None where not finite."""
+    at, method = np.array(omega_h), steppable(worker.registry.integrator(integrator))
+    found = matrices(method, Oscillator(), omega_h, pattern)
+    roots = eigenvalues(found.a)
+    columns = (radii(roots), *oscillation(roots, at), *overshoot(found, Oscillator()))
+    names = ("radius", "damping", "period_error", "overshoot_q", "overshoot_v")
+    return {n: list(map(finite, c)) for n, c in zip(names, columns, strict=True)}
 
 
 def complete_experiments(

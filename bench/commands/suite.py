@@ -77,7 +77,6 @@ def run_suite(
     from bench.atlas.runs import complete_experiments
     from bench.commands.terminal import RunProgress
     from bench.running.session import measure_suite, runner_for, time_suite
-    from bench.stability.damping import complete_damping
 
     chosen = suite.atlas if isinstance(suite.atlas, list) else []
     experiments = read_experiments(chosen) if suite.atlas else []
@@ -91,7 +90,6 @@ def run_suite(
         for sentence in suite.lost:
             progress.note(sentence)
         measured = measure_suite(suite, store, registry, runner)
-        complete_damping(suite, store, registry, runner)
         time_suite(suite, store, registry, runner)
         runner.end_workers()
         stored = store.records()

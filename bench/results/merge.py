@@ -12,7 +12,7 @@ import msgspec
 
 from bench.results.drift import LongRun
 from bench.results.experiments import ExperimentResult
-from bench.results.records import INTERRUPTED, Damping, Plan, SceneRecord, Study
+from bench.results.records import INTERRUPTED, Plan, SceneRecord, Study
 from bench.results.store import FILE, Store
 from problems.base.spec import SpecError
 
@@ -53,7 +53,7 @@ def merge(folders: Sequence[Path], out: Path) -> tuple[int, int]:
                 known: dict[bytes, int] = {}
                 kept: set[str] = set()
                 for store, records in zip(stores, cells, strict=True):
-                    new.take(store, (SceneRecord, LongRun, ExperimentResult, Damping))
+                    new.take(store, (SceneRecord, LongRun, ExperimentResult))
                     numbers = {0: 0}
                     for n, machine in store.environments().items():
                         key = msgspec.json.encode(machine)

@@ -256,16 +256,9 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     tags: list[str] = []
     difficulties: list[str] = []
     equations: list[str] = []
-    nominal_step: float | None = None
     rates: dict[str, float] | None = None
     growth: float | None = None
     faults: list[str] = []
-
-    @property
-    def omega_h(self) -> float | None:
-        """The fastest oscillation times the nominal step; None where one of them is not known."""
-        fastest = (self.rates or {}).get("oscillation")
-        return fastest * self.nominal_step if fastest and self.nominal_step else None
 
 
 class Study(msgspec.Struct, kw_only=True, frozen=True):
@@ -280,21 +273,6 @@ class Study(msgspec.Struct, kw_only=True, frozen=True):
     cells: list[str]
     components: list[str] = []
     demands: list[Name] = []
-
-
-class Damping(msgspec.Struct, kw_only=True, frozen=True):
-    """Response of a method at constant steps to the undamped oscillator, at values of ``omega_h``.
-
-    Spectral radius, numerical damping ratio and relative period error, None where there is none;
-    ``message`` is the reason if nothing is known. ``fingerprint`` belongs to the method.
-    """
-
-    omega_h: list[float]
-    radius: list[float | None] = []
-    ratio: list[float | None] = []
-    period_error: list[float | None] = []
-    message: str = ""
-    fingerprint: str = ""
 
 
 class IntegratorFacts(msgspec.Struct, kw_only=True, frozen=True):

@@ -20,7 +20,7 @@ import msgspec
 
 from bench.results.drift import LongRun
 from bench.results.experiments import ExperimentResult
-from bench.results.records import SCHEMA, Damping, Environment, Plan, Record, Rows, SceneRecord
+from bench.results.records import SCHEMA, Environment, Plan, Record, Rows, SceneRecord
 
 T = TypeVar("T")
 
@@ -121,11 +121,6 @@ class Store:
         """
         self._put([(_KEYS[type(value)](value) if key is None else key, value)])
 
-    def forget(self, kind: type, key: str) -> None:
-        """Forget the value of a kind and a key, if there is one."""
-        with self._transaction() as db:
-            db.execute("DELETE FROM results WHERE kind = ? AND key = ?", (kind.__name__, key))
-
     def take(self, other: Store, kinds: Iterable[type]) -> None:
         """Keep all that another store has of some kinds."""
         for kind in kinds:
@@ -190,10 +185,6 @@ class Store:
     def long_runs(self) -> dict[str, LongRun]:
         """Long runs by key, in the order in which they were kept."""
         return self.values(LongRun)
-
-    def damping(self) -> dict[str, Damping]:
-        """Damping of methods by their printed names."""
-        return self.values(Damping)
 
     def records(self) -> dict[str, Record]:
         """All finished cells by key, with their timing samples, in the order of the plan.

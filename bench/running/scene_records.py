@@ -91,7 +91,6 @@ def scene_record(
         tags=list(tags),
         difficulties=list(hard),
         equations=equations(scene),
-        nominal_step=part("nominal step", lambda: _step(scene), None),
         faults=faults,
         **known,
     )
@@ -119,10 +118,6 @@ def _published(reference: Reference) -> list[Digits]:
 
 def _missing_rank(scene: MechatronicSystem) -> int:
     return missing_rank(scene, np.asarray(scene.start().q), scene.interval[0])
-
-
-def _step(scene: MechatronicSystem) -> float:
-    return checks.number(scene.nominal_step, "nominal_step", positive=True)
 
 
 def first_energy(scene: MechatronicSystem) -> float:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from bench.results.experiments import ExperimentResult, spared
 from bench.results.quantities import COSTS, GROUPS, NORM, NORMS, WRONG
-from bench.results.records import NOT_TRIED, Damping, IntegratorFacts
+from bench.results.records import NOT_TRIED, IntegratorFacts
 from bench.results.table import Table
 from reports.charts.all_scenes import method_strip
 from reports.formatting import file_name, milliseconds, number
@@ -19,7 +19,6 @@ from reports.questions.method_card import stored_card
 from reports.ranking import Answer
 from reports.scenes import StoredRuns
 from reports.series import Series, groups_of
-from reports.tables.damping_table import damping_table
 from reports.tables.order_table import order_table
 from reports.tables.ranking_tables import claims_text
 from reports.tables.run_tables import failures_table, notes_table, unsupported_table
@@ -40,8 +39,6 @@ class MethodChapter:
         The integrator.
     stored
         The runs of the report.
-    damping
-        What is known of the damping of integrators, by printed name.
     answer
         The answer to the first question.
     over
@@ -52,7 +49,6 @@ class MethodChapter:
         self,
         label: str,
         stored: StoredRuns,
-        damping: Mapping[str, Damping],
         answer: Answer,
         over: Sequence[Answer],
     ) -> None:
@@ -84,7 +80,6 @@ class MethodChapter:
             {f"chart-{file_name(label)}-strip": method_strip(label, over, by_scene)},
         )
         self.scenes = Section("On all scenes", [strip, _scenes_table(label, by_scene, answer)])
-        own = {name: damping[name]} if name in damping else {}
         atlas = atlas_table(name, list(stored.atlas.values()))
         unsupported = _own(unsupported_table(runs), "Scenes that it does not support")
         wrong = "; some are wrong" * any(r.wrong(group) for r in runs for group in GROUPS)
@@ -94,9 +89,7 @@ class MethodChapter:
                 "Orders",
                 [order_table([*by_scene.values()], "Its orders, scene by scene", [*by_scene])],
             ),
-            Section(
-                "Damping and failures", [damping_table(own, list(stored.scenes.items())), atlas]
-            ),
+            Section("Failures of the atlas", [atlas]),
             Section(
                 "Where it fails",
                 [

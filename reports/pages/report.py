@@ -28,7 +28,6 @@ from reports.questions.wrong import silent_tables, wrong_sentences
 from reports.ranking import Answer, answers
 from reports.scenes import StoredRuns
 from reports.series import label_of
-from reports.tables.damping_table import damping_table
 from reports.tables.measurement import (
     method_of_measurement,
     missing_data,
@@ -72,18 +71,14 @@ class Report:
         bad = f"{self.failed} · silent {silent}" if silent else self.failed
         self.winners = winners_table(self.answered, self.names)
         self.scenes = list(self._scenes(store))
-        damping = store.damping()
         self.times, self.differ = times_sentence(stored.times), DIFFER
         tables = silent_tables(first.group, wrong, stored.scenes)
-        own = {name: damping[name] for name in facts if name in damping}
-        self.methods = [
-            MethodChapter(label, stored, damping, self.answer, over) for label in self.names
-        ]
+        self.methods = [MethodChapter(label, stored, self.answer, over) for label in self.names]
         chapters = [
             Chapter(
                 "methods.html",
                 "Methods",
-                "What the methods claim, what was measured, and their damping.",
+                "What the methods claim, and what was measured.",
                 [
                     Section("Rating", overviews(plan, stored.records)),
                     Section(
@@ -91,7 +86,6 @@ class Report:
                         [integrators_table([*self.names], facts)],
                         "integrators",
                     ),
-                    Section("Damping", [damping_table(own, list(stored.scenes.items()))]),
                     Section("Over all scenes", self._cost_by_size()),
                 ],
                 heading="Answer",
