@@ -19,7 +19,7 @@ from bench.results.experiments import CaseResult, PartResult
 from bench.results.records import IntegratorFacts, Plan
 from bench.results.store import Store
 from problems.base.spec import SpecError
-from reports.charts.all_scenes import method_strip
+from reports.charts.method_strip import method_strip
 from reports.pages.atlas import experiment_chart
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from planted import planted
 
 from bench.results.records import IntegratorFacts
-from reports.charts.all_scenes import cost_heat_map, performance_profile
-from reports.charts.line_styles import line_styles
-from reports.formatting import NO_VALUE
 from reports.questions.question import FIRST, TABLE_TARGETS
 from reports.questions.verdict import verdict
-from reports.ranking import Answer, SceneAnswer, answers, told_apart
+from reports.ranking import answers, told_apart
 from reports.series import series_of
 from reports.tables.ranking_tables import integrators_table, targets_table, winners_table
 
@@ -216,58 +211,6 @@ def test_the_ranking_equals_a_direct_query():
             assert s.value == (min(costs) if costs else None)
         ratios = [s.ratio for s in own.values() if s.ratio is not None]
         assert not ratios or min(ratios) == 1
-
-
-def profile(found):
-    """Points (tau, part) by integrator."""
-    labels = [label for own in found.scenes.values() for label in own.entries]
-    spec = performance_profile(found, line_styles(labels))
-    head, *rows = (line.split(",") for line in spec["datasets"]["profile"].splitlines())
-    points: dict[str, list] = {}
-    for row in (dict(zip(head, row, strict=True)) for row in rows):
-        points.setdefault(row["series"], []).append((float(row["tau"]), float(row["part"])))
-    return points
-
-
-def test_the_profile_is_the_part_of_scenes_within_a_factor(found):
-    points = profile(found[FIRST])
-    # the best in operations on won, tied and untimed, of four; "alone" and "vague" do not count
-    assert max(part for tau, part in points["lean"] if tau <= 1) == pytest.approx(3 / 4)
-    assert points["lean"][-1] == (100.0, pytest.approx(3 / 4))
-    assert max(part for tau, part in points["quick"] if tau <= 1) == pytest.approx(1 / 4)
-    assert max(part for tau, part in points["quick"] if tau <= 3) == pytest.approx(2 / 4)
-    assert max(part for _, part in points["quick"]) == pytest.approx(3 / 4)
-
-
-def test_the_shares_of_the_profile_are_of_all_scenes():
-    def scene(**values):
-        """The answer on a scene from costs by label; None of a cost that is not known."""
-        some = run("s", "any", 0.01, None, 1)
-        costs = {k: (v, some) for k, v in values.items() if isinstance(v, float)}
-        able = [k for k, v in values.items() if v != "far"]
-        return SceneAnswer(FIRST, {k: series_of([some])[0] for k in values}, able, costs, [])
-
-    own = {
-        "s0": scene(all=100.0, once=100.0, poor=100.0),
-        "s1": scene(all=100.0, poor="far", dark=100.0),
-        "s2": scene(all=100.0, poor="far", dark=None),
-        "s3": scene(all=100.0, poor="far", dark=None),
-    }
-    points = profile(Answer(FIRST, own, {}))
-    parts = {label: max(part for _, part in own) for label, own in points.items()}
-    assert parts == {"all": 1.0, "once": 0.25, "poor": 0.25, "dark": 0.25}
-
-
-def test_the_heat_table_shows_each_ratio_and_what_was_not_reached(found):
-    spec = cost_heat_map(found[FIRST], line_styles(["quick", "lean", "coarse"]))
-    head, *rows = (line.split(",") for line in spec["datasets"]["ranking"].splitlines())
-    cells = {(r[head.index("scene")], r[head.index("series")]): r for r in rows}
-    ratio = head.index("ratio")
-    assert float(cells["won", "quick"][ratio]) == 3.0
-    assert cells["won", "coarse"][ratio] == ""
-    assert cells["won", "coarse"][head.index("text")] == NO_VALUE
-    assert math.isclose(float(cells["tied", "lean"][ratio]), 1.0)
-    assert cost_heat_map(Answer(FIRST, {}, {}), {}) is None
 
 
 def test_each_integrator_is_described_by_its_claims():

@@ -246,9 +246,9 @@ def test_the_charts_carry_the_numbers_of_the_store(folder: Path, page: Document)
 
 def test_pictures_of_the_paper_page_exist_and_are_svg(folder: Path, paper: str) -> None:
     pictures = re.findall(r"!\[[^]]*\]\(([^)]+)\)", paper)
-    # Three over all scenes; per scene one picture of it, motion, convergence, cost, accuracy and
+    # One over all scenes; per scene one picture of it, motion, convergence, cost, accuracy and
     # bills; a held scene shows errors at the end, too.
-    assert len(pictures) == len(set(pictures)) == 16
+    assert len(pictures) == len(set(pictures)) == 14
     for picture in pictures:
         assert ElementTree.parse(folder / picture).getroot().tag.endswith("svg")
 

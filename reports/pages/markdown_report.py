@@ -99,6 +99,6 @@ def _escaped(text: str) -> str:
 
 
 def _figures(report: Report) -> Iterator[Figure]:
-    yield from report.overview
+    yield report.overview
     for chapter in (*report.scenes, *report.chapters):
         yield from chapter.figures

@@ -7,11 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from bench.results.demands import overviews
-from bench.results.quantities import COSTS
 from bench.results.records import NOT_TRIED, Record
 from bench.results.store import Store
 from bench.results.table import Table
-from reports.charts.all_scenes import cost_heat_map, performance_profile
 from reports.charts.cost_by_size import size_charts
 from reports.charts.errors import error_against_cost
 from reports.charts.line_styles import line_styles
@@ -190,26 +188,10 @@ class Report:
             yield SceneChapter(f"scene-{i}", sections, stored.series[title], own, same_as)
 
     @property
-    def overview(self) -> list[Figure]:
-        """Pictures of the answer to the first question, which a page draws itself."""
-        first = self.stored.first
-        which = f"Accuracy: {first.text}. Cost: {COSTS[first.cost].title}."
-        heat = (
-            f"Cost as a multiple of the cheapest on the scene. {which} Grey: not reached, or the "
-            "cost is not measured; empty: not tried."
-        )
-        profile = (
-            "Part of the scenes on which an integrator costs at most so many times the cheapest "
-            f"(performance profile, Dolan and More 2002). {which} On the left: part on which it is "
-            "the cheapest; on the right: part on which it reaches the accuracy. Counted are all "
-            "scenes with several integrators."
-        )
-        errors = error_against_cost(self.series, self.styles, first)
-        return [
-            Figure(heat, {"overview-heat": cost_heat_map(self.answer, self.styles)}),
-            Figure(profile, {"overview-profile": performance_profile(self.answer, self.styles)}),
-            Figure("Accuracy against cost, scene by scene.", {"overview-errors": errors}),
-        ]
+    def overview(self) -> Figure:
+        """A picture of the answer to the first question, which a page draws itself."""
+        chart = error_against_cost(self.series, self.styles, self.stored.first)
+        return Figure("Accuracy against cost, scene by scene.", {"overview-errors": chart})
 
     def _cost_by_size(self) -> list[Figure]:
         """Cost against size, for every kind of scene with runs in several sizes."""
