@@ -15,12 +15,10 @@ from planted import Document, edited, everything, page_data, plant
 from test_questions import costing as run
 from test_questions import scenes_of
 
-from bench.results.experiments import CaseResult, PartResult
 from bench.results.records import IntegratorFacts, Plan
 from bench.results.store import Store
 from problems.base.spec import SpecError
 from reports.charts.method_strip import method_strip
-from reports.pages.atlas import experiment_chart
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 from reports.questions.method_card import method_card
@@ -172,25 +170,6 @@ def test_the_card_of_a_method_says_where_it_wins_loses_and_fails(tmp_path):
     assert len(method_card(tmp_path, "good")) == 7  # of two variants
     with pytest.raises(SpecError, match="did you mean 'poor'"):
         method_card(tmp_path, "pooor")
-
-
-def test_a_part_of_the_atlas_without_a_sweep_shows_its_numbers():
-    def case(number):
-        return CaseResult(
-            label="one", integrator="one", family="f", axis="h", x=[0.1], y=[number],
-            number=number, expected=None, as_expected=None, healthy=None,
-        )  # fmt: skip
-
-    def chart_of(*numbers):
-        part = dict(text="A", quantity="error", take="last", healthy=(None, 1.0), show="")
-        return experiment_chart(PartResult(cases=list(map(case, numbers)), **part))
-
-    chart = chart_of(1e-16, None, 1e-3)
-    assert chart is not None
-    assert "1e-16" in str(chart)
-    assert "'type': 'log'" in str(chart)
-    assert "'type': 'log'" not in str(chart_of(0.0, 1.0))
-    assert chart_of(None) is None
 
 
 def test_a_page_holds_nothing_of_the_page_before(tmp_path):

@@ -18,9 +18,6 @@ from reports.charts.line_styles import line_styles
 from reports.formatting import file_name
 from reports.pages.chapter import Chapter, Figure, Section, Text, write_chapter
 
-#: Numbers that differ by more than this factor stand on a logarithmic axis.
-_DECADES = 100
-
 
 def atlas_chapter(found: Sequence[ExperimentResult]) -> Chapter:
     """The chapter on these experiments, a section for each."""
@@ -40,27 +37,25 @@ def write_atlas_page(found: Sequence[ExperimentResult], folder: Path) -> Path:
 
 
 def _section(f: ExperimentResult) -> Section:
+    """The claim, the verdict on it and what helps; numbers and charts are folded."""
     unlike = "" if f.as_predicted else f"{f.verdict.capitalize()}: "
-    verdict = f"{unlike}{expected_counts(f)}."
-    parts: list[Any] = [
-        Text(" ".join(f.claim.split())),
-        Text(verdict, "state" if f.as_predicted else "missing"),
-    ]
+    parts: list[Any] = []
     for k, part in enumerate(f.parts, 1):
         caption = f"{part.text}: {part.quantity}"
         caption += f"; {part.show} in the first run." if part.show else "."
         chart = {f"atlas-{file_name(f.name)}-{k}": experiment_chart(part)}
         parts += [part_table(part), Figure(caption, chart)]
-    parts.append({"What helps": " ".join(f.remedy.split()), "Source": f.source})
-    return Section(f.title, parts, f"atlas-{f.name}", f.number)
+    said = [
+        Text(" ".join(f.claim.split())),
+        Text(f"{unlike}{expected_counts(f)}.", "state" if f.as_predicted else "missing"),
+        {"What helps": " ".join(f.remedy.split()), "Source": f.source},
+        Section("Numbers and charts", parts, folded=True),
+    ]
+    return Section(f.title, said, f"atlas-{f.name}", f.number)
 
 
-# ---- charts ------------------------------------------------------------------------------
 def experiment_chart(part: PartResult) -> vl.Spec | None:
-    """The sweep, and the history of the component shown; without them, the cases' numbers.
-
-    None if there are no numbers, either.
-    """
+    """The sweep, and the history of the component shown; None without both."""
     cases = [(f"{k}. {c.label}", c) for k, c in enumerate(part.cases, 1)]
     lines = vl.Lines(line_styles(label for label, _ in cases))
     sweep = [
@@ -93,20 +88,4 @@ def experiment_chart(part: PartResult) -> vl.Spec | None:
     if history:
         y = vl.quantity("value", title=part.show, scale={"zero": False})
         draw("history", history, vl.quantity("t", title="t in s"), y)
-    rows = [{"series": label, "value": c.number} for label, c in cases if c.number is not None]
-    if panels or not rows:
-        return vl.arrange(panels, data, 2, height=210)
-    numbers = [row["value"] for row in rows]
-    wide = min(numbers) > 0 and max(numbers) > _DECADES * min(numbers)
-    axis = vl.log_axis(numbers, ".0e") if wide else {"format": "~g"}
-    table = vl.Dataset("numbers", rows)
-    quantity = vl.log_quantity if wide else vl.quantity
-    place = {"labelLimit": 320, "grid": True}
-    encoding = {
-        "x": quantity("value", title=part.quantity, axis=axis),
-        "y": vl.category("series", title=None, sort=None, axis=place),
-        "color": lines.colors() | {"legend": None},
-    }
-    mark = {"type": "point", "filled": True, "size": 90, "opacity": 1}
-    panel = {"data": table.source, "mark": mark, "encoding": encoding}
-    return vl.arrange([panel], [table], 1, height=24 * len(rows) + 16)
+    return vl.arrange(panels, data, 2, height=210)

@@ -45,16 +45,8 @@ class Text:
 
 
 @dataclass
-class Fold:
-    """A table that a page begins folded, under a title."""
-
-    title: str
-    table: Table
-
-
-@dataclass
 class Section:
-    """Parts under a title, with a number where sections are counted.
+    """Parts under a title, with a number where sections are counted; a page folds some.
 
     A part is a table, a figure, a text, an animation, texts by name, a list of items, or a section.
     """
@@ -63,6 +55,7 @@ class Section:
     parts: Sequence[Any]
     anchor: str = ""
     number: int | None = None
+    folded: bool = False
 
     def __post_init__(self) -> None:
         """Leave out parts that hold nothing."""

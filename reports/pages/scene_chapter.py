@@ -9,7 +9,7 @@ from bench.results.published import published_table
 from bench.results.records import Study
 from reports.charts.mechanism import mechanism
 from reports.formatting import number, paragraphs
-from reports.pages.chapter import Figure, Fold, Section, Text
+from reports.pages.chapter import Figure, Section, Text
 from reports.pages.study_section import ALL_FIGURES, StudySections
 from reports.series import Series
 from reports.tables.jump_tables import events_table
@@ -102,7 +102,9 @@ class SceneChapter:
         tables: dict[str, list[Any]] = {
             "cost": [summary_table(series), targets_table(series, names)] if series else [],
             "drift": [invariants_table(series)],
-            "runs": [Fold(f"All {len(runs.rows)} runs on this scene", runs)] if runs else [],
+            "runs": [Section(f"All {len(runs.rows)} runs on this scene", [runs], folded=True)]
+            if runs
+            else [],
         }
         made = [sections.make(s, f"{anchor}-{n}") for n, s in enumerate(studies, 1)]
         self.tabs = []

@@ -24,7 +24,7 @@ from reports.charts.over_time import (
     trajectory_chart,
 )
 from reports.formatting import number, words
-from reports.pages.chapter import Figure, Fold, Text
+from reports.pages.chapter import Figure, Section, Text
 from reports.series import (
     Series,
     groups_of,
@@ -126,12 +126,12 @@ class StudySections:
                 Text(state, "state") if (state := _study_state(study, records)) else None,
                 *figures,
                 Text(_USE, "note") if any(figures) else None,
-                Fold("Fitted orders", orders) if orders else None,
+                Section("Fitted orders", [orders], folded=True),
             ],
             "time": [histories["time"], path],
             "drift": [histories["drift"]],
             "steps": [histories["steps"]],
-            "runs": [Fold(f"{len(runs.rows)} runs of this study", runs)]
+            "runs": [Section(f"{len(runs.rows)} runs of this study", [runs], folded=True)]
             if runs and "runs" in study.figures and records != list(self.records)
             else [],
         }
