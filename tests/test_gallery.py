@@ -117,10 +117,7 @@ def test_a_scene_without_a_picture_is_told_so_and_still_catalogued(stepbench, tm
     )
     assert result.exit_code == 0, result.output
     page = Document((out / "catalogue.html").read_text())
-    paper = (out / "catalogue.md").read_text()
     for words in ("A free mass that nobody draws", "Active damping of one mass"):
         assert words in page.words
-        assert words in paper
     assert "xdot = f(q, v, a, λ, x, y, t)" in page.words
-    assert [file.name for file in (out / "catalogue_figures").iterdir()] == ["spring_mass.svg"]
-    assert "](catalogue_figures/spring_mass.svg)" in paper
+    assert (out / "catalogue.html").read_text().count("<svg") == 1

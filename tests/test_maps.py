@@ -21,7 +21,7 @@ from bench.sweeps.variation import find_range
 from integrators import Steps, Tolerances
 from problems.truth.reference import Reference
 from problems.variables import GROUPS
-from reports.pages.outcome_map import _OTHERS, map_chart, outcome_table
+from reports.pages.outcome_map import _OTHERS, map_chart
 
 REGISTRY = Registry()
 ADAPTIVE, KVAERNO = "generalized_alpha_adaptive[newton=modified]", "kvaerno3[steps=constant]"
@@ -202,7 +202,6 @@ def test_the_page_holds_the_map_and_asks_no_network(stepbench, tmp_path):
     text = (tmp_path / "map.html").read_text()
     page = Document(text)
     assert "generalized_alpha on pendulum" in page.words
-    assert "along h" in page.words
     assert not re.search(r"(src|href)=\"(?!data:|#)", text)
     assert "<svg" in text
 
@@ -230,8 +229,4 @@ def test_tiles_meet_in_the_middle_and_show_the_outcomes():
     for (*ends, words), (*wanted, said) in zip(tiles, expected, strict=True):
         assert words == said
         assert [float(end) for end in ends] == pytest.approx(wanted, rel=1e-4)
-    assert outcome_table(found).rows == [
-        ["0", "ok 0.01 to 0.1; diverged 1"],
-        ["1", "Newton failed 0.01; inaccurate 0.1 to 1"],
-    ]
     assert {o for o in OUTCOMES if o not in ("ok", "inaccurate")} == set(_OTHERS)

@@ -10,7 +10,6 @@ import pytest
 from planted import STEPS, edited, everything, plant
 
 from bench.results.store import Store
-from reports.pages.catalogue import write_catalogue
 from reports.pages.markdown_report import _FIGURES as FIGURES
 from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
@@ -94,14 +93,6 @@ def test_a_report_of_studies_without_titles_has_no_faults(folder, tmp_path):
 
 def test_a_report_of_nothing_has_no_faults(tmp_path):
     assert faults(write_markdown_report(plant(tmp_path, [], plan=False))) == []
-
-
-def test_the_catalogue_has_no_faults(folder, tmp_path):
-    with Store(folder) as store:
-        pages = write_catalogue(list(store.scenes().values()), tmp_path)
-    (path,) = [p for p in pages if p.suffix == ".md"]
-    assert faults(path) == []
-    assert missing(path) == []
 
 
 def test_a_fault_is_found(tmp_path):

@@ -94,7 +94,7 @@ def list_(o: Given) -> None:
 
 
 def _draw(scenes: list[SceneFacts], out: Path) -> None:
-    """Write pages of scenes."""
+    """Write a page of scenes."""
     from bench.commands.terminal import RunProgress
     from bench.running.session import describe_scenes
     from reports.pages.catalogue import write_catalogue
@@ -103,8 +103,7 @@ def _draw(scenes: list[SceneFacts], out: Path) -> None:
         records = describe_scenes(scenes, BUDGET_S, progress)
     if not records:
         raise SpecError("No scene could be described.")
-    for page in write_catalogue(records, out):
-        click.echo(f"Catalogue: {page}")
+    click.echo(f"Catalogue: {write_catalogue(records, out)}")
 
 
 def _chosen(

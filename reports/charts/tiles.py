@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -44,13 +44,6 @@ class Side:
         return vl.quantity(field, title=self.name, scale=scale, axis=axis)
 
 
-def stretches(places: Sequence[int], state: Callable[[int], str]) -> Iterator[tuple[str, int, int]]:
-    """Neighbours of one state: the state, and the places of the first and the last."""
-    for words, own in groupby(places, state):
-        first, *more = own
-        yield words, first, (more or [first])[-1]
-
-
 def tile_chart(
     x: Side, y: Side, state: Callable[[int, int], str], looks: Mapping[str, str], title: str = ""
 ) -> vl.Spec:
@@ -59,17 +52,12 @@ def tile_chart(
     ``state(k, i)`` is that of the k-th value of y and the i-th of x, ``looks`` the colours of
     states in the order of the legend, which ``title`` heads.
     """
-    rows = [
-        {
-            "left": x.edge(first, -1),
-            "right": x.edge(last, 1),
-            "low": y.edge(k, -1),
-            "high": y.edge(k, 1),
-            "state": words,
-        }
-        for k in y.places
-        for words, first, last in stretches(x.places, lambda i, k=k: state(k, i))
-    ]
+    rows = []
+    for k in y.places:
+        for words, own in groupby(x.places, lambda i, k=k: state(k, i)):
+            first, *more = own
+            ends = {"left": x.edge(first, -1), "right": x.edge((more or [first])[-1], 1)}
+            rows.append(ends | {"low": y.edge(k, -1), "high": y.edge(k, 1), "state": words})
     shown = {row["state"] for row in rows}
     used = {words: color for words, color in looks.items() if words in shown}
     scale = {"domain": [*used], "range": [*used.values()]}

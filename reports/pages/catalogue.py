@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from bench.results.records import Drawing, SceneRecord
-from problems.base.cache import put
 from problems.base.spec import SpecError
 from reports.charts.mechanism import mechanism, motion
-from reports.charts.rendering import draw, picture
+from reports.charts.rendering import picture
 from reports.formatting import file_name, number, paragraphs
 from reports.names import scene_name
 from reports.pages.chapter import Chapter, Figure, Section, Text, write_chapter
-from reports.pages.templating import markdown
 from reports.tables.scene_tables import parameters_table, scene_facts
 
-PICTURES = "catalogue_figures"
+T = TypeVar("T")
 
 
 class NoPicture(SpecError):
@@ -31,11 +30,9 @@ def write_picture(title: str, drawings: Sequence[Drawing], path: Path) -> Path:
     NoPicture
         If the scene draws nothing, or the suffix is not one of these.
     """
-    chart = mechanism(drawings)
-    if chart is None:
-        raise NoPicture(f"{title} has no picture: it does not define draw(q).")
     if path.suffix not in (".svg", ".png"):
         raise NoPicture(f"{path.name} is not a picture; give a name that ends in .svg or .png.")
+    chart = _shown(title, mechanism(drawings))
     drawn = picture(chart) if path.suffix == ".svg" else picture(chart, "png", scale=2)
     if drawn.reason:
         raise NoPicture(f"{title}: {drawn.sentence}")
@@ -53,15 +50,18 @@ def write_animation(title: str, drawings: Sequence[Drawing], path: Path) -> Path
     """
     if path.suffix != ".html":
         raise NoPicture(f"{path.name} is not a page; give a name that ends in .html.")
-    frames = motion(drawings)
-    if frames is None:
-        raise NoPicture(f"{title} has no picture: it does not define draw(q).")
-    chapter = Chapter(path.name, title, "", [Section(title, [frames])])
+    chapter = Chapter(path.name, title, "", [Section(title, [_shown(title, motion(drawings))])])
     return write_chapter(chapter, path.parent, programs=["motion.js"])
 
 
-def write_catalogue(scenes: Sequence[SceneRecord], folder: Path) -> list[Path]:
-    """Write catalogue.html and catalogue.md with a picture of every scene into a folder."""
+def _shown(title: str, drawn: T | None) -> T:
+    if drawn is None:
+        raise NoPicture(f"{title} has no picture: it does not define draw(q).")
+    return drawn
+
+
+def write_catalogue(scenes: Sequence[SceneRecord], folder: Path) -> Path:
+    """Write catalogue.html with a picture of every scene into a folder."""
     sections = []
     for scene in scenes:
         title = f"{scene.problem}: {scene.title.rstrip('.')}"
@@ -74,12 +74,7 @@ def write_catalogue(scenes: Sequence[SceneRecord], folder: Path) -> list[Path]:
         ]
         sections.append(Section(title, parts, scene.problem))
     about = f"{len(scenes)} scenes, with the difficulties that each of them has."
-    chapter = Chapter("catalogue.html", "Catalogue of scenes", about, sections)
-    page = write_chapter(chapter, folder)
-    failed = draw({k: c for f in chapter.figures for k, c in f.charts.items()}, folder / PICTURES)
-    text = markdown("chapter.md.j2", chapter=chapter, figures=PICTURES, failed=failed)
-    put(folder / "catalogue.md", text)
-    return [page, folder / "catalogue.md"]
+    return write_chapter(Chapter("catalogue.html", "Catalogue of scenes", about, sections), folder)
 
 
 def _catalogue_facts(scene: SceneRecord) -> list[tuple[str, str]]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import count
 
 from bench.results.quantities import NORM, WRONG, quantity
 from bench.results.records import SceneRecord, counted
-from reports.formatting import file_name, number_range, words
+from reports.formatting import file_name, number_range
 from reports.names import scene_name
 from reports.pages.chapter import Chapter, Section, Text
 from reports.scenes import StoredRuns
@@ -16,7 +16,6 @@ from reports.tables.jump_tables import (
     JUDGED,
     POLICIES,
     events_table,
-    miscounted,
     policies_table,
     policy,
 )
@@ -65,32 +64,5 @@ def _without_policy(scene: SceneRecord) -> str:
 
 
 def _with_events(stored: StoredRuns) -> Iterator[Section]:
-    names = stored.names
     for title, own in stored.series.items():
-        table = events_table(own)
-        if table:
-            anchor = f"jumps-events-{file_name(title)}"
-            yield Section(scene_name(title), [list(_found(own, names)), table], anchor)
-
-
-def _found(series: Sequence[Series], names: Mapping[str, str]) -> Iterator[str]:
-    """How far the times of events are off, which methods miscount them, and which runs failed."""
-    right = [s for s in series if s.ok and not any(map(miscounted, s.ok))]
-    if right:
-        off = number_range(s.finest.events["time"] for s in right)
-        who = words(names[s.label] for s in right)
-        yield f"Every run of {who} finds all events; in the finest one, times are off by {off} s."
-    odd = [
-        f"{names[s.label]} ({', '.join(r.resolution.partition(',')[0] for r in wrong)})"
-        for s in series
-        if (wrong := [r for r in s.ok if miscounted(r)])
-    ]
-    if odd:
-        yield f"Another number of events than the reference: {words(odd)}."
-    failed = [
-        f"{names[s.label]} ({', '.join(r.resolution.partition(',')[0] for r in bad)})"
-        for s in series
-        if (bad := [r for r in s.records if r.status not in ("ok", "unsupported")])
-    ]
-    if failed:
-        yield f"Without a result: {words(failed)}."
+        yield Section(scene_name(title), [events_table(own)], f"jumps-events-{file_name(title)}")

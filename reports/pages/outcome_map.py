@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from bench.results.table import Table
 from reports.charts import vega_lite as vl
-from reports.charts.tiles import MOST, Side, stretches, tile_chart
+from reports.charts.tiles import MOST, Side, tile_chart
 from reports.formatting import number
 from reports.pages.chapter import Chapter, Figure, Section, write_chapter
 
@@ -26,8 +24,6 @@ _OTHERS = {
     "not_run": ("not run", "#969696"),
     "no_reference": ("no reference", "#bebebe"),
 }
-#: Rows of the table, and stretches in each.
-_LINES, _STRETCHES = 9, 8
 
 
 def write_map_page(found: Mapping[str, Any], folder: Path) -> Path:
@@ -50,7 +46,7 @@ def write_map_page(found: Mapping[str, Any], folder: Path) -> Path:
         counts.append(f"{words}: {count}{f'; {why}' if why else ''}")
     caption = f"Outcome of each run; of more than {MOST} values along a side some are left out."
     picture = Figure(caption, {"map": map_chart(found)})
-    section = Section("Outcome of each run", [counts, picture, outcome_table(found)], "picture")
+    section = Section("Outcome of each run", [counts, picture], "picture")
     title = f"{found['integrator']} on {found['problem']}"
     return write_chapter(Chapter("map.html", title, about, [section]), folder)
 
@@ -80,20 +76,3 @@ def map_chart(found: Mapping[str, Any]) -> vl.Spec:
     far = (threshold + 1, None)
     looks |= {_words("inaccurate", e, threshold): c for e, c in zip(far, _INACCURATE, strict=True)}
     return tile_chart(x, y, lambda k, i: _state(found, k, i), looks | dict(_OTHERS.values()))
-
-
-def outcome_table(found: Mapping[str, Any]) -> Table:
-    """The outcomes along the first axis, at some values of the second."""
-    x, y = found["x"], found["y"]
-    last = len(y["values"]) - 1
-    rows = []
-    for k in sorted({round(k * last / (_LINES - 1)) for k in range(_LINES)}):
-        told = []
-        row = stretches(range(len(x["values"])), lambda i, k=k: _state(found, k, i))
-        for words, own in groupby(row, lambda s: s[0].partition(",")[0]):
-            (_, first, end), *more = own
-            ends = dict.fromkeys((first, more[-1][2] if more else end))
-            told.append(f"{words} " + " to ".join(f"{x['values'][i]:.4g}" for i in ends))
-        more = ["..."] if len(told) > _STRETCHES else []
-        rows.append([f"{y['values'][k]:.4g}", "; ".join(told[:_STRETCHES] + more)])
-    return Table("In words", [y["name"], f"along {x['name']}"], rows)
