@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
-from bench.results.records import Environment, Plan, Record, SceneRecord, scene_titles
+from bench.results.records import Environment, Plan, Record, SceneRecord, Study, scene_titles
 from bench.results.store import Store
 from bench.results.timings import Repeatability, repeatability
 from reports.explanations import Atlas
@@ -18,6 +18,8 @@ from reports.questions.wrong import Wrong, wrong_on
 from reports.series import Series, series_of
 from reports.tables.measurement import state_sentence
 
+#: Figures of runs that belong to no study.
+_FIGURES = ("trajectory", "convergence", "work_precision")
 #: A scene's specification and the end of its interval in s.
 Key = tuple[str, float]
 
@@ -66,6 +68,16 @@ class StoredRuns:
             ]
             for scene, own in self.series.items()
         }
+
+    def studies(self, title: str) -> list[Study]:
+        """The studies of a scene; all of its runs as one if the plan has none of it."""
+        planned = self.plan.studies if self.plan else ()
+        own = [s for s in planned if self.titles.get((s.problem, s.t_end)) == title]
+        runs = [r for s in self.series[title] for r in s.records]
+        if own or not runs:
+            return own
+        at = {"problem": runs[0].problem, "t_end": runs[0].t_end}
+        return [Study(title="All runs", figures=[*_FIGURES], cells=[r.key for r in runs], **at)]
 
     @cached_property
     def times(self) -> Repeatability:

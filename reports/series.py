@@ -105,11 +105,6 @@ def label_of(record: Record) -> str:
     return f"{record.integrator} x {'/'.join(f'{f:g}' for f in record.pattern)}"
 
 
-def run_name(record: Record) -> str:
-    """Integrator and resolution of one run."""
-    return f"{record.integrator}, {record.resolution}"
-
-
 def step_or_tolerance(record: Record) -> float:
     """The step size h in s, or the relative tolerance of an adaptive run."""
     value = record.h if record.controls == "step" else record.rtol

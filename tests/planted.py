@@ -166,7 +166,7 @@ def plant(folder: Path, records: list[Record], samples: int = 3, plan: bool = Tr
                     note="A note.",
                     problem=problem,
                     t_end=1.0,
-                    figures=["trajectory", "convergence", "work_precision", "runs"],
+                    figures=["trajectory", "convergence", "work_precision"],
                     cells=[r.key for r in records if r.problem == problem],
                 )
                 for problem in dict.fromkeys(r.problem for r in records)

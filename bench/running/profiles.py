@@ -17,9 +17,9 @@ import msgspec
 from problems.base import spec
 from problems.base.spec import SpecError
 
-#: Figures and tables that a study can show: every run; orders claimed and measured.
+#: Figures that a study can show, and the table of orders, claimed and measured.
 FIGURES = ("trajectory", "convergence", "work_precision")
-TABLES = ("runs", "orders")
+TABLES = ("orders",)
 #: Most integrators of a study.
 _MOST_VARIED = 10_000
 #: Most timing samples of a run; largest budget of one, in s of time and in GiB of memory.

@@ -20,7 +20,6 @@ from reports.pages.drift import drift_chapter
 from reports.pages.jumps import jumps_chapter
 from reports.pages.method_chapter import MethodChapter
 from reports.pages.scene_chapter import SceneChapter
-from reports.pages.study_section import StudySections
 from reports.questions.verdict import DIFFER
 from reports.questions.wrong import silent_tables, wrong_sentences
 from reports.ranking import Answer, answers
@@ -169,23 +168,14 @@ class Report:
     def _scenes(self, store: Store) -> Iterator[SceneChapter]:
         stored = self.stored
         told: dict[tuple[Any, ...], str] = {}
-        for i, (key, title) in enumerate(stored.titles.items(), 1):
+        for i, title in enumerate(stored.titles.values(), 1):
             scene = stored.scenes.get(title)
-            studies = stored.plan.studies if stored.plan else ()
-            sections = StudySections(
-                name=title,
-                scene=scene,
-                records=[r for r in stored.records.values() if (r.problem, r.t_end) == key],
-                styles=self.styles,
-                read_rows=store.rows,
-                ids=self.run_ids,
-            )
-            own = [s for s in studies if (s.problem, s.t_end) == key]
             # The same scene over another interval is described once.
             about = (scene.problem, str(scene.parameters), scene.description) if scene else (i,)
             first = told.setdefault(about, title)
             same_as = "" if first == title else first
-            yield SceneChapter(f"scene-{i}", sections, stored.series[title], own, same_as)
+            look = store.rows, self.styles, self.run_ids
+            yield SceneChapter(f"scene-{i}", title, stored, *look, same_as)
 
     @property
     def overview(self) -> Figure:
