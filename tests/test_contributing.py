@@ -1,14 +1,16 @@
-"""Examples of the documents run as printed; README's numbers and commands are those there are."""
+"""Examples of the documents run as printed; commands, options and numbers are those there are."""
 
 from __future__ import annotations
 
 import json
 import re
+import shlex
 from pathlib import Path
 
 import pytest
 from helpers import long
 
+from bench.atlas.experiments import built_in_experiments
 from bench.check.checker import CHECKS, examine
 from bench.check.verdicts import FAILED
 from bench.commands.main import main
@@ -20,9 +22,11 @@ from integrators.native.step.step_work import EquationsFinder, StepWork
 from problems.scenes.duffing import Duffing
 
 ROOT = Path(__file__).parent.parent
-TEXT = "".join(
-    (ROOT / name).read_text(encoding="utf-8") for name in ("CONTRIBUTING.md", "docs/integrators.md")
-)
+DOCUMENTS = {
+    path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
+    for path in (*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"))
+}
+TEXT = DOCUMENTS["CONTRIBUTING.md"] + DOCUMENTS["docs/integrators.md"]
 EXAMPLES = {
     block.split("\n", 1)[0].removeprefix("# "): block
     for block in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
@@ -36,13 +40,39 @@ def test_the_lines_that_import_something_do():
         exec(line, {})
 
 
-def test_readme_counts_what_there_is_and_names_commands_that_exist():
-    text, registry = (ROOT / "README.md").read_text(encoding="utf-8"), Registry()
-    counts = [
-        int(number) for number in re.findall(r"\b(\d+) (?:scenes,|integrators:|suites)", text)
+def test_readme_counts_what_there_is():
+    registry = Registry()
+    there = [
+        [len(built_in_experiments()), "experiments"],
+        [len(registry.problems), "scenes"],
+        [len(registry.integrators), "integrators"],
+        [len(built_in_profiles()), "suites"],
     ]
-    assert counts == [len(registry.problems), len(registry.integrators), len(built_in_profiles())]
-    assert set(re.findall(r"^stepbench (\w+)", text, re.MULTILINE)) <= set(main.commands)
+    words = "|".join(word for _, word in there)
+    text = re.sub(r"```text.*?```", "", DOCUMENTS["README.md"], flags=re.DOTALL)
+    told = re.findall(rf"\b(\d+) ({words})\b", text)
+    assert [[int(number), word] for number, word in told] == there
+
+
+def test_every_command_of_the_documents_is_one_of_the_tool_with_its_options():
+    found = 0
+    for name, text in DOCUMENTS.items():
+        lines = re.findall(r"^stepbench .*", text.replace("\\\n", " "), re.MULTILINE)
+        lines += re.findall(r"`(stepbench [^`]+)`", text)
+        if name == "README.md":
+            rows = re.findall(r"^\| (`[\w`, ]+`) \|", text, re.MULTILINE)
+            assert set(re.findall(r"`(\w+)`", "".join(rows))) == set(main.commands)
+        for line in lines:
+            words = shlex.split(re.split(r"[;&|]", line)[0], comments=True)
+            command = main.commands.get(words[1], main)
+            if command is main and not words[1].startswith("-"):
+                assert f"\n{line}" in text, line  # a sentence that begins with the tool's name
+                continue
+            known = {option for parameter in command.params for option in parameter.opts}
+            used = {word.partition("=")[0] for word in words if re.match("-+[a-z]", word)}
+            assert used <= {*known, "--help", "--version"}, f"{name}: {line}"
+            found += 1
+    assert found > 60
 
 
 @pytest.fixture(scope="module")
