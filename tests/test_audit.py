@@ -8,7 +8,7 @@ from typing import ClassVar
 import pytest
 
 from bench.check import integrators
-from bench.check.counts import audited, check_counts
+from bench.check.integrators import audited, check_counts
 from bench.check.trials import TRIAL_STEPS, ForcedOscillator, Trial
 from bench.check.verdicts import Failed
 from bench.plugins.registry import Registry

@@ -4,36 +4,50 @@ from __future__ import annotations
 
 import math
 import re
+from functools import cache
 from typing import Any
 
 import numpy as np
 
-from bench.check.counts import check_counts
-from bench.check.jumps import check_events, check_samples
 from bench.check.orders import check_order, check_tolerance
 from bench.check.trials import (
     ORDERS_TAG,
     TRAJECTORY_GROUPS,
+    TRIAL_RTOL,
+    TRIAL_STEPS,
     FiniteTimeBlowUp,
     Trial,
+    TrialBall,
     names_of,
     spoilt,
     trials,
 )
-from bench.check.verdicts import Failed, round_trip, shortly
+from bench.check.verdicts import DoesNotApply, Failed, round_trip, shortly
 from bench.plugins.registry import Registry
 from bench.results.quantities import PARTS
 from bench.running.measure import ignored_pattern
 from integrators import checks
+from integrators.adapters.counting import run_counted, watch
 from integrators.contract import STATUSES, Integrator, PreparedRun, Trajectory
+from integrators.native.algebra import small_matrices
+from integrators.native.algebra.linear_solvers import DenseSolver, LinearSolver, Once, Residual
+from integrators.native.step.step_program import Numbers, StepProgram
+from integrators.native.step_method import NativeMethod
 from integrators.resolutions import Steps
 from problems.base.checks import FalseAnswer
-from problems.base.runtime import jax
+from problems.base.runtime import Array, jax, jnp
 from problems.base.spec import SpecError
 from problems.equations.initial_values import consistent_start
+from problems.hybrid.phases import Samples
+from problems.system import MechatronicSystem
 
 #: Two steps in turns, by which it is seen whether patterns are followed.
 _PATTERN = (0.3, 0.7)
+#: Times of impact of a method that is exact on parabolas are off by no more, in s; those of others
+#: fall by this factor at least where steps are four times as short, or are at most so many times
+#: the tolerance.
+_ROUNDING = 1e-9
+_FALL, _MOST_RTOL = 2.0, 1e3
 
 
 def check_description(registry: Registry, method: Integrator) -> str:
@@ -69,7 +83,7 @@ def check_runs(registry: Registry, method: Integrator) -> str:
     tried, audited = trials(registry, method), []
     for trial in tried:
         one, run = trial.measured(), trial.prepared(trial.resolution())
-        check_samples(trial, one)
+        _check_samples(trial, one)
         _check_rows(trial, one)
         _check_execute(trial, run, one)
         two = trial.trajectory(run)
@@ -163,6 +177,123 @@ def _follows(trial: Trial) -> str:
     if fault := ignored_pattern(run, pattern, trial.scene.interval[0], trial.t_end):
         raise Failed(f"On {trial.scene.spec}: {fault}")
     return " A step pattern is followed."
+
+
+# ---- jumps -------------------------------------------------------------------------------
+def _check_samples(trial: Trial, run: Trajectory) -> None:
+    """A step of a run ends at each sample of a controller, to the last bit."""
+    if (samples := Samples.of(trial.scene)) is None:
+        return
+    t = samples.t0
+    while (t := samples.following(t)) < trial.t_end:
+        if t not in run.t:
+            near = run.t[np.abs(run.t - t).argmin()]
+            raise Failed(
+                f"No row on {trial.scene.spec} is at the sample t={t!r} s (the nearest: "
+                f"{float(near)!r}); end a run exactly at t_end."
+            )
+
+
+def check_events(registry: Registry, method: Integrator) -> str:
+    """Events are found, at times that are as accurate as the method."""
+    ball = TrialBall()
+    if reason := checks.refusal(method, ball):
+        raise DoesNotApply(f"It does not take a bouncing ball: {reason}")
+    trial, off = Trial(method, ball), []
+    for finer in (1.0, 4.0):
+        run = trial.measured(finer)
+        if len(run.events) != len(ball.impacts):
+            raise Failed(
+                f"{len(run.events)} impacts of a ball are found at {trial.words(finer)}, expected "
+                f"{len(ball.impacts)}."
+            )
+        off.append(float(np.abs(run.events[:, 0] - ball.impacts).max()))
+    allowed = max(_ROUNDING, off[0] / _FALL)
+    if method.controls != "step":
+        allowed = max(_ROUNDING, _MOST_RTOL * TRIAL_RTOL / 4)
+    if not off[1] <= allowed:
+        raise Failed(
+            f"Times of impact of a ball are off by {off[0]:.2g} s at {trial.words(1.0)}, by "
+            f"{off[1]:.2g} s at {trial.words(4.0)}; expected at most {allowed:.2g} s."
+        )
+    return f"All impacts of a ball are found, off by {off[1]:.1e} s at {trial.words(4.0)}."
+
+
+# ---- counts: calls in compiled steps are counted, too ------------------------------------
+def check_counts(method: Integrator, scene: MechatronicSystem) -> bool:
+    """Return whether steps on a scene could be looked into, and count what they declare.
+
+    They are steps written in JAX, on a scene without outputs: with outputs an ODE form evaluates
+    the equations in every iteration that solves for them.
+
+    Raises
+    ------
+    Failed
+        If a step evaluates the equations more often than it counts.
+    """
+    native = None if scene.sizes.ny else method.step_method(scene)
+    if native is None or native.states_only:
+        return False
+    declared, counted = audited(native, scene)
+    if counted > declared:
+        raise Failed(
+            f"In {TRIAL_STEPS} steps on {scene.spec} it counts {declared} residuals and "
+            f"Jacobians, but the scene's force was evaluated or linearised {counted} times; "
+            f"count them by work.count(residuals=..., jacobians=...)."
+        )
+    return True
+
+
+def audited(method: NativeMethod, scene: MechatronicSystem) -> tuple[int, int]:
+    """Return what `TRIAL_STEPS` nominal steps declare, and what they do.
+
+    These are residuals and Jacobians together, and evaluations and linearisations of the scene's
+    force in the compiled program.
+    """
+    program, numbers = method.program(scene, sparse=False)
+    program = _Apart(**vars(program))
+    watched = scene.with_parameters({}, _watched(type(scene)))
+    start, h = jax.tree.map(jnp.asarray, consistent_start(scene)), jnp.asarray(scene.nominal_step)
+
+    @jax.jit
+    def run(count: Any) -> Any:
+        def step(n: Any, carry: tuple) -> tuple:
+            state, sums = carry
+            t = scene.interval[0] + (n + 1) * h
+            state, report = program.step(watched, numbers, state, t, h)
+            return state, sums + jnp.asarray(report.residuals + report.jacobians)
+
+        state = program.begin(watched, numbers, start, h)
+        return jax.lax.fori_loop(0, count, step, (state, jnp.asarray(0)))[1]
+
+    none, all_steps = jnp.asarray(0), jnp.asarray(TRIAL_STEPS)
+    _, before = run_counted(run, none)
+    declared, counts = run_counted(run, all_steps)
+    return int(np.asarray(declared)), sum(counts) - sum(before)
+
+
+class _Apart(StepProgram):
+    """A program that evaluates a residual and its tangent apart: one linearisation that gives both
+    would hide an evaluation that is not counted."""
+
+    def _solver(self, k: int, numbers: Numbers) -> LinearSolver:
+        super()._solver(k, numbers)
+        return _FullMatrices()
+
+
+class _FullMatrices(DenseSolver):
+    def once(self, residual: Residual, u: Array) -> Once:
+        return Once(small_matrices.solve(jax.jacfwd(residual)(u), residual(u)))
+
+
+@cache
+def _watched(cls: type[MechatronicSystem]) -> type[MechatronicSystem]:
+    """The class with a force that is counted; every evaluation of the equations takes it once."""
+
+    def force(self: Any, q: Any, v: Any, t: Any) -> Any:
+        return watch(lambda q, v, t: cls.force(self, q, v, t))(q, v, jnp.asarray(t))
+
+    return type(f"Watched{cls.__name__}", (cls,), {"force": force})
 
 
 # ---- runs that cannot go well ------------------------------------------------------------

@@ -8,7 +8,6 @@ from functools import partial
 import numpy as np
 
 from bench.check.blocks import check_blocks, check_parameters
-from bench.check.jumps import check_jumps
 from bench.check.trials import reference
 from bench.check.verdicts import DoesNotApply, Failed, round_trip
 from bench.plugins.registry import Registry
@@ -19,6 +18,7 @@ from problems.equations.compiled import compiled
 from problems.equations.constraints import constraint_change
 from problems.equations.initial_values import consistent_start
 from problems.equations.kinematics import q_rate
+from problems.hybrid.phases import Samples, after
 from problems.system import MechatronicSystem
 from problems.truth.published import published_digits
 from problems.variables import INVARIANTS
@@ -85,7 +85,7 @@ def check_start(registry: Registry, scene: MechatronicSystem) -> str:
         _check_move(scene)
     own = sizes._asdict() | {"nh": 0} | ({"nv": 0} if sizes.nv == sizes.nq else {})
     shown = ", ".join(f"{name}={size}" for name, size in own.items() if size)
-    matrix = f"the augmented matrix {rank}{check_jumps(scene)}"
+    matrix = f"the augmented matrix {rank}{_check_jumps(scene)}"
     return f"Consistent at t={scene.interval[0]:g} s: {shown}; {matrix}."
 
 
@@ -144,6 +144,23 @@ def _check_move(scene: MechatronicSystem) -> None:
                 f"{of} differs by {difference:.2g} from what kinematics leads to; let move(q, w) "
                 f"follow dq/ds = kinematics(q, w) for one second."
             )
+
+
+def _check_jumps(scene: MechatronicSystem) -> str:
+    """``events`` is a vector, and ``sample`` and ``jump`` give new values that can be used."""
+    sampled, switched = scene.has("sample"), scene.has("events")
+    if not sampled and not switched:
+        return ""
+    z, count = consistent_start(scene).z, len(compiled(scene).jumps)
+    values = np.asarray(scene.events(z)) if switched else np.zeros(0)
+    if not np.isfinite(values).all():
+        raise Failed(f"events is {values} at the start, expected finite numbers.")
+    Samples.of(scene)
+    phase = scene.phase(scene.interval[0], scene.start(), scene.held_values())
+    for event in [*([None] if sampled else []), *range(count)]:
+        after(phase, jax.tree.map(np.asarray, z), event)
+    told = [*(["sample"] if sampled else []), *([f"{count} events"] if switched else [])]
+    return f"; {' and '.join(told)} give values that can be used"
 
 
 # ---- the motion --------------------------------------------------------------------------

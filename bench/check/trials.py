@@ -25,6 +25,8 @@ ORDERS_TAG = "orders"
 #: A trial run takes this many nominal steps of its scene.
 TRIAL_STEPS = 50
 TRIAL_RTOL = 1e-6
+#: Speed that an impact of the trial ball leaves, in parts.
+_REBOUND = 0.8
 #: The groups of a trajectory.
 TRAJECTORY_GROUPS = ("q", "v", "a", "lam", "x", "xdot", "y")
 
@@ -68,6 +70,35 @@ class FiniteTimeBlowUp(MechatronicSystem):
 
     def initial_state(self) -> State:
         return State(q=np.array([np.log(2.0)]), v=np.array([2.0]))
+
+
+@dataclass(frozen=True)
+class TrialBall(MechatronicSystem):
+    """A ball that falls from 1 m and bounces twice: times of impact in closed form."""
+
+    interval = (0.0, 1.3)
+    nominal_step = 0.026
+
+    def mass(self, q: Any) -> Any:
+        return jnp.eye(1)
+
+    def force(self, q: Any, v: Any, t: Any) -> Any:
+        return jnp.full(1, -9.81)
+
+    def events(self, z: Any) -> Any:
+        return z.q
+
+    def jump(self, z: Any, event: int) -> dict[str, Any]:
+        return {"v": -_REBOUND * z.v}
+
+    def initial_state(self) -> State:
+        return State(q=np.ones(1), v=np.zeros(1))
+
+    @property
+    def impacts(self) -> np.ndarray:
+        """Times of impact in s."""
+        fall = np.sqrt(2 / 9.81)
+        return fall * np.array([1.0, 1.0 + 2 * _REBOUND])
 
 
 @cache

@@ -5,7 +5,7 @@ import pytest
 from helpers import long, toy
 from proofs import SWING, TWO_RODS
 
-from bench.check.counts import audited
+from bench.check.integrators import audited
 from bench.check.trials import ForcedOscillator
 from bench.plugins.registry import Registry
 from integrators import Steps
