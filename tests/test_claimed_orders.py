@@ -142,4 +142,4 @@ def test_a_false_claim_that_the_pendulum_lets_pass_is_found():
     assert "lam 3.00 (3) on pendulum" in told(3, alone)
     with pytest.raises(Failed, match=r"claims order 3 in lam on double_pendulum, is 1\.9"):
         told(3, alone, double)
-    assert "lam 1.92 (2) on double_pendulum" in told(2, alone, double)
+    assert "lam 2.00 (2) on double_pendulum" in told(2, alone, double)

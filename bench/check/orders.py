@@ -8,7 +8,6 @@ from itertools import pairwise
 
 from bench.check.trials import Trial, names_of, reference
 from bench.check.verdicts import DoesNotApply, Failed
-from bench.results.orders import NOT_DETERMINED, Fit, fit_order
 from bench.results.quantities import TRUST
 from bench.running.errors import relative_errors
 from integrators import checks
@@ -16,9 +15,10 @@ from integrators.resolutions import Steps, Tolerances
 
 #: A measured order may be smaller than the claimed one by 0.2, or 6 % of it if that is more.
 _SPREAD, _PART = 0.2, 0.06
-#: Errors of higher orders fall to round-off within three halvings, too few for the rule of
-#: `bench.results.orders`: their last steps count alone, if these slopes agree. They count over the
-#: whole run: in a part of it the first two terms of an error may nearly cancel.
+#: An order is the mean slope of so many last errors above round-off, if slopes agree to this. Those
+#: of orders above `_LOW` fall to round-off within three halvings of the step, so that it falls more
+#: slowly; and they count over the whole run: in a part of it the first two terms of an error may
+#: nearly cancel.
 _LOW, _LAST_POINTS, _AGREEMENT = 4, 4, 0.75
 #: Numbers of steps that are tried.
 _FEWEST, _MOST = 8, 4096
@@ -60,14 +60,16 @@ def check_order(trials: list[Trial]) -> str:
         claims = {g: p for g, p in claims.items() if scene.sizes.of(g)}
         levels, floors = _refine(Trial(steady, scene), claims) if claims else ({}, {})
         for group, claimed in claims.items():
-            fit = _fit(levels[group], floors[group], claimed)
-            if fit.order is None and _at_round_off(levels[group], floors[group]):
+            order = _order(levels[group], floors[group])
+            if order is None and _at_round_off(levels[group], floors[group]):
                 continue  # exact, or too accurate to show an order
-            if fit.order is None or fit.order < claimed - _allowed(claimed):
-                measured = _in_words(fit, levels[group])
-                faults.append(f"claims order {claimed} in {group} on {scene.spec}, {measured}")
+            if order is None or order < claimed - _allowed(claimed):
+                errors = ", ".join(f"{error:.1e} at {h:.2g} s" for h, error in levels[group][-4:])
+                found = "shows none" if order is None else f"is {order:.2f}"
+                told = f"claims order {claimed} in {group} on {scene.spec}, {found}"
+                faults.append(f"{told} (errors {errors})")
             else:
-                shown[scene.spec].append(f"{group} {fit.order:.2f} ({claimed})")
+                shown[scene.spec].append(f"{group} {order:.2f} ({claimed})")
     if faults:
         more = len(faults) - _SHOWN
         rest = [f"and {more} more like these"] if more > 0 else []
@@ -113,32 +115,21 @@ def _shown(levels: Levels, floor: float, claimed: int) -> bool:
     """Whether the order shows, or errors are round-off."""
     if _at_round_off(levels, floor):
         return True
-    order = _fit(levels, floor, claimed).order
+    order = _order(levels, floor)
     small = levels[-1][1] < _SMALL
     return small and order is not None and abs(order - claimed) <= _allowed(claimed)
 
 
 def _allowed(claimed: int) -> float:
-    return _SPREAD if claimed <= _LOW else _PART * claimed
+    return max(_SPREAD, _PART * claimed)
 
 
-def _fit(levels: Levels, floor: float, claimed: int) -> Fit:
-    """Fit a low order by the rule of the bench, a high one to the last errors above round-off."""
-    if claimed <= _LOW:
-        return fit_order([h for h, _ in levels], [error for _, error in levels], floor)
+def _order(levels: Levels, floor: float) -> float | None:
     last = [(h, e) for h, e in levels if max(10 * floor, _ROUNDING) < e < math.inf][-_LAST_POINTS:]
     slopes = [math.log(e / f) / math.log(h / k) for (h, e), (k, f) in pairwise(last)]
     if len(last) < _LAST_POINTS or max(slopes) - min(slopes) > _AGREEMENT:
-        return NOT_DETERMINED
-    return Fit(sum(slopes) / len(slopes), (last[0][0], last[-1][0]), len(last), "converges")
-
-
-def _in_words(fit: Fit, levels: Levels) -> str:
-    if fit.order is not None and fit.window:
-        coarse, fine = fit.window
-        return f"is {fit.order:.2f} (h = {coarse:.2g} to {fine:.2g} s)"
-    shown = ", ".join(f"{error:.1e} at {h:.2g} s" for h, error in levels[-4:])
-    return f"shows none (errors {shown})"
+        return None
+    return sum(slopes) / len(slopes)
 
 
 def check_tolerance(trials: list[Trial]) -> str:
