@@ -22,8 +22,8 @@ from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import LARGEST_BUDGET, read_profile
 from bench.running.progress import OnStandardError
-from bench.running.solve import Request
-from bench.running.solve import solve as run_one
+from bench.running.session import Request
+from bench.running.session import solve as run_one
 from problems.base.spec import SpecError
 
 if TYPE_CHECKING:

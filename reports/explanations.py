@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from bench.results.experiments import ExperimentResult
 from bench.results.quantities import NORM, parts
 from bench.results.records import Record, SceneRecord
+from bench.results.studies import ExperimentResult
 from reports.names import label_parts
 from reports.series import Series
 from reports.tables.jump_tables import policy

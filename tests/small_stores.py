@@ -8,8 +8,6 @@ from pathlib import Path
 
 import msgspec
 
-from bench.results.drift import Drift, LongRun
-from bench.results.experiments import CaseResult, ExperimentResult, PartResult
 from bench.results.records import (
     Environment,
     Plan,
@@ -18,6 +16,7 @@ from bench.results.records import (
     SceneRecord,
 )
 from bench.results.store import FILE, Store
+from bench.results.studies import CaseResult, Drift, ExperimentResult, LongRun, PartResult
 
 NO_ROWS = Rows(t=[])
 AN_EXPERIMENT = ExperimentResult(

@@ -15,8 +15,8 @@ from helpers import long
 from planted import everything, plant
 from small_stores import AN_EXPERIMENT
 
-from bench.results.experiments import CaseResult, Expected, PartResult
 from bench.results.store import Store
+from bench.results.studies import CaseResult, Expected, PartResult
 from reports.pages.html_report import write_html_report
 
 PAGES = {

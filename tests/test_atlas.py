@@ -18,10 +18,9 @@ from bench.atlas.experiments import (
     read_experiment,
     read_experiments,
 )
-from bench.atlas.measures import condition, number_of
-from bench.atlas.runs import complete_experiments
-from bench.results.experiments import bounds
+from bench.atlas.runs import complete_experiments, condition, number_of
 from bench.results.store import Store
+from bench.results.studies import bounds
 from bench.running.inventory import Inventory
 from bench.running.progress import Progress
 from problems.base.spec import SpecError

@@ -9,16 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.atlas.experiments import Settings, read_experiments
-from bench.atlas.measures import number_of, value_of, within
-from bench.atlas.runs import digest
-from bench.results.experiments import (
+from bench.atlas.runs import digest, number_of, value_of, within
+from bench.results.records import Record, Rows
+from bench.results.studies import (
     CaseResult,
     ExperimentResult,
     PartResult,
     experiments_table,
     part_table,
 )
-from bench.results.records import Record, Rows
 from bench.running.inventory import Inventory
 
 EXPERIMENTS = read_experiments()

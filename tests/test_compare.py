@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from planted import ATTACK, STEPS, edited, everything, plant, planted
 
-from bench.results.compare import compare_folders, read_limits, regressions
+from bench.results.folders import compare_folders, read_limits, regressions
 from bench.results.records import Record, median
 from bench.results.store import FILE, Store
 

@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 from planted import plant, planted
 
-from bench.results.csv_text import csv_text
-from bench.results.published import Digits
+from bench.results.flat_rows import csv_text
+from bench.results.records import Digits
 
 
 def test_numbers_line_breaks_and_empty_cells_are_read_unchanged():

@@ -14,8 +14,8 @@ from planted import Document, plant, planted
 from small_stores import A_LONG_RUN
 
 from bench.plugins.registry import Registry
-from bench.results.drift import LongRun, comparable_runs, drift_table
 from bench.results.store import Store
+from bench.results.studies import LongRun, comparable_runs, drift_table
 from bench.running import measure
 from bench.running.drift import course, drift_job
 from bench.running.plan import Cell

@@ -11,7 +11,6 @@ import pytest
 from bench.plugins import fingerprint as fingerprints
 from bench.plugins.fingerprint import fingerprint, reference_file
 from bench.plugins.registry import Registry
-from bench.results import environment
 from problems.base import runtime
 from problems.scenes.pendulum import Pendulum
 
@@ -20,7 +19,6 @@ def forget() -> None:
     """Read sources, versions and flags anew from now on."""
     for cached in vars(fingerprints).values():
         getattr(cached, "cache_clear", int)()
-    environment.library_versions.cache_clear()
 
 
 @pytest.fixture(autouse=True)
@@ -84,10 +82,10 @@ def test_a_plugin_takes_part_with_all_beside_it_in_any_folder(tmp_path):
 
 
 def test_versions_of_libraries_and_flags_of_the_compiler_take_part(monkeypatch):
-    before, version = fingerprint(Pendulum), environment.version
+    before, version = fingerprint(Pendulum), fingerprints.version
     for library in ("jax", "diffrax", "lineax", "equinox", "scikit-sundae", "scipy", "klujax"):
         monkeypatch.setattr(
-            environment, "version", lambda p, a=library: a if p == a else version(p)
+            fingerprints, "version", lambda p, a=library: a if p == a else version(p)
         )
         forget()
         assert fingerprint(Pendulum) != before, library

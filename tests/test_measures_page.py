@@ -12,8 +12,7 @@ import pandas as pd
 import pytest
 from small_stores import a_record
 
-from bench.results.csv_text import csv_text
-from bench.results.flat_rows import flatten
+from bench.results.flat_rows import csv_text, flatten
 from bench.results.quantities import group_and_norm
 from bench.results.records import median
 from problems.base.spec import SpecError

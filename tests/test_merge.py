@@ -9,7 +9,7 @@ import pytest
 from planted import STEPS, edited, everything, plant, planted
 from small_stores import filled
 
-from bench.results.merge import merge
+from bench.results.folders import merge
 from bench.results.records import Record
 from bench.results.store import FILE, Store
 

@@ -8,8 +8,7 @@ import sys
 import pytest
 from helpers import long
 
-from bench.plugins.reasons import Unavailable
-from bench.plugins.registry import Registry
+from bench.plugins.registry import Registry, Unavailable
 from bench.running import worker
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell

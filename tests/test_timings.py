@@ -14,8 +14,8 @@ from types import SimpleNamespace
 import pytest
 from small_stores import NO_ROWS, a_record
 
+from bench.plugins.fingerprint import environment
 from bench.plugins.registry import Registry, Sources
-from bench.results.environment import environment
 from bench.results.store import Store
 from bench.results.timings import median_interval, quotient, quotient_of_medians
 from bench.running.inventory import Inventory

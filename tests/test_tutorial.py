@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from bench.results.compare import compare_folders
+from bench.results.folders import compare_folders
 
 ROOT = Path(__file__).parent.parent
 

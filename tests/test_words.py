@@ -9,7 +9,7 @@ import pytest
 from planted import plant, planted
 
 from bench.commands.suite import Outcome
-from bench.results.merge import merge
+from bench.results.folders import merge
 from bench.results.records import Plan, Rows, endings
 from bench.results.store import Store
 from bench.running.inventory import Inventory

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from bench.results.experiments import BASES, Expected
 from bench.results.quantities import GROUPS, LEVELS, NORMS
+from bench.results.studies import BASES, Expected
 from bench.running.inventory import Inventory, MethodFacts
 from bench.running.plan import Cell
 from integrators.resolutions import Steps, Tolerances, check_end
@@ -73,7 +73,7 @@ class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     first to the last, or the slope of a straight line in log-log. ``show`` names a component
     (such as lam1) whose history in the first run is drawn.
 
-    ``basis``, a key of `bench.results.experiments.BASES`, and ``why`` say why a number is expected;
+    ``basis``, a key of `bench.results.studies.BASES`, and ``why`` say why a number is expected;
     ``margin`` is the distance from it that is allowed, absolute of a slope, else relative.
     """
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from bench.plugins.reasons import why
+from bench.plugins.registry import why
 from problems.base.spec import SpecError, format_value
 
 PASSED, FAILED, NOT_APPLICABLE = "passed", "failed", "not applicable"

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from bench.commands import options
 from bench.commands.options import BUDGET_S, Given
 from bench.commands.suite import in_common, run_suite, write_reports
-from bench.plugins.reasons import Unavailable
+from bench.plugins.registry import Unavailable
 from bench.results.orders import EXACT, EXACT_NOTE, order_summary
 from bench.results.records import UNSUPPORTED, Record
 from bench.results.table import NO_VALUE, Table, formatted

@@ -10,10 +10,8 @@ import click
 from bench.commands import options
 from bench.commands.options import Given, PathName
 from bench.commands.suite import write_reports
-from bench.results.compare import compare_folders, read_limits, regressions
-from bench.results.csv_text import csv_text
-from bench.results.flat_rows import flatten
-from bench.results.merge import merge
+from bench.results.flat_rows import csv_text, flatten
+from bench.results.folders import compare_folders, merge, read_limits, regressions
 from bench.results.quantities import ASKED, COST, COSTS, NORM, NORMS
 from bench.results.store import Store
 from problems.base.spec import SpecError

@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.commands import options, sweeps
 from bench.commands.options import Given
-from bench.results.published import published_table
+from bench.results.flat_rows import published_table
 from bench.results.quantities import IMPACTS, NORMS
 from bench.results.records import Record, Rows
 from bench.results.table import NO_VALUE, Table, formatted
@@ -56,7 +56,7 @@ def solve_(o: Given) -> None:
         return
     options.refuse("is for an ensemble; give --ensemble N, too.", "vary", "seed", "cluster", "out")
     from bench.commands.terminal import RunProgress, show
-    from bench.running.solve import Request, solve
+    from bench.running.session import Request, solve
 
     request = Request(o.problem, o.integrator, o.settings, **options.sizes(o), t_end=o.t_end)
     with RunProgress() as progress:

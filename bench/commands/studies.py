@@ -95,8 +95,8 @@ def drift(o: Given) -> None:
     if o.step is not None:
         check_end(scene.interval[0], scene.interval[0] + o.steps * Steps(o.step).h)
     from bench.commands.terminal import show
-    from bench.results.drift import drift_table
     from bench.results.store import Store
+    from bench.results.studies import drift_table
     from bench.running.drift import drift_job
     from reports.pages.drift import write_drift_page
 
@@ -280,8 +280,8 @@ def atlas(o: Given) -> None:
     from bench.atlas.experiments import read_experiments
     from bench.atlas.runs import complete_experiments
     from bench.commands.terminal import RunProgress, show
-    from bench.results.experiments import part_table
     from bench.results.store import Store
+    from bench.results.studies import part_table
     from bench.results.table import Table
     from reports.pages.atlas import write_atlas_page
 

@@ -11,9 +11,9 @@ import click
 
 from bench.commands import options
 from bench.commands.options import Given
-from bench.results.experiments import ExperimentResult
 from bench.results.records import INTERRUPTED, Record, counted, endings
 from bench.results.store import Store
+from bench.results.studies import ExperimentResult
 from bench.running.interrupts import remark
 from bench.running.inventory import Inventory
 from bench.running.plan import Suite, make_suite

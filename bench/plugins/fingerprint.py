@@ -1,4 +1,5 @@
-"""Fingerprints: digests of everything that decides the numbers of a scene or an integrator.
+"""Fingerprints: digests of everything that decides the numbers of a scene or an integrator; and
+the machine, the versions and the command of a measurement.
 
 These are the source of this project, the files beside a plugin's own, the versions of the libraries
 that compute, and the flags of the compiler. A cell whose fingerprint changes is measured anew. Of a
@@ -7,17 +8,72 @@ class that was written from a model (`problems.from_sympy`) its text counts, too
 
 from __future__ import annotations
 
+import datetime
 import hashlib
 import os
+import platform
+import shlex
 import sys
+from collections.abc import Iterable
 from contextlib import suppress
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+import psutil
+
 from bench.plugins.registry import Registry
-from bench.results.environment import library_versions
+from bench.results.records import Environment
 from problems.base.runtime import CACHE, SOONER
+from problems.base.text import clean
 from problems.system import MechatronicSystem
+
+#: Libraries that compute, by the names of their packages; some may be missing.
+LIBRARIES = (
+    *("jax", "jaxlib", "diffrax", "optimistix", "lineax", "equinox", "scikit-sundae", "scipy"),
+    *("numpy", "klujax", "asdex", "solve_dae", "mujoco"),
+)
+
+
+def environment() -> Environment:
+    """Describe this machine, its versions and the command in work."""
+    command = [Path(sys.argv[0]).name, *sys.argv[1:]]
+    return Environment(
+        date=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        command=clean(shlex.join(command)),
+        cpu=_cpu_name(),
+        cores=psutil.cpu_count(logical=True) or 1,
+        memory_gib=round(psutil.virtual_memory().total / 2**30, 1),
+        platform=platform.platform(),
+        versions={"python": platform.python_version()}
+        | _versions(("stepbench",))
+        | library_versions(),
+        clock="processor time of all threads of the process, the least of single runs",
+    )
+
+
+@cache
+def library_versions() -> dict[str, str]:
+    """Return the versions of the installed libraries that compute."""
+    return _versions(LIBRARIES)
+
+
+def _versions(packages: Iterable[str]) -> dict[str, str]:
+    found = {}
+    for package in packages:
+        with suppress(PackageNotFoundError):
+            found[package] = version(package)
+    return found
+
+
+def _cpu_name() -> str:
+    info = Path("/proc/cpuinfo")
+    if info.is_file():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
 
 #: Variables of the environment that change what JAX computes.
 FLAGS = ("XLA_FLAGS", "JAX_ENABLE_X64")

@@ -12,6 +12,8 @@ import hashlib
 import importlib.util
 import inspect
 import sys
+import sysconfig
+import traceback
 import types
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
@@ -21,14 +23,15 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from bench.plugins.reasons import PluginError, Unavailable, explain, why
 from integrators.contract import Integrator
 from problems.base import spec
 from problems.base.checks import tidy
 from problems.base.spec import SpecError
-from problems.base.text import said
+from problems.base.text import described, said
 from problems.system import MechatronicSystem
 
+#: Folders of code that is not to blame for an exception.
+_LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 #: Name of the package of this project.
 PROJECT = "stepbench"
 #: Modules of plugin files have names that begin with this.
@@ -39,6 +42,28 @@ SUFFIXES = (".xml", ".urdf", ".mjcf")
 KINDS = {"problems": MechatronicSystem, "integrators": Integrator}
 #: Files of plugins, by their absolute paths, that a process has to load.
 Sources = frozenset[str]
+
+
+class PluginError(SpecError):
+    """A plugin that cannot be read or used; the message says why."""
+
+
+class Unavailable(PluginError):
+    """A plugin of this project that needs a library that is not installed, or is broken."""
+
+
+def explain(error: BaseException) -> str:
+    """Return one sentence on an exception, with the innermost line of code that is no library's."""
+    # A syntax error says its own line; it came from the importer's.
+    frames = () if isinstance(error, SyntaxError) else traceback.extract_tb(error.__traceback__)
+    frames = [f for f in frames if not f.filename.startswith(_LIBRARIES)] or frames
+    where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    return f"{described(error)}{where}."
+
+
+def why(error: BaseException) -> str:
+    """Return the reason of a failure; that of a false answer needs no line of code."""
+    return f"{said(error)}." if isinstance(error, SpecError) else explain(error)
 
 
 @dataclass

@@ -1,14 +1,18 @@
-"""Records as flat rows, for pandas and spreadsheets."""
+"""Records as rows: flat ones for pandas, a table of published digits, and rows as CSV."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
 
 from bench.results.quantities import ASKED, LEVELS, NORM, NORMS, PARTS, VIOLATIONS, whole
-from bench.results.records import Environment, Record, median
+from bench.results.records import Digits, Environment, Record, median
+from bench.results.table import Table
 
 
 def flatten(record: Record, environments: Mapping[int, Environment]) -> dict[str, Any]:
@@ -54,3 +58,52 @@ def flatten(record: Record, environments: Mapping[int, Environment]) -> dict[str
     ):
         del row[nested]
     return row
+
+
+def published_table(digits: Sequence[Digits]) -> Table | None:
+    """A row for each value; None if there are none."""
+    rows = [
+        [
+            f"{one.t:g}",
+            f"{one.quantity} {k}",
+            *(f"{value:.13g}" for value in (stated, computed)),
+            f"{computed - stated:.1e}",
+            f"{one.tolerance:.0e}",
+        ]
+        for one in digits
+        for k, (stated, computed) in enumerate(zip(one.published, one.computed, strict=True), 1)
+    ]
+    head = ["t [s]", "component", "published", "computed", "difference", "they hold to"]
+    return Table("Published digits", head, rows) if rows else None
+
+
+def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None = None) -> str:
+    """Write rows as CSV with a header line; return the table, every line ended by a line feed.
+
+    The numbers of a list are a text with a space in between, "nan" where there is none. Other
+    values with parts are JSON.
+
+    Parameters
+    ----------
+    rows
+        One mapping per row; a column that a row lacks stays empty.
+    columns
+        Names of the columns; all names of the rows, in order of first appearance, if None.
+    """
+    if columns is None:
+        columns = list(dict.fromkeys(name for row in rows for name in row))
+    buffer = io.StringIO()
+    writer = csv.DictWriter(buffer, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _plain(value) for name, value in row.items()} for row in rows)
+    text = buffer.getvalue()
+    # The writer leaves carriage returns without quotes, and readers end a line at them.
+    return text.replace("\r", " ")
+
+
+def _plain(value: object) -> object:
+    if not isinstance(value, Mapping | list | tuple):
+        return value
+    if isinstance(value, Mapping) or any(isinstance(part, Mapping | str) for part in value):
+        return json.dumps(value)
+    return " ".join("nan" if number is None else f"{number:.9g}" for number in value)

@@ -10,7 +10,6 @@ from typing import Annotated, Any, TypedDict
 import msgspec
 from msgspec import Meta
 
-from bench.results.published import Digits
 from bench.results.quantities import (
     GROUPS,
     NORM,
@@ -41,6 +40,25 @@ Count = Annotated[int, Meta(ge=0, le=2**62)]
 #: Texts that charts show, of a length that they can show.
 Name = Annotated[str, Meta(max_length=1000)]
 Controls = Annotated[str, Meta(pattern="^(step|tolerance)$")]
+
+
+class Digits(msgspec.Struct, kw_only=True):
+    """Published values of a quantity at the time ``t`` in s, and computed ones, in their units.
+
+    ``tolerance`` is the difference up to which the published ones hold.
+    """
+
+    quantity: Name
+    t: float
+    published: list[float]
+    computed: list[float]
+    tolerance: NotNegative
+
+    @property
+    def difference(self) -> float:
+        """Largest difference of an entry."""
+        pairs = zip(self.published, self.computed, strict=True)
+        return max((abs(a - b) for a, b in pairs), default=0.0)
 
 
 class Environment(msgspec.Struct, kw_only=True):

@@ -18,9 +18,8 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from bench.results.drift import LongRun
-from bench.results.experiments import ExperimentResult
 from bench.results.records import SCHEMA, Environment, Plan, Record, Rows, SceneRecord
+from bench.results.studies import ExperimentResult, LongRun
 
 T = TypeVar("T")
 

@@ -9,7 +9,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from bench.results.drift import Drift, LongRun
+from bench.results.studies import Drift, LongRun
 from bench.running import measure
 from bench.running.errors import finite
 from bench.running.plan import Cell

@@ -13,8 +13,7 @@ import msgspec
 import numpy as np
 
 from bench.plugins.fingerprint import fingerprint, reference_file
-from bench.plugins.reasons import PluginError, Unavailable, why
-from bench.plugins.registry import Plugin, Registry, Sources
+from bench.plugins.registry import Plugin, PluginError, Registry, Sources, Unavailable, why
 from bench.running.serve import LOADING, REFERENCE, WAITING, Notify
 from integrators import checks
 from problems.base import spec

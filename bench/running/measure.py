@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.results.published import Digits
 from bench.results.quantities import GROUPS, LEVELS, NORM, error_note
-from bench.results.records import TIMING_SECONDS, Rows
+from bench.results.records import TIMING_SECONDS, Digits, Rows
 from bench.running.errors import constraint_errors, finite, relative_errors
 from integrators import checks
 from integrators.contract import Integrator, Trajectory

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.plugins.reasons import Unavailable
-from bench.plugins.registry import Sources
+from bench.plugins.registry import Sources, Unavailable
 from bench.results.records import IntegratorFacts, Plan, Record, Study
 from bench.running.inventory import Inventory, MethodFacts, SceneFacts
 from bench.running.profiles import FIGURES, ProfileFile, StudyFile

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from bench.plugins.fingerprint import fingerprint
-from bench.plugins.reasons import why
-from bench.results.published import Digits
-from bench.results.records import Rows, SceneRecord
+from bench.plugins.registry import why
+from bench.results.records import Digits, Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import relative_reference_error
 from bench.running.linearisation import growth, rates

@@ -57,7 +57,7 @@ def _end_with_parent(descriptor: int) -> None:
 
 
 def _prepared(prepare: Callable[..., Any], notify: Notify, *arguments: Any) -> Any:
-    from bench.plugins.reasons import why
+    from bench.plugins.registry import why
 
     try:
         notify(LOADING, "this program")
@@ -73,7 +73,7 @@ def _answered(job: Callable[..., Any], state: Any, given: tuple, named: dict[str
         sys.stdout.flush()
         return _packed("done", answer)
     except BaseException as error:  # a plugin may raise anything
-        from bench.plugins.reasons import PluginError, why
+        from bench.plugins.registry import PluginError, why
         from problems.base.checks import FalseAnswer
         from problems.base.spec import SpecError
         from problems.base.text import said

@@ -14,8 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.plugins.reasons import why
-from bench.plugins.registry import Registry, Sources
+from bench.plugins.registry import Registry, Sources, why
 from bench.results.quantities import PARTS, point_notes
 from bench.results.records import Record, Rows, SceneRecord
 from bench.running import measure

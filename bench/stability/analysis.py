@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from bench.plugins.reasons import explain
+from bench.plugins.registry import explain
 from bench.running.worker import Worker
 from bench.stability import patterns
 from bench.stability.matrices import steppable

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from bench.plugins.registry import Sources
-from bench.results.csv_text import csv_text
+from bench.results.flat_rows import csv_text
 from bench.running.cluster import ClusterRunner
 from bench.running.interrupts import remark
 from bench.running.plan import resolution_of

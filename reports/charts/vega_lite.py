@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from bench.results.csv_text import csv_text
+from bench.results.flat_rows import csv_text
 from problems.base.text import clean_json
 from reports.charts.line_styles import LineStyle
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.results.experiments import (
+from bench.results.studies import (
     ExperimentResult,
     PartResult,
     expected_counts,

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from bench.results.drift import DRIFTS, NO_DRIFT, LongRun, comparable_runs, drift_table
+from bench.results.studies import DRIFTS, NO_DRIFT, LongRun, comparable_runs, drift_table
 from problems.variables import INVARIANTS
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles

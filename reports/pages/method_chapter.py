@@ -7,9 +7,9 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from bench.results.experiments import ExperimentResult, spared
 from bench.results.quantities import COSTS, GROUPS, NORM, NORMS, WRONG
 from bench.results.records import NOT_TRIED, IntegratorFacts
+from bench.results.studies import ExperimentResult, spared
 from bench.results.table import Table
 from reports.charts.method_strip import method_strip
 from reports.formatting import file_name, milliseconds, number

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from bench.results.published import published_table
+from bench.results.flat_rows import published_table
 from bench.results.quantities import ERROR_MEANING, NORM, NORMS, VIOLATIONS
 from bench.results.records import Record, Rows, Study
 from bench.results.store import StoreError

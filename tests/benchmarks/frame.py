@@ -21,8 +21,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from bench.plugins.fingerprint import environment
 from bench.plugins.registry import Registry
-from bench.results.environment import environment
 from bench.running.errors import relative_errors
 from integrators import Steps, Tolerances
 from integrators.native.step_method import NativeMethod
