@@ -111,22 +111,17 @@ def urdf(*parts: str) -> str:
 
 
 LIMIT = '<limit lower="-1" upper="1" effort="30" velocity="2"/>'
-SHAPE = '<geometry><cylinder radius=".05" length=".2"/></geometry>'
 URDF = {
     f"urdf with {file}": File(urdf(
         link("base", mesh(file), 0), link("arm", mesh(file)), link("tip", mesh(file)),
         joint("a", "continuous", "base", "arm"), joint("b", "continuous", "arm", "tip"),),
         ".urdf", ("contacts",),)
-    for file in ("package://robot_description/meshes/arm.stl", "model://robot/meshes/arm.dae",
-        "meshes/arm.obj", "file:///opt/robot/arm.STL", "package://robot/visual/arm.DAE",)
+    for file in ("package://robot_description/meshes/arm.stl", "meshes/arm.obj", "arm.DAE")
 } | {
     "urdf with limits": File(urdf(link("base", mass=0), link("arm"), link("tip"),
          joint("a", "revolute", "base", "arm", LIMIT),
          joint("b", "prismatic", "arm", "tip", LIMIT)),
         ".urdf", ("limits",),),
-    "urdf with cylinders": File(urdf(link("base", SHAPE, 0), link("arm", SHAPE), link("tip", SHAPE),
-         joint("a", "continuous", "base", "arm"), joint("b", "continuous", "arm", "tip")),
-        ".urdf", ("contacts",),),
     "urdf that follows": File(urdf(link("base", mass=0), link("arm"), link("tip"),
          joint("a", "continuous", "base", "arm"),
          joint("b", "continuous", "arm", "tip", '<mimic joint="a" multiplier="-2"/>')),
@@ -137,26 +132,14 @@ URDF = {
     "urdf with friction": File(urdf(link("base", mass=0), link("arm"), joint(
         "a", "continuous", "base", "arm", '<dynamics damping=".1" friction=".2"/>')),
         ".urdf", ("friction_loss",),),
-    "urdf of simulators": File(
-        urdf(link("base", mass=0), link("arm"), link("tool", mesh("package://r/tool.stl"), 0.2),
-         joint("a", "continuous", "base", "arm"), joint("t", "fixed", "arm", "tool"),
-         '<transmission name="t"><type>SimpleTransmission</type></transmission>'
-         '<gazebo reference="arm"><mu1>0.2</mu1></gazebo>'),
-        ".urdf",),
 }  # fmt: skip
 
 #: A mesh that is not beside the file.
 LOST = '<asset><mesh name="arm" file="arm.stl"/></asset>'
 MESHES = {
-    "meshes for looks": File(
-        mjcf(
-            '<body><joint axis="0 1 0"/><inertial pos="0 0 .2" mass="1" diaginertia=".1 .1 .01"/>'
-            '<geom type="mesh" mesh="arm"/></body>',
-            LOST,
-        )
-    ),
+    "meshes for looks": File(mjcf('<body><joint axis="0 1 0"/><inertial pos="0 0 .2" mass="1" '
+        'diaginertia=".1 .1 .01"/><geom type="mesh" mesh="arm"/></body>', LOST)),
     "meshes that weigh": File(
-        mjcf('<body><joint/><geom type="mesh" mesh="arm"/></body>', LOST), refusal="arm.stl"
-    ),
-}
+        mjcf('<body><joint/><geom type="mesh" mesh="arm"/></body>', LOST), refusal="arm.stl"),
+}  # fmt: skip
 FILES = LOOPS | ROBOTS | STUDENTS | FIELDS | FLAGS | URDF | MESHES

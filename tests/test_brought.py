@@ -9,39 +9,31 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.optimize
-from helpers import errors_at, local_slopes, reference
+from helpers import errors_at, local_slopes, reference, toy
 
 from bench.plugins.registry import Registry
 from integrators import Reading, StepMethod, Tolerances
-from problems import MechatronicSystem, SampledSystem, State, held, jnp, parameter
+from problems import SampledSystem, State, held, jnp, parameter
 from problems.equations.formulations import complete
 from problems.scenes.oscillator import Oscillator
 
 
 # ---- scenes --------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Satellite(MechatronicSystem):
-    """A body between earth and moon in axes that turn with them, on Arenstorf's closed orbit.
+def pulled(self, q, v, t):
+    turning = jnp.array([q[0] + 2 * v[1], q[1] - 2 * v[0]])
+    for mass, place in ((1 - self.moon, -self.moon), (self.moon, 1 - self.moon)):
+        arm = q - jnp.array([place, 0.0])
+        turning = turning - mass * arm / (arm @ arm) ** 1.5
+    return turning
 
-    Digits: Hairer, Norsett & Wanner (1993), Solving ODEs I, eq. (II.0.1).
-    """
 
-    interval = (0.0, 17.0652165601579625588917206249)
-    moon: float = parameter(0.012277471, "1", "part of the mass")
-
-    def mass(self, q):
-        return jnp.eye(2)
-
-    def force(self, q, v, t):
-        turning = jnp.array([q[0] + 2 * v[1], q[1] - 2 * v[0]])
-        pulls = ((1 - self.moon, -self.moon), (self.moon, 1 - self.moon))
-        for mass, place in pulls:
-            arm = q - jnp.array([place, 0.0])
-            turning = turning - mass * arm / (arm @ arm) ** 1.5
-        return turning
-
-    def initial_state(self):
-        return State(np.array([0.994, 0.0]), np.array([0.0, -2.00158510637908252240537862224]))
+#: A body between earth and moon in axes that turn with them, on Arenstorf's closed orbit. Digits:
+#: Hairer, Norsett & Wanner (1993), Solving ODEs I, eq. (II.0.1).
+Satellite = toy(
+    "Satellite", q=[0.994, 0.0], v=[0.0, -2.00158510637908252240537862224], force=pulled,
+    interval=(0.0, 17.0652165601579625588917206249),
+    moon=parameter(0.012277471, "1", "part of the mass"),
+)  # fmt: skip
 
 
 def test_the_orbit_of_arenstorf_closes():
@@ -54,25 +46,17 @@ def test_the_orbit_of_arenstorf_closes():
 LEVELS = np.array([0.5, -1.0, 2.0, 0.0])
 
 
-@dataclass(frozen=True)
-class Steps4(SampledSystem):
-    """v' = u - v with inputs u that hold for 1 s each, from a table."""
+def level(self, z):
+    return {"u": jnp.asarray(LEVELS)[jnp.round(z.t / self.sample_time).astype(int)]}
 
-    interval = (0.0, 4.0)
-    sample_time: float = parameter(1.0, "s", "time of an input", low=1e-6)
-    u: float = held(0.0, "N", "input")
 
-    def mass(self, q):
-        return jnp.eye(1)
-
-    def force(self, q, v, t):
-        return self.u - v
-
-    def initial_state(self):
-        return State(np.zeros(1), np.ones(1))
-
-    def sample(self, z):
-        return {"u": jnp.asarray(LEVELS)[jnp.round(z.t / self.sample_time).astype(int)]}
+#: v' = u - v with inputs u that hold for 1 s each, from a table.
+Steps4 = toy(
+    "Steps4", base=SampledSystem, interval=(0.0, 4.0), mass=lambda self, q: jnp.eye(1),
+    sample_time=parameter(1.0, "s", "time of an input", low=1e-6), u=held(0.0, "N", "input"),
+    force=lambda self, q, v, t: self.u - v, sample=level,
+    initial_state=lambda self: State(np.zeros(1), np.ones(1)),
+)  # fmt: skip
 
 
 def test_inputs_from_a_table_hold_between_samples():
@@ -87,32 +71,26 @@ def test_inputs_from_a_table_hold_between_samples():
     assert run.a[-1, 0] == pytest.approx(-v, abs=1e-7)
 
 
-@dataclass(frozen=True)
-class Gears(MechatronicSystem):
-    """A motor and a load with play between them: flanks that touch push by a stiff spring."""
+def teeth(self, q, v, t):
+    push = self.k * self.side**2 * (q[0] - q[1] - self.side * self.play)
+    return jnp.stack([0.5 * jnp.sin(12 * t) - push, push])
 
-    interval = (0.0, 0.6)
-    play: float = parameter(0.02, "rad", "half of the play")
-    k: float = parameter(500.0, "N m/rad", "stiffness of a tooth")
-    side: float = held(0.0, "1", "which flank touches: -1, 0 or 1")
 
-    def mass(self, q):
-        return jnp.diag(jnp.array([0.01, 0.05]))
+def flanks(self, z):
+    twist, free = z.q[0] - z.q[1], self.side == 0
+    gaps = jnp.stack([self.play - twist, self.play + twist, self.side * twist - self.play])
+    return jnp.where(jnp.array([free, free, self.side != 0]), gaps, 1.0)
 
-    def force(self, q, v, t):
-        push = self.k * self.side**2 * (q[0] - q[1] - self.side * self.play)
-        return jnp.stack([0.5 * jnp.sin(12 * t) - push, push])
 
-    def initial_state(self):
-        return State(np.zeros(2), np.zeros(2))
-
-    def events(self, z):
-        twist, free = z.q[0] - z.q[1], self.side == 0
-        gaps = jnp.stack([self.play - twist, self.play + twist, self.side * twist - self.play])
-        return jnp.where(jnp.array([free, free, self.side != 0]), gaps, 1.0)
-
-    def jump(self, z, event):
-        return {"side": (1.0, -1.0, 0.0)[event]}
+#: A motor and a load with play between them: flanks that touch push by a stiff spring.
+Gears = toy(
+    "Gears", q=[0.0, 0.0], interval=(0.0, 0.6), force=teeth, events=flanks,
+    play=parameter(0.02, "rad", "half of the play"),
+    k=parameter(500.0, "N m/rad", "stiffness of a tooth"),
+    side=held(0.0, "1", "which flank touches: -1, 0 or 1"),
+    mass=lambda self, q: jnp.diag(jnp.array([0.01, 0.05])),
+    jump=lambda self, z, event: {"side": (1.0, -1.0, 0.0)[event]},
+)  # fmt: skip
 
 
 def test_gears_with_play_touch_and_part_as_in_their_closed_form():

@@ -9,7 +9,6 @@ from helpers import toy
 
 from bench.running.errors import event_errors, relative_errors
 from integrators.adapters.cvode import CVODE
-from integrators.adapters.diffrax_methods import Kvaerno5
 from integrators.adapters.ida import IDA
 from integrators.methods.bdf2 import BDF2
 from integrators.methods.generalized_alpha import GeneralizedAlpha
@@ -261,13 +260,6 @@ def test_an_event_where_its_function_jumps_lies_before_the_jump():
         assert at is not None
         assert at > 1.0 - 1e-14
         assert value(at) > 0
-
-
-@pytest.mark.long
-def test_a_first_step_that_is_the_phase_but_for_rounding_is_no_failure():
-    # diffrax takes 0.01 s from 0.06 s, and has 1e-17 s left to 0.07 s.
-    found = run(Kvaerno5(), SampledQuarterCar(), Tolerances(1e-5), 0.09)
-    assert (found.status, found.t[-1]) == ("ok", 0.09)
 
 
 #: A mass that crosses a mark for a moment only: q = (t - 1)^2 - 0.01.

@@ -2,82 +2,67 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
-from helpers import long
+from helpers import long, toy
 
 from bench.plugins.registry import Registry
 from integrators import Steps
-from problems import MechatronicSystem, State, jnp, parameter
+from problems import State, jnp, parameter
 
 REGISTRY = Registry()
+#: A mass on a damped spring settles where the spring bears its weight.
+Settling = toy(
+    "Settling", interval=(0.0, 3.0), nominal_step=0.01,
+    k=parameter(1e3, "N/m", "stiffness of the spring"), c=parameter(50.0, "N s/m", "damping"),
+    length=parameter(1.0, "m", "length of the unloaded spring"),
+    q0=parameter(1.1, "m", "position at the start"),
+    force=lambda self, q, v, t: -self.k * (q - self.length) - self.c * v - 9.81,
+    initial_state=lambda self: State(q=np.array([self.q0]), v=np.zeros(1)),
+)  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Settling(MechatronicSystem):
-    """A mass on a damped spring settles where the spring bears its weight."""
-
-    interval = (0.0, 3.0)
-    nominal_step = 0.01
-    k: float = parameter(1e3, "N/m", "stiffness of the spring")
-    c: float = parameter(50.0, "N s/m", "damping")
-    length: float = parameter(1.0, "m", "length of the unloaded spring")
-    q0: float = parameter(1.1, "m", "position at the start")
-
-    def mass(self, q):
-        return jnp.eye(1)
-
-    def force(self, q, v, t):
-        return -self.k * (q - self.length) - self.c * v - 9.81
-
-    def initial_state(self):
-        return State(q=np.array([self.q0]), v=np.zeros(1))
+def off(self):
+    angle = self.tilt + self.off
+    return State(q=np.array([np.sin(angle), -np.cos(angle)]), v=np.zeros(2))
 
 
-@dataclass(frozen=True)
-class Tilted(MechatronicSystem):
-    """A damped pendulum in tilted gravity, whose way along the arc a state integrates."""
-
-    interval = (0.0, 20.0)
-    nominal_step = 0.01
-    tilt: float = parameter(0.4, "rad", "angle of gravity")
-    off: float = parameter(0.0, "rad", "angle from equilibrium at the start")
-    c: float = parameter(3.0, "1/s", "damping")
-
-    def mass(self, q):
-        return jnp.eye(2)
-
-    def force(self, q, v, t):
-        return 9.81 * jnp.stack([jnp.sin(self.tilt), -jnp.cos(self.tilt)]) - self.c * v
-
-    def constraint(self, q, t):
-        return (q @ q - 1.0)[None] / 2
-
-    def initial_state(self):
-        angle = self.tilt + self.off
-        return State(q=np.array([np.sin(angle), -np.cos(angle)]), v=np.zeros(2))
+def gravity(self, q, v, t):
+    return 9.81 * jnp.stack([jnp.sin(self.tilt), -jnp.cos(self.tilt)]) - self.c * v
 
 
-@dataclass(frozen=True)
-class Held(Tilted):
-    """The pendulum is held by a controller with a force along the arc."""
+def along(self, w):
+    return jnp.cos(self.tilt) * w[0] + jnp.sin(self.tilt) * w[1]
 
-    def _along(self, w):
-        return jnp.cos(self.tilt) * w[0] + jnp.sin(self.tilt) * w[1]
 
-    def initial_state(self):
-        return super().initial_state()._replace(x=np.zeros(1))
-
-    def state_rate(self, z):
-        return self._along(z.q)[None]
-
-    def output(self, z):
-        return (-5 * z.x[0] - 20 * self._along(z.q) - 3 * self._along(z.v))[None]
-
-    def actuation(self):
-        return np.array([[np.cos(0.4)], [np.sin(0.4)]])
+#: A damped pendulum in tilted gravity; the same, held by a controller with a force along the arc,
+#: whose state integrates the way.
+Tilted = toy(
+    "Tilted", q=[0.0, -1.0], interval=(0.0, 20.0), nominal_step=0.01, force=gravity,
+    tilt=parameter(0.4, "rad", "angle of gravity"), c=parameter(3.0, "1/s", "damping"),
+    off=parameter(0.0, "rad", "angle from equilibrium at the start"), initial_state=off,
+    constraint=lambda self, q, t: (q @ q - 1.0)[None] / 2,
+)  # fmt: skip
+Held = toy(
+    "Held", base=Tilted, initial_state=lambda self: off(self)._replace(x=np.zeros(1)),
+    state_rate=lambda self, z: along(self, z.q)[None],
+    output=lambda self, z: (-5 * z.x[0] - 20 * along(self, z.q) - 3 * along(self, z.v))[None],
+    actuation=lambda self: np.array([[np.cos(0.4)], [np.sin(0.4)]]),
+)  # fmt: skip
+#: A mass slides on a rough plane until it would stick, where the force jumps; a state is driven to
+#: zero at a rate that jumps there.
+Rough = toy(
+    "Rough", friction=parameter(1.0, "m/s^2", "friction by mass"),
+    v0=parameter(1e-3, "m/s", "velocity at the start"),
+    force=lambda self, q, v, t: -self.friction * jnp.sign(v),
+    initial_state=lambda self: State(q=np.zeros(1), v=np.array([self.v0])),
+)  # fmt: skip
+Relay = toy(
+    "Relay", rate=parameter(1.0, "1/s", "rate of the state"),
+    x0=parameter(1e-3, "1", "state at the start"), force=lambda self, q, v, t: jnp.zeros(1),
+    state_rate=lambda self, z: -self.rate * jnp.sign(z.x),
+    initial_state=lambda self: State(q=np.zeros(1), v=np.zeros(1), x=np.array([self.x0])),
+)  # fmt: skip
 
 
 def ended(method, scene, h=0.01, t_end=None):
@@ -119,45 +104,6 @@ def test_a_pendulum_rests_in_every_formulation(cases):
         run = ended(method, scene)
         assert run.status == "ok", run.message
         assert run.lam[-1] == pytest.approx(9.81, rel=1e-5)  # index 2 drifts
-
-
-@dataclass(frozen=True)
-class Rough(MechatronicSystem):
-    """A mass slides on a rough plane until it would stick; the force jumps there."""
-
-    interval = (0.0, 1.0)
-    friction: float = parameter(1.0, "m/s^2", "friction by mass")
-    v0: float = parameter(1e-3, "m/s", "velocity at the start")
-
-    def mass(self, q):
-        return jnp.eye(1)
-
-    def force(self, q, v, t):
-        return -self.friction * jnp.sign(v)
-
-    def initial_state(self):
-        return State(q=np.zeros(1), v=np.array([self.v0]))
-
-
-@dataclass(frozen=True)
-class Relay(MechatronicSystem):
-    """A state is driven to zero at a rate that jumps there; nothing else moves."""
-
-    interval = (0.0, 1.0)
-    rate: float = parameter(1.0, "1/s", "rate of the state")
-    x0: float = parameter(1e-3, "1", "state at the start")
-
-    def mass(self, q):
-        return jnp.eye(1)
-
-    def force(self, q, v, t):
-        return jnp.zeros(1)
-
-    def state_rate(self, z):
-        return -self.rate * jnp.sign(z.x)
-
-    def initial_state(self):
-        return State(q=np.zeros(1), v=np.zeros(1), x=np.array([self.x0]))
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -14,7 +13,6 @@ from scipy.optimize import brentq
 from problems import jax, jnp
 from problems.equations.constraints import constraint_velocity
 from problems.equations.formulations import ode_rate
-from problems.equations.initial_values import consistent_start
 from problems.scenes.bicycle import Bicycle
 from problems.scenes.chaplygin_sleigh import ChaplyginSleigh
 from problems.scenes.rolling_disc import RollingDisc
@@ -159,16 +157,6 @@ def test_the_bicycle_in_motion_keeps_energy_weight_and_grip():
     assert np.abs(grip).max() > 10.0
 
 
-@pytest.mark.long
-def test_the_weave_of_the_bicycle_grows_slowly_as_its_linear_motion():
-    scene, t = Bicycle(lean_rate=1e-5), np.linspace(0.0, 2.0, 9)
-    z, matrix = reference(scene, 2.0)(t), of_lean_and_steer(4.0)
-    values, vectors = np.linalg.eig(matrix)
-    start = np.linalg.solve(vectors, [0.0, 0.0, 1e-5, 0.0])
-    linear = ((vectors * start) @ np.exp(np.outer(values, t))).real.T
-    assert z["q"][:, [4, 6]] == pytest.approx(linear[:, :2], abs=1e-13)
-
-
 # ---- the slider crank that rubs -----------------------------------------------------------
 def rubbing(scene, th, w):
     """Crank's acceleration, guide's force and friction, by Newton's laws for each body."""
@@ -230,15 +218,3 @@ def test_the_energy_that_is_lost_is_the_work_of_friction():
     work = cumulative_simpson(power, x=t, initial=0.0)
     assert work[-1] < -0.1
     assert energy - energy[0] == pytest.approx(work, abs=1e-9)
-
-
-def test_an_error_of_the_multiplier_accelerates_the_slider_otherwise():
-    @dataclass(frozen=True)
-    class Light(SliderCrankFriction):
-        name = "light"
-
-        def coupled_force(self, z):
-            return super().coupled_force(z._replace(lam=1.01 * z.lam))
-
-    one, other = (consistent_start(s).z.a for s in (SliderCrankFriction(), Light()))
-    assert 1e-5 < abs(one - other)[6] < 1e-2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,17 +96,6 @@ def test_a_numpy_default_is_a_traced_parameter_like_any_float():
         assert Heavy().parameters()["load"] == 2.0
         with pytest.raises(SpecError, match="not a finite number"):
             build(Heavy, {"load": "nan"}, "heavy")
-
-
-def test_a_numpy_integer_default_is_a_structural_parameter():
-    @dataclass(frozen=True)
-    class Chain(Pendulum):
-        links: int = parameter(np.int64(3), "", "links")
-
-    assert json.dumps(Chain().links) == "3"
-    assert "links" not in Chain().parameters()
-    with pytest.raises(SpecError, match="not a int"):
-        build(Chain, {"links": "2.5"}, "chain")
 
 
 @given(st.floats(0, 3), st.none() | st.floats(-3, 0.95), st.none() | st.floats(0, 3))

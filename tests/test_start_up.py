@@ -20,6 +20,7 @@ from bench.stability.systems import Oscillator
 from integrators import Steps, Tolerances
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_step import AlphaStep
+from problems.base import runtime
 from problems.base.runtime import SPARE_THREADS
 from problems.base.usage import cores
 
@@ -47,37 +48,17 @@ def test_only_the_plugins_that_are_asked_for_are_imported():
     assert (done.stdout.strip(), done.stderr) == ("problems.scenes.pendulum", "")
 
 
-def test_only_a_process_that_takes_times_has_one_thread():
-    for own, after in [("", "1"), ("77", "77")]:
-        # With one, runs that are called from several threads would wait for each other.
-        code = (
-            "import os; from problems.base import runtime; print(os.environ['NPROC']); "
-            "runtime.use_threads(1); print(os.environ['NPROC'])"
-        )
-        done = subprocess.run(
-            [sys.executable, "-c", code],
-            env=without_threads() | ({"NPROC": own} if own else {}),
-            capture_output=True,
-            text=True,
-        )
-        assert done.stdout.split() == [own or str(cores() + SPARE_THREADS), after]
-
-
-def test_no_more_threads_call_programs_than_xla_has_to_spare():
-    for before, own, callers in [
-        ("", "", cores()),
-        ("import jax", "", max(1, cores() - SPARE_THREADS)),
-        ("", "3", 3 - SPARE_THREADS),
-        ("", "1", 1),
-    ]:
-        code = f"{before}\nfrom problems.base import runtime; print(runtime.most_callers())"
-        done = subprocess.run(
-            [sys.executable, "-c", code],
-            env=without_threads() | ({"NPROC": own} if own else {}),
-            capture_output=True,
-            text=True,
-        )
-        assert done.stdout.split() == [str(callers)]
+def test_only_a_process_that_takes_times_has_one_thread_and_calls_no_more(monkeypatch):
+    usual = str(cores() + SPARE_THREADS)  # that `configure` sets
+    for own, callers, after in (
+        (usual, cores(), "1"), ("77", 77 - SPARE_THREADS, "77"), ("1", 1, "1"),
+    ):  # fmt: skip
+        monkeypatch.setenv("NPROC", own)
+        assert runtime.most_callers() == callers
+        runtime.use_threads(1)
+        assert os.environ["NPROC"] == after
+    monkeypatch.delenv("NPROC")  # JAX was imported before
+    assert runtime.most_callers() == max(1, cores() - SPARE_THREADS)
 
 
 @pytest.mark.long
@@ -96,16 +77,11 @@ with ThreadPoolExecutor(most_callers()) as pool:
     ends = list(pool.map(called, [jnp.ones((64, 80, 80))] * 3 * most_callers()))
 print(len(ends))
 """
-    given = without_threads() | {"NPROC": "3"}
+    given = os.environ | {"NPROC": "3"}
     done = subprocess.run(
         [sys.executable, "-c", code], env=given, capture_output=True, text=True, timeout=200
     )
     assert done.stdout == f"{3 * (3 - SPARE_THREADS)}\n"
-
-
-def without_threads() -> dict[str, str]:
-    """The environment without a number of XLA's threads."""
-    return {name: value for name, value in os.environ.items() if name != "NPROC"}
 
 
 @pytest.mark.parametrize(

@@ -32,8 +32,6 @@ from bench.check.checker import CHECKS, examine
 from bench.check.verdicts import FAILED
 from bench.plugins.fingerprint import fingerprint
 from bench.plugins.registry import Registry
-from bench.sweeps.ensemble import ensemble
-from integrators import Steps
 from problems import jnp
 from problems.base.spec import SpecError
 from problems.equations.initial_values import consistent_start
@@ -163,23 +161,6 @@ def test_kane_and_lagrange_agree_on_a_constrained_model():
 
 
 # ---- parameters, time, energy ------------------------------------------------------------
-@pytest.mark.long
-def test_an_ensemble_varies_parameters_and_the_start_that_follows_from_them():
-    angle = sm.Symbol("angle")
-    given = {"constants": {M: 1.0, C: 2.0, angle: 0.4}}
-    scene = rod(initial={X: C * sm.sin(angle)}, **given)()
-    method = Registry().integrator("generalized_alpha[formulation=stabilised_index2]")
-    vary = {"c": [1.0, 2.0, 3.0], "angle": [0.2, 0.4, 1.0]}
-    found = ensemble(scene, method, vary, t_end=0.1)
-    assert list(found.status) == ["ok"] * 3
-    for k, (c, a) in enumerate(zip(*vary.values(), strict=True)):
-        single = type(scene)(c=c, angle=a)
-        q = single.initial_state().q
-        assert q == pytest.approx([c * np.sin(a), -c * np.cos(a)], rel=1e-12)
-        end = method.prepare(single, 0.1, Steps(0.01)).measure().q[-1]
-        assert [found.values[name][k] for name in ("q1", "q2")] == pytest.approx(end, rel=1e-11)
-
-
 def test_only_models_without_other_forces_and_without_time_state_an_energy():
     assert spring()().energy(np.array([0.5]), np.array([3.0])) == 9 + 1
     frame, point = ReferenceFrame("N"), Point("P")

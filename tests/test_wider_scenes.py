@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
+from helpers import toy
 
-from bench.check.scenes import check_start
-from bench.plugins.registry import Registry
-from bench.running.linearisation import growth
 from integrators import Steps
 from integrators.methods.bdf2 import BDF2
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.radau_iia import RadauIIA
 from integrators.methods.simulator_steppers import SemiImplicitEuler
-from problems import MechatronicSystem, State, jnp, parameter
+from problems import State, jnp, parameter
 from problems.base import checks
 from problems.base.spec import SpecError
 from problems.equations.constraints import constraint_force
@@ -26,72 +22,39 @@ from problems.scenes.chaplygin_sleigh import ChaplyginSleigh
 from problems.truth.reference import Reference
 
 
-@dataclass(frozen=True)
-class SleighOfRates(ChaplyginSleigh):
-    """The sleigh with dq/dt for velocities."""
-
-    name = "sleigh_of_rates"
-    kinematics = None
-    exact = None
-
-    def force(self, q, v, t):
-        return jnp.zeros(3)
-
-    def velocity_constraint(self, q, v, t):
-        return (-jnp.sin(q[2]) * v[0] + jnp.cos(q[2]) * v[1] - self.arm * v[2])[None]
-
-    def initial_state(self):
-        q, v, _ = super().initial_state()
-        return State(q=q, v=np.asarray(ChaplyginSleigh.kinematics(self, q, v)))
+def at_rates(self):
+    q, v, _ = ChaplyginSleigh.initial_state(self)
+    return State(q=q, v=np.asarray(ChaplyginSleigh.kinematics(self, q, v)))
 
 
-@dataclass(frozen=True)
-class Rubbing(MechatronicSystem):
-    """A pendulum whose bearing rubs: the torque is mu times the smoothed force of the rod."""
-
-    interval = (0.0, 1.0)
-    nominal_step = 0.02
-    mu: float = parameter(0.1, "m", "friction radius")
-
-    def mass(self, q):
-        return jnp.eye(2)
-
-    def force(self, q, v, t):
-        return jnp.array([0.0, -9.81])
-
-    def constraint(self, q, t):
-        return 0.5 * (q @ q - 1.0)[None]
-
-    def coupled_force(self, z):
-        speed = (z.q[0] * z.v[1] - z.q[1] * z.v[0]) / (z.q @ z.q)
-        size = self.mu * jnp.sqrt(z.lam[0] ** 2 + 1e-2) * jnp.tanh(speed)
-        return -size * jnp.stack([-z.q[1], z.q[0]])
-
-    def initial_state(self):
-        return State(q=np.array([1.0, 0.0]), v=np.zeros(2))
+def blade(self, q, v, t):
+    return (-jnp.sin(q[2]) * v[0] + jnp.cos(q[2]) * v[1] - self.arm * v[2])[None]
 
 
-@dataclass(frozen=True)
-class Turret(MechatronicSystem):
-    """A unit mass in the plane pushed by an output along a direction that depends on q."""
+def rubs(self, z):
+    speed = (z.q[0] * z.v[1] - z.q[1] * z.v[0]) / (z.q @ z.q)
+    size = self.mu * jnp.sqrt(z.lam[0] ** 2 + 1e-2) * jnp.tanh(speed)
+    return -size * jnp.stack([-z.q[1], z.q[0]])
 
-    interval = (0.0, 1.0)
-    nominal_step = 0.02
 
-    def mass(self, q):
-        return jnp.eye(2)
-
-    def force(self, q, v, t):
-        return -q
-
-    def output(self, z):
-        return jnp.stack([jnp.sin(z.t) - 0.1 * z.a[0]])
-
-    def actuation(self, q):
-        return jnp.stack([-jnp.sin(q[0]), jnp.cos(q[0])])[:, None]
-
-    def initial_state(self):
-        return State(q=np.array([0.3, 0.1]), v=np.zeros(2))
+#: The sleigh with dq/dt for velocities; a pendulum whose bearing rubs, by mu times the smoothed
+#: force of the rod; a unit mass that an output pushes along a direction that depends on q.
+SleighOfRates = toy(
+    "SleighOfRates", base=ChaplyginSleigh, name="sleigh_of_rates", kinematics=None, exact=None,
+    force=lambda self, q, v, t: jnp.zeros(3), velocity_constraint=blade, initial_state=at_rates,
+)  # fmt: skip
+Rubbing = toy(
+    "Rubbing", q=[1.0, 0.0], interval=(0.0, 1.0), nominal_step=0.02,
+    mu=parameter(0.1, "m", "friction radius"), coupled_force=rubs,
+    force=lambda self, q, v, t: jnp.array([0.0, -9.81]),
+    constraint=lambda self, q, t: 0.5 * (q @ q - 1.0)[None],
+)  # fmt: skip
+Turret = toy(
+    "Turret", q=[0.3, 0.1], interval=(0.0, 1.0), nominal_step=0.02,
+    force=lambda self, q, v, t: -q,
+    output=lambda self, z: jnp.stack([jnp.sin(z.t) - 0.1 * z.a[0]]),
+    actuation=lambda self, q: jnp.stack([-jnp.sin(q[0]), jnp.cos(q[0])])[:, None],
+)  # fmt: skip
 
 
 def test_both_forms_of_the_sleigh_move_alike_and_keep_the_energy():
@@ -162,21 +125,10 @@ def test_methods_that_cannot_take_a_block_say_so():
 
 
 def test_starts_that_do_not_fit_are_refused():
-    class Sliding(ChaplyginSleigh):
-        def initial_state(self):
-            return State(q=np.zeros(3), v=np.array([0.0, 1.0, 0.0]))
-
-    class Short(Turret):
-        def initial_state(self):
-            return State(q=np.zeros(2), v=np.zeros(1))
-
+    start = State(q=np.zeros(3), v=np.array([0.0, 1.0, 0.0]))
+    sliding = toy("Sliding", base=ChaplyginSleigh, initial_state=lambda self: start)
+    short = toy("Short", base=Turret, initial_state=lambda self: State(np.zeros(2), np.zeros(1)))
     with pytest.raises(Exception, match="velocity level by"):
-        GeneralizedAlpha().prepare(Sliding(), 1.0, Steps(0.1))
+        GeneralizedAlpha().prepare(sliding(), 1.0, Steps(0.1))
     with pytest.raises(checks.FalseAnswer, match=r"v = dq/dt of initial_state\(\)"):
-        assert Short().sizes
-
-
-def test_checks_and_condition_know_the_wider_blocks():
-    scene = ChaplyginSleigh()
-    assert "nq=3, nl=1;" in check_start(Registry(), scene)
-    assert 1.0 <= growth(scene, Reference(scene, 1.0)) < 100.0
+        assert short().sizes
