@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scene_mechanics import options, solved
 from scipy.integrate import solve_ivp
+from test_scenes_identities import options, solved
 
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
@@ -179,17 +179,6 @@ def test_it_starts_calmly_on_its_weight():
 
 
 # ---- stages of the controller ----------------------------------------------------------
-def test_the_inverse_damper_finds_the_current_of_a_force():
-    for force, speed in [(800, 0.2), (1200, 0.15), (-700, -0.25)]:
-        scene = FullCar()
-        i = scene._limited_current(scene._demanded_current(float(force), speed))
-        rates = jax.jit(lambda p: jnp.stack(scene._pressure_rates(*p, i, speed)))
-        p = solve_ivp(lambda t, p: rates(p), (0, 1), np.zeros(2), method="LSODA", rtol=1e-8).y[
-            :, -1
-        ]
-        assert float(scene._damper_force(*p)) == pytest.approx(force, rel=0.25)
-
-
 # ---- the lane change -------------------------------------------------------------------
 @cache
 def lane_change(scene):
@@ -217,21 +206,6 @@ def test_the_controlled_car_heaves_rolls_and_pitches_less_than_the_passive_one()
     # Without its gains the controller earns nothing.
     off = {"gain_heave": 0.0, "gain_roll": 0.0, "gain_pitch": 0.0}
     assert (measures(FullCar(**off))[:3] > passive[:3]).all()
-
-
-@pytest.mark.long
-def test_the_car_leans_outward_and_drifts_after_the_lane_change():
-    for run, loads in map(lane_change, (FullCar(), FullCarPassive())):
-        left = np.argmax(run.v[:, 5])  # the sharpest part of the turn to the left
-        assert run.q[left, 10:].min() > 0.02
-        assert run.q[left, 3] > 0.03
-        assert (loads[left, [1, 3]] > loads[left, [0, 2]] + 500).all()
-        assert loads.min() > 500  # no wheel lifts off
-        assert 2.5 < run.q[-1, 1] < 8
-        late = run.t > 8
-        assert np.ptp(run.q[late, 1]) > 0.02  # still moving sideways, with the wheels straight
-        assert np.abs(run.q[late, 10:]).max() < 5e-3
-        assert 9 < np.hypot(*run.v[-1, :2]) < 9.95
 
 
 # ---- the quarter car, and characteristics of the damper ---------------------------------

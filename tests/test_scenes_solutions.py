@@ -10,8 +10,6 @@ from helpers import long
 
 from bench.check.scenes import check_conserved
 from bench.plugins.registry import Registry
-from integrators import Steps
-from integrators.methods.generalized_alpha import GeneralizedAlpha, Newmark
 from problems import jax, jnp, parameter
 from problems.equations import formulations
 from problems.equations.compiled import compiled
@@ -150,7 +148,7 @@ def integrated(scene, t):
         # Soft enough for a tight integration over several turns and vibrations.
         ((StiffBar(length=1.0, ea=1e3, m=2.0, v0=3.0, stretch=0.3), 3.0),),
         ((DrivenSprings(k1=400.0, c1=3.0, k2=2.0, m1=0.5, m2=2.0), 4.0),),
-        *long([(Oscillator(omega=2.0, q0=-0.3), 4.0), (DrivenSprings(k1=900.0, c1=0.0), 4.0)]),
+        *long([(Oscillator(omega=2.0, q0=-0.3), 4.0), (SliderCrankDriven(), 0.05)]),
     ],
 )
 def test_the_closed_form_is_the_integrated_one(cases):
@@ -254,17 +252,3 @@ def test_energy_momenta_and_constraints_stay():
 
 
 # ---- purpose of the stiff bar ----------------------------------------------------------
-def test_the_trapezoidal_rule_blows_up_on_the_stiff_bar_and_numerical_damping_runs_on():
-    # Kuhl & Crisfield's phenomenon at h = 0.01 s: 5 % more energy at 4.58 s, then no solution.
-    for method, status in (
-        (Newmark(), "newton_failed"),
-        (GeneralizedAlpha(rho_inf=0.8), "ok"),
-        (GeneralizedAlpha(rho_inf=0.9), "ok"),
-    ):
-        run = method.prepare(StiffBar(), 10.0, Steps(0.01)).measure()
-        assert run.status == status
-        e = energies(StiffBar(), vars(run))
-        if status == "ok":
-            assert e / e[0] == pytest.approx(1.0, abs=2e-3)
-        else:
-            assert run.t[np.argmax(e / e[0] > 1.05)] == pytest.approx(4.58, abs=0.05)
