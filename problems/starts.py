@@ -16,6 +16,8 @@ from problems.variables import Component, State
 _ITERATIONS = 50
 #: A start violates the constraints if Phi or its rate is larger than this, relative to q or v.
 _VIOLATED = 1e-9
+#: Singular values below this part of the largest are of dependent constraints.
+_DEPENDENT = 1e-10
 
 
 def started(scene: Any, state: State, given: Mapping[str, float]) -> State:
@@ -84,8 +86,8 @@ def completed(
     scene: Any,
     q: Sequence[float] | Float[np.ndarray, " nq"],
     v: Sequence[float] | Float[np.ndarray, " nv"],
-    open_q: Sequence[int],
-    open_v: Sequence[int],
+    open_q: Sequence[int] | np.ndarray,
+    open_v: Sequence[int] | np.ndarray,
 ) -> State:
     """Return the start at which the entries left open satisfy the constraints.
 
@@ -142,7 +144,7 @@ def constraints_at(
 def _shortest(matrix: np.ndarray, residual: np.ndarray) -> np.ndarray:
     if not (matrix.size and np.isfinite(matrix).all() and np.isfinite(residual).all()):
         return np.zeros(matrix.shape[1])
-    return np.linalg.lstsq(matrix, residual, rcond=None)[0]
+    return np.linalg.lstsq(matrix, residual, rcond=_DEPENDENT)[0]
 
 
 @cache  # not `problems.equations.compiled`, which asks for the sizes, that is, for the start

@@ -226,7 +226,7 @@ class Through(StormerVerlet):
     passes_impacts = True
 
 
-def test_no_run_is_ok_whose_bodies_overlap(tmp_path):
+def test_no_run_is_ok_whose_bodies_overlap():
     fallen = run(Through(), BouncingBall(), Steps(0.05))
     assert fallen.q[-1, 0] < -18  # free fall
     kept = replace(fallen, t=fallen.t[:10], q=fallen.q[:10])  # up to t = 0.45 s: it has not hit
@@ -240,19 +240,9 @@ def test_no_run_is_ok_whose_bodies_overlap(tmp_path):
         assert found.t[-1] == pytest.approx(first - 0.05)
     rests = np.where(np.arange(10) < 5, 1.0, -5e-4 - 1e-6 * np.arange(10))[:, None]
     assert "by up to 0.00051, as" in end_at_overlap(replace(kept, q=rests), BouncingBall(), True)
-    # A worker ends such a run, and notes how far steps pass impacts.
-    (tmp_path / "through.py").write_text(
-        "from dataclasses import dataclass\n"
-        "from integrators.methods.stormer_verlet import StormerVerlet\n"
-        "@dataclass(frozen=True)\n"
-        "class Through(StormerVerlet):\n"
-        "    passes_impacts = True\n"
-    )
-    worker = Worker(Registry([tmp_path / "through.py"]))
-    fallen, _ = worker.run(Cell("bouncing_ball", "through", 2.0, Steps(0.05)))
-    assert fallen.status == "diverged"
+    # A worker notes how far steps pass impacts.
     asked = Cell("bouncing_ball", "moreau_jean", 2.0, Steps(0.05))
-    record = worker.measure(asked, errors=False).record
+    record = Worker(Registry()).measure(asked, errors=False).record
     assert record.status == "ok"
     assert "Bodies overlap by up to 0.015, as steps pass impacts." in record.message
 

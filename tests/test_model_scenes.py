@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import reference, scene_or_skip
+from helpers import scene_or_skip
 
 from bench.plugins.registry import Registry
 from bench.running.inventory import Inventory
@@ -44,18 +44,6 @@ def test_a_loop_starts_and_accelerates_alike_from_a_file_and_from_sympy():
         assert ABSOLUTE @ found(q, v) == pytest.approx(z.a, rel=1e-11, abs=1e-11)
 
 
-@pytest.mark.long
-def test_the_motion_of_a_loop_is_the_same_from_a_file_and_from_sympy():
-    t = np.linspace(0, 2, 41)
-    one, other = (
-        reference(scene_or_skip(name), 2.0)(t) for name in ("mjcf_four_bar", "sympy_four_bar")
-    )
-    for group in "qva":
-        wanted = other[group][:, 0]
-        assert np.abs(one[group][:, 0] - wanted).max() < 1e-12 * np.abs(wanted).max(), group
-    assert np.ptp(other["q"][:, 0]) > 1
-
-
 # ---- pictures ------------------------------------------------------------------------------
 def test_each_is_a_scene_with_a_picture():
     for name, sizes in {
@@ -73,14 +61,6 @@ def test_each_is_a_scene_with_a_picture():
 
 
 # ---- the engine on them --------------------------------------------------------------------
-def test_mujoco_takes_its_own_model_with_every_integrator():
-    for scene in map(scene_or_skip, ("mjcf_arm", "mjcf_quadruped")):
-        for integrator in ("euler", "discrete"):
-            method = Registry().integrator(f"mujoco[integrator={integrator}]")
-            assert method.why_not(scene) is None
-            assert method.prepare(scene, 0.02, Steps(1e-3)).measure().status == "ok"
-
-
 @pytest.mark.long
 def test_a_free_base_moves_as_in_mujoco():
     scene = scene_or_skip("mjcf_quadruped")

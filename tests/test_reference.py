@@ -45,36 +45,6 @@ def test_the_spring_mass_reference_has_the_published_digits():
         assert error <= 2 * reference.error[group] < 1e-11
 
 
-def test_the_closed_pendulum_solves_its_equations_from_rest_at_its_amplitude():
-    for scene in [Pendulum(), Pendulum(m=2.5, length=0.7, g=3.0, th0=3.0)]:
-        t, eps = np.linspace(0.1, 4.0, 40), 1e-4
-        z = scene.exact(t)
-        before, after = scene.exact(t - eps), scene.exact(t + eps)
-        for value, rate in (("q", "v"), ("v", "a")):
-            slope = (after[value] - before[value]) / (2 * eps)
-            assert slope == pytest.approx(z[rate], abs=2e-5)
-        motion = scene.m * z["a"] + z["q"] * z["lam"] + [0.0, scene.m * scene.g]
-        assert np.abs(motion).max() < 1e-11
-        assert np.abs((z["q"] ** 2).sum(1) - scene.length**2).max() < 1e-13
-    z = Pendulum(th0=2.0).exact(np.zeros(1))
-    assert z["q"][0] == pytest.approx([np.sin(2.0), -np.cos(2.0)], abs=1e-14)
-    assert z["v"][0] == pytest.approx([0.0, 0.0], abs=1e-14)
-
-
-def test_the_reference_of_a_scene_without_closed_form_would_find_the_closed_one():
-    class Integrated(Pendulum):
-        """The pendulum as if its solution were not known."""
-
-        @classmethod
-        def has(cls, block):
-            return block != "exact" and super().has(block)
-
-    t = np.linspace(0.35, 1.35, 9)
-    closed, tight = Reference(Pendulum(), 1.35)(t), Reference(Integrated(), 1.35)(t)
-    for group in ("q", "v", "a", "lam"):
-        assert tight[group] == pytest.approx(closed[group], abs=1e-11)
-
-
 #: A fast vibration of 1 um beside a slow one of 10 m.
 Beside = toy(
     "Beside", q=[10.0, 1e-6], interval=(0.0, 0.2), nominal_step=0.05,

@@ -148,6 +148,7 @@ def integrated(scene, t):
         # Soft enough for a tight integration over several turns and vibrations.
         ((StiffBar(length=1.0, ea=1e3, m=2.0, v0=3.0, stretch=0.3), 3.0),),
         ((DrivenSprings(k1=400.0, c1=3.0, k2=2.0, m1=0.5, m2=2.0), 4.0),),
+        ((Pendulum(m=2.5, length=0.7, g=3.0, th0=2.0), 4.0),),
         *long([(Oscillator(omega=2.0, q0=-0.3), 4.0), (SliderCrankDriven(), 0.05)]),
     ],
 )
@@ -155,10 +156,10 @@ def test_the_closed_form_is_the_integrated_one(cases):
     for scene, t_end in cases:
         t = np.linspace(0.0, t_end, 41)
         closed, tight = scene.exact(t), integrated(scene, t)
-        for group in "qva":
+        for group in ("q", "v", "a", "lam")[: 4 if scene.sizes.nl else 3]:
             size = np.abs(tight[group]).max()
             assert closed[group] == pytest.approx(tight[group], abs=1e-10 * size), group
-            assert np.ptp(np.linalg.norm(closed[group], axis=1)) > 0.01  # it does vibrate
+            assert np.ptp(closed[group], axis=0).max() > 0.01  # it does vibrate
 
 
 def test_the_slider_passes_the_bearing_where_crank_and_rod_are_of_equal_length():

@@ -19,13 +19,12 @@ from problems.base.runtime import Array, Float, jax, jnp
 from problems.mechanics.drawing import OBLIQUE
 from problems.mechanics.joints import Frame, Joint, Link, SpringDamper, Vector, vector
 from problems.mechanics.rotations import conjugate, product, quaternion_rate, rotated, turned
+from problems.starts import completed
 from problems.system import MechatronicSystem
 from problems.variables import State
 
 #: Name of what does not move.
 GROUND = "ground"
-#: Singular values below this part of the largest are of dependent constraints.
-_DEPENDENT = 1e-10
 
 
 def _axes_turned(p: np.ndarray) -> np.ndarray:
@@ -249,33 +248,23 @@ class RigidBodies(MechatronicSystem):
 
     # ---- start, names and picture
     def initial_state(self) -> State:
-        """The state given by the bodies; of velocities that are not given, those of least kinetic
-        energy that satisfy the constraints. What cannot be satisfied is left violated."""
+        """The state given by the bodies; velocities that are not given are the least ones that
+        satisfy the constraints. What cannot be satisfied is left violated."""
         fields = spec.numbers_of(type(self)).items()
         numbers: dict[str, Any] = {name: field.default for name, field in fields}
-        q, v, free, residual, jacobian, mass = map(
+        q, v, masses, tensors = map(
             np.asarray, _start(self.with_parameters(numbers))(self.parameters())
         )
-        for body, tensor in zip(self.bodies(), np.asarray(self._inertias()[1]), strict=True):
+        free = [part is None for b in self.bodies() for part in (b.velocity, b.angular_velocity)]
+        for body, mass, tensor in zip(self.bodies(), masses, tensors, strict=True):
             small, middle, large = np.linalg.eigvalsh(tensor)
-            if large > (1 + 1e-9) * (small + middle):
+            if not (mass > 0 and small > 0 and large <= (1 + 1e-9) * (small + middle)):
                 raise spec.SpecError(
-                    f"{self.spec}: no body has the inertia of {body.name!r}: its largest "
-                    f"principal value {large:.4g} kg m^2 is above the sum of the others, "
-                    f"{small + middle:.4g}."
+                    f"{self.spec}: no body has the mass {mass:.4g} kg and the principal inertias "
+                    f"{small:.4g}, {middle:.4g} and {large:.4g} kg m^2 of {body.name!r}: all are "
+                    f"positive, and none is above the sum of the others."
                 )
-        if free.any() and len(residual):
-            try:
-                factor = np.linalg.cholesky(mass[np.ix_(free, free)])
-            except np.linalg.LinAlgError:
-                raise spec.SpecError(
-                    f"{self.spec}: a mass or an inertia is not positive."
-                ) from None
-            columns = np.linalg.solve(factor, jacobian[:, free].T).T
-            found = np.linalg.lstsq(columns, -residual, rcond=_DEPENDENT)[0]
-            v = v.copy()
-            v[free] = np.linalg.solve(factor.T, found)
-        return State(q=q, v=v)
+        return completed(self, q, v, [], np.flatnonzero(np.repeat(free, 3)))
 
     @property
     def coordinates(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -314,26 +303,16 @@ class RigidBodies(MechatronicSystem):
 
 @cache
 def _start(template: RigidBodies) -> Any:
-    """Compiled function of the parameters: q, the velocities that are given and zeros, which ones
-    are free, the rate of the constraints with these velocities, its Jacobian, and the mass."""
+    """Compiled function of the parameters: q, the velocities that are given and zeros, masses and
+    inertias."""
 
     def start(p: dict[str, Any]) -> tuple:
-        scene = template.with_parameters(p)
-        bodies, t = scene.bodies(), jnp.asarray(scene.interval[0])
-        parts, free = [], []
-        for body in bodies:
+        scene, places, parts = template.with_parameters(p), [], []
+        for body in scene.bodies():
             given = body.velocity, body.angular_velocity
             v, omega = (np.zeros(3) if part is None else vector(part) for part in given)
             parts += [v, rotated(conjugate(jnp.asarray(body.quaternion)), omega)]
-            free += [part is None for part in given]
-        places = [jnp.concatenate([vector(b.position), b.quaternion]) for b in bodies]
-        q, v = jnp.concatenate(places), jnp.concatenate(parts)
-
-        def rate(v: Array) -> Array:
-            if not scene.has("constraint"):
-                return jnp.zeros(0)
-            return jax.jvp(scene.constraint, (q, t), (scene.kinematics(q, v), jnp.ones_like(t)))[1]
-
-        return q, v, np.repeat(free, 3), rate(v), jax.jacfwd(rate)(v), scene.mass(q)
+            places += [vector(body.position), body.quaternion]
+        return jnp.concatenate(places), jnp.concatenate(parts), *scene._inertias()
 
     return jax.jit(start)
