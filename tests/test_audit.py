@@ -115,6 +115,6 @@ def test_the_check_of_the_work_finds_a_lie(monkeypatch):
         integrators, "trials", lambda registry, method: [Trial(method, ForcedOscillator())]
     )
     told = integrators.check_runs(Registry([]), Heun())
-    assert "counts are right, true on forced_oscillator" in told
+    assert "Counts are true on forced_oscillator" in told
     with pytest.raises(Failed, match="force was evaluated"):
         integrators.check_runs(Registry([]), Heun(counted=1))

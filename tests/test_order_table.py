@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 from planted import STEPS, planted
 
@@ -139,6 +142,27 @@ def test_the_command_measures_claims_and_orders(stepbench, tmp_path):
     assert "Orders" in (tmp_path / "report.html").read_text(encoding="utf-8")
     again = stepbench("order", "pendulum", "bdf2", "--out", tmp_path, "--markdown")
     assert "| BDF2 | claimed | 2 | 2 | 2 | 2 |" in again.stdout
+
+
+@pytest.mark.long
+def test_the_table_of_the_document_is_measured(stepbench, tmp_path):
+    page = (Path(__file__).parents[1] / "docs" / "orders.md").read_text(encoding="utf-8")
+    alpha = "generalized_alpha[rho_inf=0.8]", "generalized_alpha[rho_inf=0.8,start=corrected]"
+    methods = *alpha, "generalized_alpha[formulation=stabilised_index2]", "newmark"
+    answer = stepbench(
+        "order", "double_pendulum_controlled", *methods, "newmark[formulation=stabilised_index2]",
+        "--steps", "0.005,0.0025,0.00125,0.000625,0.0003125", "--markdown", "--out", tmp_path,
+    )  # fmt: skip
+    assert answer.exit_code == 0, answer.output
+    told, found = (
+        {tuple(cells[:2]): cells[2:] for row in re.findall(r"^\| (.*) \|$", text, re.MULTILINE)
+         if (cells := row.split(" | "))[1] in ("claimed", "settled", "with start")}
+        for text in (page, answer.stdout)
+    )  # fmt: skip
+    assert len(told) == 15
+    for row, orders_told in told.items():
+        for one, other in zip(orders_told, found[row], strict=True):
+            assert one == other or float(one) == pytest.approx(float(other), abs=0.02), row
 
 
 def test_a_constrained_scene_of_the_suite_has_a_mass_that_depends_on_q_and_a_controller():

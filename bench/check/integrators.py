@@ -25,6 +25,7 @@ from bench.check.trials import (
 from bench.check.verdicts import DoesNotApply, Failed, round_trip, shortly
 from bench.plugins.registry import Registry
 from bench.results.quantities import PARTS
+from bench.results.records import counted
 from bench.running.measure import ignored_pattern
 from integrators import checks
 from integrators.adapters.counting import run_counted, watch
@@ -74,7 +75,7 @@ def check_scenes(registry: Registry, method: Integrator) -> str:
     told = [f"refuses {', '.join(names)}: {reason}" for reason, names in refused.items()]
     if not taken:
         raise Failed("; ".join(["It takes no scene", *told]))
-    return "; ".join([f"takes {', '.join(taken)}", *told]) + "."
+    return "; ".join([f"takes {counted(len(taken), 'scene')}", *told]) + "."
 
 
 # ---- runs that go well -------------------------------------------------------------------
@@ -96,9 +97,9 @@ def check_runs(registry: Registry, method: Integrator) -> str:
         checks.checked_bill(run.bill(two), PARTS)
         _check_work(trial, one)
         audited += [trial] * check_counts(method, trial.scene)
-    true = f", true on {names_of(audited)}" if audited else ""
+    true = f" Counts are true on {names_of(audited)}." if audited else ""
     pattern = _follows(tried[0]) if method.controls == "step" else ""
-    return f"Rows, bits and counts are right{true}, on {names_of(tried)}.{pattern}"
+    return f"Rows and counts are right, run after run, on {names_of(tried)}.{true}{pattern}"
 
 
 def _check_rows(trial: Trial, run: Trajectory) -> None:
