@@ -192,7 +192,7 @@ def _on_scene(
     """The runs of methods on one scene."""
     if not integrators:
         raise SpecError(f"No integrator is named for {scene.spec}; see `stepbench list`.")
-    _of_constant_steps(registry, integrators)
+    _refuse_chosen_steps(registry, integrators)
     if steps and len(steps) < 3:
         raise SpecError(f"An order needs at least three step sizes; {len(steps)} came.")
     study = StudyFile(
@@ -210,44 +210,29 @@ def _on_scene(
 def _of_suite(
     registry: Inventory, name: str, integrators: Sequence[str], budget: float | None
 ) -> Suite:
-    """The runs of methods, or of those of a suite that take constant steps, on its scenes."""
+    """The runs of a suite's methods of constant steps, or of those named, on its scenes."""
     title, profile = read_profile(name)
-    named = _of_constant_steps(registry, integrators)
-    files = []
-    for problem in dict.fromkeys(p for file in profile.study for p in file.problems):
-        studies = [file for file in profile.study if problem in file.problems]
-        # Methods that no study of a scene has get one more.
-        more = StudyFile(
-            problems=[problem], integrators=[*named], title=f"{problem}: methods named"
-        )
-        rest = {*named.values()}
-        for file in [*studies, *([more] if named else [])]:
-            specs = {text: _at_constant_steps(registry, text) for text in file.integrators}
-            own = [text for text, spec in specs.items() if (spec in rest if named else spec)]
-            rest -= {specs[text] for text in own}
-            if own:
-                changes = {"problems": [problem], "integrators": own, "figures": _FIGURES}
-                files.append(replace(file, **changes))
+    _refuse_chosen_steps(registry, integrators)
+    files = [
+        replace(file, integrators=own, figures=_FIGURES)
+        for file in profile.study
+        if (own := [text for text in file.integrators if _has_constant_steps(registry, text)])
+    ]
     profile = replace(profile, study=files, samples=0, atlas=False)
     return make_suite(title, profile, registry, (), integrators, budget)
 
 
-def _of_constant_steps(registry: Inventory, integrators: Sequence[str]) -> dict[str, str]:
-    """The printed names of methods by the names that were given; none chooses its steps."""
-    named = {text: _at_constant_steps(registry, text) for text in integrators}
-    for text in (text for text, spec in named.items() if not spec):
+def _refuse_chosen_steps(registry: Inventory, integrators: Sequence[str]) -> None:
+    for text in (text for text in integrators if not _has_constant_steps(registry, text)):
         raise SpecError(
             f"{registry.integrator(text).spec} chooses its own steps, over which no order can be "
             "measured; name methods of constant steps, for some with the option steps=constant."
         )
-    return named
 
 
-def _at_constant_steps(registry: Inventory, text: str) -> str:
-    """The printed name of a method that takes constant steps, else nothing; the name as it is of
-    one that is of no use, as the suite then says."""
+def _has_constant_steps(registry: Inventory, text: str) -> bool:
+    """Whether a method takes constant steps; one that is of no use is told of by its suite."""
     try:
-        method = registry.integrator(text)
+        return registry.integrator(text).controls == "step"
     except Unavailable:
-        return text
-    return method.spec if method.controls == "step" else ""
+        return True
