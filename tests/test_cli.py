@@ -103,7 +103,7 @@ def test_tables_for_people_show_the_same(stepbench):
 
 def test_an_output_folder_that_cannot_be_made_is_refused(refused, tmp_path):
     (tmp_path / "file").write_text("a file")
-    assert "is a file; name a folder" in refused("run", "--out", tmp_path / "file")
+    assert "is no folder; name one" in refused("run", "--out", tmp_path / "file")
     assert "Not a directory" in refused("run", "--out", tmp_path / "file/below")
     assert (tmp_path / "file").read_text() == "a file"
 

@@ -93,11 +93,9 @@ leave out --json                           | list pendulum --draw --json
 --out goes with --draw                     | list --out pages
 did you mean 'pendulum'                    | list pendulm --draw
 
-in small letters, digits and '_'; try 'my_method'    | new integrator 'My Method'
-try 'heavy_top2'                           | new problem HeavyTop2
-try 'my_3d'                                | new problem 3d
-try 'my'                                   | new problem __
-try 'my_class'                             | new problem class
+in small letters, digits and '_'           | new integrator 'My Method'
+such as my_method                          | new problem 3d
+such as my_method                          | new problem class
 The name 'pendulum' is taken by            | new integrator pendulum
 scene.txt is not the name of a Python file | new problem scene --out scene.txt
 no folder 'nowhere'; make it first.        | new problem scene --out nowhere/scene.py

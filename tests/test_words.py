@@ -14,7 +14,7 @@ from bench.results.records import Plan, Rows, endings
 from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
-from bench.running.profiles import built_in_profiles, read_profile, suite_titles
+from bench.running.profiles import read_profile, suite_titles
 from reports.pages.report import read_report
 from reports.questions.words import Ref, listed, plain, rendered
 
@@ -24,14 +24,6 @@ GROUPS = {"q": (1.0, 2), "v": (1.0, 2), "a": (1.0, 2), "lam": (1.0, 2)}
 def ended(status: str, h: float = 0.1, integrator: str = "good"):
     errors, message = (GROUPS, "") if status == "ok" else ({}, "Because.")
     return planted("pendulum", integrator, errors, h=h, status=status, message=message)
-
-
-def test_the_help_of_run_names_every_suite_with_its_title(stepbench):
-    text = " ".join(stepbench("run", "--help").output.split())
-    assert "[OPTIONS] [SUITE]" in text
-    assert len(suite_titles()) == len(built_in_profiles()) > 4
-    for name, title in suite_titles().items():
-        assert f"{name} {title}" in text
 
 
 def test_runs_that_are_not_supported_are_no_failures(tmp_path):
@@ -175,8 +167,6 @@ def test_mine_is_run_reported_and_told(stepbench, monkeypatch, tmp_path):
     assert (mine, every) == ("wbz[rho_inf=0.8] wins in out.", "All wins in out.")
     assert then.startswith(f"Next: stepbench report {tmp_path / 'out'} --open ")
     assert counts.startswith("1 cell: 1 ok, 0 failed with a reason; 1 measured now")
-    other = Outcome([ended("ok")], 1, [], (), 2).sentences
-    assert other[1:] == ["The folder has 2 more runs; so has its report."]
     assert stepbench("run", "--out", tmp_path / "out").stdout.startswith("All wins in out.\nNext: ")
     for name in ("", "wbzz"):
         wrong = stepbench("run", "--mine", name)

@@ -31,10 +31,6 @@ RESULTS = "stepbench-results"
 BUDGET_S = 300.0
 #: Most worker processes that can be asked for.
 _MOST_JOBS = 1000
-_KINDS = {
-    stat.S_IFREG: "file", stat.S_IFDIR: "folder", stat.S_IFIFO: "named pipe",
-    stat.S_IFSOCK: "socket", stat.S_IFCHR: "device", stat.S_IFBLK: "device",
-}  # fmt: skip
 
 
 class Given(SimpleNamespace):
@@ -71,13 +67,8 @@ def flag(names: str, words: str) -> click.Option:
 
 # ---- values of options -------------------------------------------------------------------
 class PathName(click.Path):
-    """The path of a regular file or of a folder, which need not be there yet.
-
-    Parameters
-    ----------
-    kind
-        What there may be. A new file needs a folder.
-    """
+    """The path of a regular ``kind``, a file or a folder, which need not be there yet; a new file
+    needs its folder."""
 
     def __init__(self, kind: Literal["file", "folder"]) -> None:
         super().__init__(path_type=Path)
@@ -86,34 +77,23 @@ class PathName(click.Path):
     def convert(self, value: Any, param: Any, ctx: Any) -> Path:
         """Return the path; another kind of thing in its place is refused, and is never opened."""
         text = os.fspath(value)
-        if not text.strip():
-            self.fail(f"the name of the {self.kind} is empty.", param, ctx)
-        path = Path(text)
+        path, is_right = Path(text), stat.S_ISREG if self.kind == "file" else stat.S_ISDIR
         try:
-            there = _KINDS.get(stat.S_IFMT(path.stat().st_mode), "thing")
+            if not text.strip() or not is_right(path.stat().st_mode):
+                self.fail(f"{text!r} is no {self.kind}; name one.", param, ctx)
         except FileNotFoundError:
             if self.kind == "file" and not path.parent.is_dir():
                 self.fail(f"there is no folder {str(path.parent)!r}; make it first.", param, ctx)
-            return path
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             self.fail(f"{text!r} names no {self.kind}: {reason}.", param, ctx)
-        if there != self.kind:
-            self.fail(f"{text!r} is a {there}; name a {self.kind}.", param, ctx)
         return path
 
 
-class ClusterAddress(click.ParamType):
-    """The address of a scheduler: host:port, perhaps with a protocol that crosses machines."""
-
-    name = "address"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """Return the address as it came; nothing is connected yet."""
-        match = re.fullmatch(r"(?:(?:tcp|tls|wss?)://)?(?:[\w.-]+|\[[\da-fA-F:.%]+\]):(\d+)", value)
-        if not match or not 0 < int(match[1][:6]) < 65536:
-            self.fail(f"{value!r} is no address; give one such as tcp://head:8786.", param, ctx)
-        return value
+def _address(_: click.Context, __: click.Parameter, text: str | None) -> str | None:
+    if text is not None and not re.fullmatch(r"\S+:\d{1,5}", text):
+        raise click.BadParameter(f"{text!r} is no address; give one such as tcp://head:8786.")
+    return text
 
 
 def _numbers(_: click.Context, __: click.Parameter, text: str | None) -> tuple[float, ...] | None:
@@ -210,7 +190,7 @@ def jobs(words: str) -> click.Option:
 
 def cluster(words: str) -> click.Option:
     """Return --cluster."""
-    return option("--cluster", words, type=ClusterAddress(), metavar="ADDRESS")
+    return option("--cluster", words, callback=_address, metavar="ADDRESS")
 
 
 def budget(

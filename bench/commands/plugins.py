@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import keyword
 import re
 import shlex
-import sys
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -127,11 +125,6 @@ def new(o: Given) -> None:
     path = o.out or Path(f"{o.name}.py")
     if path.suffix != ".py":
         raise SpecError(f"{path} is not the name of a Python file; give one that ends with .py.")
-    if _shadows(path):
-        raise SpecError(
-            f"A file {path.name} would hide the module {path.stem!r} from scripts beside it; give "
-            f"another name or --out."
-        )
     skeleton = resources.files("bench.plugins.skeletons") / f"{o.kind}.py"
     text = skeleton.read_text(encoding="utf-8").replace(_SKELETONS[o.kind], _class_name(o.name))
     if o.model is not None:
@@ -164,25 +157,13 @@ def _number(key: str, text: str) -> float:
 
 def _require_free(name: str) -> None:
     if not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", name) or keyword.iskeyword(name):
-        word = re.sub(r"[^a-z0-9]+", "_", snake_case(name)).strip("_")
-        if not re.match("[a-z]", word) or keyword.iskeyword(word):
-            word = f"my_{word}".strip("_")
-        raise SpecError(f"{name!r} is not a name in small letters, digits and '_'; try {word!r}.")
+        raise SpecError(
+            f"{name!r} is not a name in small letters, digits and '_', such as my_method."
+        )
     registry = Inventory()
     for plugin in (getattr(registry, kind).get(name) for kind in KINDS):
         if plugin:
             raise SpecError(f"The name {name!r} is taken by {plugin.origin}; try 'my_{name}'.")
-
-
-def _shadows(path: Path) -> bool:
-    """Whether Python finds another module under the name of a file that is to be written."""
-    if path.stem in sys.stdlib_module_names:
-        return True
-    try:
-        found = importlib.util.find_spec(path.stem)
-    except (ImportError, ValueError):  # a name with dots, or of no use to an import
-        return False
-    return found is not None and found.origin != str(path.resolve())
 
 
 def _class_name(name: str) -> str:

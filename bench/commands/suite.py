@@ -17,29 +17,19 @@ from bench.results.studies import ExperimentResult
 from bench.running.interrupts import remark
 from bench.running.inventory import Inventory
 from bench.running.plan import Suite, make_suite
-from bench.running.profiles import read_profile, suite_titles
+from bench.running.profiles import read_profile
 from problems.base.spec import SpecError
-
-
-class _WithSuites(click.Command):
-    """A command whose help lists the built-in suites."""
-
-    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Built-in suites"):
-            formatter.write_dl(list(suite_titles().items()))
 
 
 @dataclass(frozen=True)
 class Outcome:
     """Outcome of a suite: the records of its cells, how many of them were measured now, the
-    experiments of the failure atlas, sentences on plugins that were lost, and the number of runs of
-    other commands in the folder, which its report has, too."""
+    experiments of the failure atlas, and sentences on plugins that were lost."""
 
     records: list[Record]
     measured: int
     experiments: list[ExperimentResult]
     lost: tuple[str, ...]
-    others: int = 0
 
     @property
     def interrupted(self) -> int:
@@ -55,8 +45,6 @@ class Outcome:
             f"{counted(count, 'cell')}: {endings(self.records)}{again}; "
             f"{self.measured} measured now, {kept} kept from before."
         ]
-        if self.others:
-            said.append(f"The folder has {counted(self.others, 'more run')}; so has its report.")
         if self.experiments:
             held = sum(result.as_predicted for result in self.experiments)
             many = len(self.experiments)
@@ -96,8 +84,7 @@ def run_suite(
         limits = suite.plan.budget_s, suite.memory_gib
         results = complete_experiments(experiments, added, store, registry, jobs, progress, *limits)
     records = [stored[key] for key in suite.cells if key in stored]
-    others = len(stored) - len(records)
-    return Outcome(records, measured, results, suite.lost, others)
+    return Outcome(records, measured, results, suite.lost)
 
 
 def write_reports(folder: Path, single_file: bool = False) -> None:
@@ -143,14 +130,13 @@ def write_reports(folder: Path, single_file: bool = False) -> None:
         None,
     ),
     options.PLUGINS,
-    cls=_WithSuites,
 )  # fmt: skip
 def run_(o: Given) -> None:
     """Run a suite and write its report.
 
-    SUITE is the name of a built-in suite (below) or a TOML file. A run that was stopped goes on
-    where it stopped when the same command is given again. While it goes, `stepbench report` in
-    another terminal makes pages of what there is.
+    SUITE is a TOML file or the name of a built-in suite, as `stepbench list suites` has them. A run
+    that was stopped goes on where it stopped when the same command is given again. While it goes,
+    `stepbench report` in another terminal makes pages of what there is.
 
     \b
     Examples:
@@ -168,7 +154,7 @@ def run_(o: Given) -> None:
     if not options.is_given("suite"):
         click.echo(
             f"The suite quick: {len(suite.cells)} runs, which take about a minute; results go to "
-            f"{o.out}. Other suites: stepbench run --help",
+            f"{o.out}. Other suites: stepbench list suites",
             err=True,
         )
     outcome = run_suite(suite, registry, o.out, o.fresh, o.jobs, o.cluster)
@@ -185,14 +171,12 @@ def run_(o: Given) -> None:
     if not any(record.status == "ok" for record in outcome.records):
         raise click.ClickException(f"No cell succeeded. {in_common(outcome.records)}")
     if cut := outcome.interrupted:
-        count = "1 run was" if cut == 1 else f"{cut} runs were"
         raise click.ClickException(
-            f"Not complete: {count} interrupted; the same command runs what is missing."
+            f"Not complete: {counted(cut, 'run')} interrupted; the same command runs what is "
+            "missing."
         )
     if outcome.lost:
-        first, *others = outcome.lost
-        more = f" {len(others)} more reasons are above." if others else ""
-        raise click.ClickException(f"{first}{more}")
+        raise click.ClickException(outcome.lost[0])  # the others stand above
 
 
 def in_common(records: Sequence[Record]) -> str:

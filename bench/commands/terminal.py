@@ -5,11 +5,10 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Iterable
 from typing import Any, TextIO
 
 from rich import table as rich_table
-from rich.console import Console, RenderableType
+from rich.console import Console
 from rich.markup import escape
 from rich.progress import (
     BarColumn,
@@ -33,18 +32,17 @@ _LEAST_TEXT = 16
 _LINE_EVERY_SECONDS = 5.0
 
 
-class _WideConsole(Console):
+def _console(file: TextIO) -> Console:
     """A console that is never too narrow for a table."""
-
-    def __init__(self, file: TextIO) -> None:
-        super().__init__(file=file)
-        if self.width < _LEAST_WIDTH:
-            self.width = _LEAST_WIDTH
+    console = Console(file=file)
+    if console.width < _LEAST_WIDTH:
+        console.width = _LEAST_WIDTH
+    return console
 
 
 def show(*parts: Table | str) -> None:
     """Print tables with their notes and texts on standard output, within its width."""
-    console = _WideConsole(sys.stdout)
+    console = _console(sys.stdout)
     for part in parts:
         if isinstance(part, str):
             console.print(Text(part))
@@ -84,35 +82,24 @@ def _drawn(table: Table) -> rich_table.Table:
 def say(line: Text | str, cut: bool = False) -> None:
     """Print a line, however long: the terminal wraps it, unless it is ``cut`` where that ends."""
     how: dict[str, Any] = {"no_wrap": True, "overflow": "ellipsis"} if cut else {"soft_wrap": True}
-    _WideConsole(sys.stdout).print(line, markup=False, highlight=False, **how)
-
-
-class _Bar(Progress):
-    """A progress bar with a line below it."""
-
-    found = ""
-
-    def get_renderables(self) -> Iterable[RenderableType]:
-        yield from super().get_renderables()
-        if self.found:
-            yield Text(self.found, style="dim", no_wrap=True, overflow="ellipsis")
+    _console(sys.stdout).print(line, markup=False, highlight=False, **how)
 
 
 class RunProgress(progress.Progress):
-    """A progress bar with the cell in work and the last result; plain lines without a terminal.
+    """A progress bar with the work in hand; without a terminal a line now and then.
 
     Parameters
     ----------
     lines
-        Whether, without a terminal, phases, the first result, and work that belongs to no phase
-        and takes long are told in lines.
+        Whether, without a terminal, phases, and work that belongs to none and takes long, have
+        lines; and whether the first result has one.
     """
 
     def __init__(self, lines: bool = True) -> None:
         super().__init__()
-        self._lines = lines
-        self._console = _WideConsole(sys.stderr)
-        self._bar = _Bar(
+        self._console, self._first = _console(sys.stderr), lines
+        self._lines = lines and not self._console.is_terminal
+        self._bar = Progress(
             SpinnerColumn(),
             TextColumn("{task.fields[phase]}"),
             BarColumn(),
@@ -152,7 +139,7 @@ class RunProgress(progress.Progress):
             return
         self._bar.update(task.id, description=escape(text))
         self._wait.cancel()
-        if self._lines and not (task.fields["phase"] or self._console.is_terminal):
+        if self._lines and not task.fields["phase"]:
             self._wait = threading.Timer(_LINE_EVERY_SECONDS, self.note, [f"Waiting: {text}"])
             self._wait.daemon = True
             self._wait.start()
@@ -165,19 +152,18 @@ class RunProgress(progress.Progress):
                 self._say()
 
     def found(self, text: str) -> None:
-        """Show the last result below the bar; without a terminal, the first one as a line."""
-        if self._lines and not (self._bar.found or self._console.is_terminal):
-            self._console.print(escape(f"First result: {text}"), soft_wrap=True)
-        self._bar.found = text
+        """Print the first result."""
+        if self._first:
+            self.note(f"First result: {text}")
+        self._first = False
 
     def note(self, text: str) -> None:
-        """Print a warning."""
-        self._console.print(escape(text))
+        """Print a line."""
+        self._console.print(escape(text), soft_wrap=True)
 
     def _say(self) -> None:
         self._spoken = time.monotonic()
-        for task in self._bar.tasks:
-            phase, total = task.fields["phase"], task.total
-            if self._lines and phase and total != 0 and not self._console.is_terminal:
-                of = f" of {total:g}" if total else " runs"
+        for task in self._bar.tasks if self._lines else ():
+            if (phase := task.fields["phase"]) and task.total != 0:
+                of = f" of {task.total:g}" if task.total else " runs"
                 self._console.print(f"{phase}: {task.completed:g}{of}")

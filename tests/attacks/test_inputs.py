@@ -17,7 +17,7 @@ from click.testing import Result
 from planted import everything, plant
 
 from bench.commands.main import main
-from bench.commands.options import ClusterAddress, PathName
+from bench.commands.options import PathName
 from problems.base.text import clean
 
 #: Arguments for which a command would run. {store} is a folder of results, {odd} of odd things.
@@ -90,7 +90,7 @@ def wrong_values(parameter: click.Parameter) -> dict[str, str]:
         return PLACE | (
             {"file": "{odd}/file.txt"} if kind.kind == "folder" else {"folder": "{odd}"}
         )
-    if isinstance(kind, ClusterAddress):
+    if parameter.name == "cluster":
         return ADDRESS
     if parameter.name == "plugins":
         return PLUGIN
@@ -241,15 +241,6 @@ def test_an_odd_thing_in_the_place_of_a_profile_is_not_waited_for(stepbench, tmp
     for file in (tmp_path, *odd.values()):
         assert str(file) in assert_refused(stepbench("run", file, "--out", tmp_path / "out"))
         assert not (tmp_path / "out").exists()
-
-
-def test_a_new_file_does_not_hide_a_module(stepbench, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in ("numpy", "json", "jax", "types", "test", "bench", "problems", "site", "click"):
-        other = "new", "problem", "mine", "--out", f"{name}.py"
-        for line in (("new", "integrator", name), other):
-            assert "hide the module" in assert_refused(stepbench(*line))
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_wrong_command_is_refused_in_a_sentence(stepbench):

@@ -107,7 +107,7 @@ def test_a_killed_worker_costs_one_cell(folder, role, how):
         time.sleep(0.02)
     assert process.finish() == 1, process.said
     assert f"{CELLS - 1} ok" in process.said
-    assert "Not complete: 1 run was interrupted" in process.said
+    assert "Not complete: 1 run interrupted" in process.said
     if (role, how) != QUICK:
         check_goes_on(folder, 1)
 
