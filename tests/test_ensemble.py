@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import time
-from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,9 +13,8 @@ import pytest
 from test_contributing import EXAMPLES
 
 from bench.plugins.registry import Registry
-from bench.sweeps import batch
 from bench.sweeps.batch import Batch, BatchRun
-from bench.sweeps.ensemble import ensemble, member_rows
+from bench.sweeps.ensemble import ensemble
 from bench.sweeps.variation import find_quantity, runs_with
 from integrators import Steps, Tolerances
 from integrators.native.loops.kernel import Kernel
@@ -222,14 +220,6 @@ def test_a_member_without_a_start_says_why():
     assert "violates the constraints at velocity level by 1.000e-01" in found.message[1]
     assert (ends_of(found)["q"][0] == ends_of(found)["q"][2]).all()
     assert found.values["work_steps"].tolist() == [100, 0, 100, 100]
-
-
-def test_a_budget_stops_between_blocks(monkeypatch):
-    monkeypatch.setattr(batch, "_MOST_LANES", {"cpu": 4})
-    scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
-    found = ensemble(scene, method, {"h": np.linspace(0.01, 0.1, 12)}, budget=0.0)
-    assert Counter(found.status) == {"ok": 4, "budget_exceeded": 8}
-    assert member_rows(found.values)[-1]["q1"] is None
 
 
 # ---- the command -------------------------------------------------------------------------

@@ -260,16 +260,13 @@ def guarded(
 ) -> Any:
     """Do a job of a worker in a process of its own, with plugins and within a budget in s.
 
-    A message on its failure begins with the words ``about`` it. A job that watches the budget
-    itself, as sweeps do, is given half as much again to end by it.
+    A message on its failure begins with the words ``about`` it. A job of many ``threads`` may keep
+    all processors busy.
     """
     from bench.running.process import Limits, ask_once
     from bench.running.worker import start_worker
 
     processors = (os.cpu_count() or 1) if threads else 1
-    limits = Limits(
-        1.5 * budget_s if threads else budget_s,
-        processors=processors,
-        advice="give it less to do, or a larger --budget",
-    )
+    advice = "give it less to do, or a larger --budget"
+    limits = Limits(budget_s, processors=processors, advice=advice)
     return ask_once(about, start_worker, (sources, processors), limits, job, *arguments)

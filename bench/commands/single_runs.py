@@ -49,7 +49,7 @@ def solve_(o: Given) -> None:
       stepbench solve spring_mass "generalized_alpha[rho_inf=0.8]" --step 0.1 --t-end 5
       stepbench solve pendulum ida --rtol 1e-8 --set th0=3.0 --json
       stepbench solve quarter_car generalized_alpha --ensemble 1000 --vary k:2e4..3e4 -o cars.csv
-      stepbench solve quarter_car newmark --ensemble 1000000 --vary k:2e4..3e4 -o cars.parquet
+      stepbench solve quarter_car newmark --ensemble 1000000 --vary k:2e4..3e4 -o cars.csv
     """
     if o.ensemble is not None:
         sweeps.solve_ensemble(o)

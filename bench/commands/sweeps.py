@@ -86,7 +86,7 @@ def map_(o: Given) -> None:
     from bench.sweeps.variation import SweepRequest
     from reports.pages.outcome_map import write_map_page
 
-    request = SweepRequest(scene.spec, method.spec, options.sizes(o), o.t_end, o.budget)
+    request = SweepRequest(scene.spec, method.spec, options.sizes(o), o.t_end)
     task = request, names, o.ranges, counts, o.error, o.threshold
     about, sources = f"{o.integrator} on {o.problem}", scene.sources | method.sources
     plain = options.guarded(about, map_job, sources, o.budget, *task, threads=True)
@@ -132,7 +132,7 @@ ENSEMBLE = (
     options.cluster(
         "Run the members on the workers of a dask scheduler, such as tcp://host:8786."
     ),
-    options.file("File for the members, .csv or .parquet, a flat row each."),
+    options.file("File for the members, .csv, a flat row each."),
 )  # fmt: skip
 
 
@@ -146,15 +146,14 @@ def solve_ensemble(o: Given) -> None:
     from problems.base.usage import cores
 
     scene, method = options.asked_for(o)
-    common = scene.spec, method.spec, options.sizes(o), o.t_end, o.budget
+    common = scene.spec, method.spec, options.sizes(o), o.t_end
     request = ensemble.EnsembleRequest(*common, o.ensemble, o.vary, o.seed)
     if not o.vary:
         raise SpecError("An ensemble needs something in which its members differ; give --vary.")
-    if o.out:
-        ensemble.check_file_name(o.out)
+    if o.out and o.out.suffix != ".csv":
+        raise SpecError(f"{o.out.name} is no table; give a name that ends in .csv.")
     began = time.perf_counter()
-    # A part watches its budget itself, and has half as much again to end by it.
-    limits = Limits(1.5 * o.budget, processors=1 if o.cluster else cores())
+    limits = Limits(o.budget, processors=1 if o.cluster else cores())
     make = partial(ClusterRunner, o.cluster) if o.cluster else partial(Runner, 1)
     with RunProgress() as progress, make(limits, progress) as runner:
         found, fault = ensemble.run_members(runner, request, scene.sources | method.sources)
@@ -165,15 +164,13 @@ def solve_ensemble(o: Given) -> None:
     else:
         show(*_shown(found, time.perf_counter() - began))
     if o.out:
-        ensemble.write_members(o.out, found.values)
+        found.write(o.out)
         click.echo(f"{len(found.status)} members in {o.out}", err=o.as_json)
     if "ok" not in found.status:
         raise click.ClickException(f"No member succeeded. The first: {found.message[0]}")
-    lost = o.ensemble - len(found.status) + found.not_run
-    if lost:
-        why = fault or ensemble.OUT_OF_TIME
+    if lost := o.ensemble - len(found.status):
         raise click.ClickException(
-            f"Not complete: {lost} of {o.ensemble} members are missing. {why}"
+            f"Not complete: {lost} of {o.ensemble} members are missing. {fault}"
         )
 
 

@@ -154,14 +154,12 @@ class Batch:
     def blocks(
         self,
         jobs: int | None = None,
-        budget: float = math.inf,
         begun: Callable[[], None] = lambda: None,
     ) -> Iterator[Block]:
         """Compile the program, and run all in threads, a block at a time in each.
 
         The longest runs come first, so that the last blocks are short. No more than ``jobs``
         threads, and `most_callers`, call the program; ``begun`` is called when it is compiled.
-        ``budget`` seconds after that no further blocks are given, but the first one always is.
         """
         nobody = np.zeros(self._lanes, dtype=np.int64)
         jax.block_until_ready(self._called(nobody, nobody == 0))
@@ -177,8 +175,6 @@ class Batch:
             while waiting:
                 waiting += [pool.submit(self._block, part) for part in islice(parts, 1)]
                 yield waiting.popleft().result()
-                if time.perf_counter() - self.compiled_at > budget:
-                    return
         finally:
             pool.shutdown(cancel_futures=True)
 

@@ -7,6 +7,7 @@ gives the same bits, on processors of the same kind with the same libraries.
 
 from __future__ import annotations
 
+import csv
 import io
 import itertools
 import os
@@ -14,18 +15,14 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from bench.plugins.registry import Sources
-from bench.results.flat_rows import csv_text
 from bench.running.cluster import ClusterRunner
 from bench.running.interrupts import remark
 from bench.running.plan import resolution_of
-from bench.running.process import Refused
 from bench.running.runner import Runner, Task
 from bench.running.serve import RUNNING
 from bench.running.worker import Worker
@@ -46,15 +43,10 @@ from problems.system import MechatronicSystem
 
 #: Begins the names of columns with work counts.
 WORK = "work_"
-#: Message of members that were not run.
-OUT_OF_TIME = "The ensemble's time was used up before; raise the budget."
-
 #: Most members of a part, which come back, or are lost, together. A GPU needs many.
 _OF_PART, _OF_PART_GPU = 1024, 65536
 #: Members that are text together.
 _ROWS = 1024
-
-Columns = Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -100,21 +92,23 @@ class Ensemble:
         counts = {k: column for k, column in self.values.items() if k.startswith(WORK)}
         return {name.removeprefix(WORK): int(column.sum()) for name, column in counts.items()}
 
-    @property
-    def not_run(self) -> int:
-        """Number of members for which the budget was not enough."""
-        return self.message.count(OUT_OF_TIME)
+    def write(self, path: Path) -> None:
+        """Write all members, a row each, as comma-separated values; what is not finite is empty."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(self.values)
+        for k in range(0, len(self.status), _ROWS):
+            lists = [_cells(column[k : k + _ROWS]) for column in self.values.values()]
+            writer.writerows(zip(*lists, strict=True))
+        put(path, text.getvalue())
 
 
-def joined(parts: Sequence[Ensemble]) -> Ensemble:
-    """Return the members of several parts of an ensemble, one part after the other."""
-    tables = [part.values for part in parts]
-    return replace(
-        parts[0],
-        values={name: np.concatenate([table[name] for table in tables]) for name in tables[0]},
-        compile_s=sum(part.compile_s for part in parts),
-        run_s=sum(part.run_s for part in parts),
-    )
+def _cells(column: np.ndarray) -> list[object]:
+    """The values of a column; None where one is not finite."""
+    cells = column.astype(object)
+    if column.dtype.kind == "f":
+        cells[~np.isfinite(column)] = None
+    return cells.tolist()
 
 
 def ensemble(
@@ -123,7 +117,6 @@ def ensemble(
     vary: Mapping[str, Sequence[float] | np.ndarray],
     resolution: Steps | Tolerances | None = None,
     t_end: float | None = None,
-    budget: float = float("inf"),
     begun: Callable[[], None] = lambda: None,
     first: int = 0,
 ) -> Ensemble:
@@ -132,7 +125,7 @@ def ensemble(
     ``vary`` has values by name (`bench.sweeps.variation.find_quantity`), equally many for each, one
     for a member; all else is that of scene, method and resolution (the scene's nominal step or
     rtol=1e-6 if None). They end at ``t_end`` (s; the scene's own if None); ``begun`` is called when
-    everything is compiled, and ``budget`` seconds later no further members are begun.
+    everything is compiled.
 
     Raises
     ------
@@ -142,23 +135,17 @@ def ensemble(
     """
     refuse(method, scene)
     values = {name: np.asarray(v, dtype=float) for name, v in vary.items()}
-    shapes = {v.shape for v in values.values()}
-    if len(shapes) != 1 or (shape := shapes.pop()) == (0,) or len(shape) != 1:
-        raise SpecError("An ensemble takes equally many values, at least one, of each that varies.")
     end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
-    if not np.isfinite(np.concatenate(list(values.values()))).all():
-        raise SpecError("A value of an ensemble is not a finite number.")
     started = time.perf_counter()
     quantities = {find_quantity(name, scene, method): v for name, v in values.items()}
     fixed = resolution or resolution_of(scene, method)
-    batch = Batch(runs_with(scene, method, fixed, quantities), end)
-    count = shape[0]
-    status = np.full(count, "budget_exceeded", dtype=object)
-    message = np.full(count, OUT_OF_TIME, dtype=object)
-    t, ends, work = np.full(count, scene.interval[0]), {}, {}
-    for block in batch.blocks(budget=budget, begun=begun):
-        status[block.members], message[block.members] = block.status, block.message
-        t[block.members] = block.t_last
+    runs = runs_with(scene, method, fixed, quantities)
+    batch, count = Batch(runs, end), len(runs)
+    told = {name: np.empty(count, dtype=object) for name in ("status", "message")}
+    told["t"], ends, work = np.full(count, scene.interval[0]), {}, {}
+    for block in batch.blocks(begun=begun):
+        for name, own in zip(told, (block.status, block.message, block.t_last), strict=True):
+            told[name][block.members] = own
         for group, rows in block.values.items():
             for i, column in enumerate(rows[:, -1].T, 1):
                 ends.setdefault(f"{group}{i}", np.full(count, np.nan))[block.members] = column
@@ -170,8 +157,7 @@ def ensemble(
         spec_without(scene, quantities),
         spec_without(method, quantities),
         end,
-        {"member": first + np.arange(count), **values}
-        | {"status": status, "message": message, "t": t, **ends, **work},
+        {"member": first + np.arange(count), **values, **told, **ends, **work},
         compiled - started,
         done - compiled,
     )
@@ -197,7 +183,6 @@ def members_job(worker: Worker, request: EnsembleRequest, first: int, count: int
         {name: draw(of, place=place) for place, (name, of) in enumerate(ranges.items())},
         fixed,
         request.t_end,
-        request.budget,
         begun=lambda: worker.notify(RUNNING, "running the members"),
         first=first,
     )
@@ -219,7 +204,7 @@ def run_members(runner: Runner, request: EnsembleRequest, sources: Sources) -> t
     Raises
     ------
     SpecError
-        If the request is refused, or a part has no answer before another one has.
+        If a part has no answer before another one has, as where the request is refused.
     """
     about = f"{request.integrator} on {request.problem}"
     tasks = [
@@ -242,58 +227,13 @@ def run_members(runner: Runner, request: EnsembleRequest, sources: Sources) -> t
             parts.append(answer)
             done += len(answer.status)
             remark(f"{done} of {request.count} members had been run; none is kept.")
-        elif isinstance(answer, Refused):
-            raise SpecError(answer.message)
         else:
             fault = f"{task.label}: {answer.message}"
             if not parts:
                 raise SpecError(fault)
         runner.progress.advance()
     remark("")
-    return joined(sorted(parts, key=lambda part: part.values["member"][0])), fault
-
-
-# ---- files for the user ------------------------------------------------------------------
-def check_file_name(path: Path) -> None:
-    """Refuse a file that cannot be written, before any work is done for it.
-
-    Raises
-    ------
-    SpecError
-        If the name says no kind of table, or the library for it is missing.
-    """
-    if path.suffix not in (".csv", ".parquet"):
-        raise SpecError(f"{path.name} is no table; give a name that ends in .csv or .parquet.")
-    if path.suffix == ".parquet" and not find_spec("pyarrow"):
-        raise SpecError(
-            "A file .parquet needs pyarrow; install it by: pip install 'stepbench[parquet]'."
-        )
-
-
-def write_members(path: Path, columns: Columns) -> None:
-    """Write all members, a flat row each, and put the file in place when it is whole."""
-    if path.suffix == ".parquet":
-        import pyarrow
-        from pyarrow import parquet
-
-        masks = {k: ~np.isfinite(c) for k, c in columns.items() if c.dtype.kind == "f"}
-        arrays = {k: pyarrow.array(c, mask=masks.get(k)) for k, c in columns.items()}
-        file = io.BytesIO()
-        parquet.write_table(pyarrow.table(arrays), file)
-        put(path, file.getvalue())
-        return
-    count = len(columns["member"])
-    slices = [slice(k, k + _ROWS) for k in range(0, count, _ROWS)]
-    texts = [csv_text(member_rows({k: c[of] for k, c in columns.items()})) for of in slices]
-    put(path, "".join([texts[0], *(text.partition("\n")[2] for text in texts[1:])]))
-
-
-def member_rows(columns: Columns) -> list[dict[str, Any]]:
-    """Return a row per entry of the columns; None stands for what is not finite."""
-    lists = []
-    for column in columns.values():
-        values = column.astype(object)
-        if column.dtype.kind == "f":
-            values[~np.isfinite(column)] = None
-        lists.append(values.tolist())
-    return [dict(zip(columns, row, strict=True)) for row in zip(*lists, strict=True)]
+    parts.sort(key=lambda part: part.values["member"][0])
+    columns = {k: np.concatenate([part.values[k] for part in parts]) for k in parts[0].values}
+    compile_s, run_s = (sum(getattr(part, n) for part in parts) for n in ("compile_s", "run_s"))
+    return replace(parts[0], values=columns, compile_s=compile_s, run_s=run_s), fault

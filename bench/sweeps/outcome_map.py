@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from bench.results.quantities import GROUPS, group_and_norm
-from bench.running.errors import Scales, component_errors, finite, scales, whole_error
+from bench.running.errors import component_errors, finite, scales, whole_error
 from bench.running.plan import resolution_of
 from bench.running.serve import RUNNING
 from bench.running.worker import Worker
-from bench.sweeps.batch import Batch, BatchRun, Block
+from bench.sweeps.batch import Batch
 from bench.sweeps.variation import Range, SweepRequest, read_ranges, runs_with, spec_without
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances, check_end
@@ -28,8 +29,6 @@ OUTCOMES = (
     "ok", "inaccurate", "newton_failed", "step_too_small", "budget_exceeded", "diverged", "not_run",
     "no_reference",
 )  # fmt: skip
-
-
 #: Points of a range; fewer along a parameter each value of which needs a reference of its own.
 POINTS, POINTS_INTEGRATED = 100, 25
 
@@ -64,7 +63,6 @@ def map_job(
         request.t_end,
         error,
         threshold,
-        request.budget,
         begun=lambda: worker.notify(RUNNING, "running the points"),
     )
 
@@ -78,7 +76,6 @@ def outcome_map(
     t_end: float | None = None,
     error: str = "a:end",
     threshold: float = 0.1,
-    budget: float = float("inf"),
     begun: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
     """Run a method on a scene at every point of a grid over two quantities.
@@ -116,16 +113,22 @@ def outcome_map(
     batch = Batch(runs, end, every_row=norm != "end")
     outcome, reasons = np.full(len(runs), OUTCOMES.index("not_run")), {}
     errors = np.full(len(runs), np.nan)
-    meter = _ErrorMeter(runs, end, group, norm)
-    for block in batch.blocks(budget=budget, begun=begun):
-        errors[block.members], failed = meter.errors(block)
+    own = group.strip("|")
+    exact_of = _exact_values(end, own)
+    for block in batch.blocks(begun=begun):
         for k, member in enumerate(block.members):
-            name, reason = block.status[k], block.message[k]
-            if name == "ok" and k in failed:
-                name, reason = "no_reference", failed[k]
-            elif name == "ok" and not errors[member] <= threshold:
-                name = "inaccurate"
-                reason = f"The error of {group} ({norm}) is above {threshold:g}."
+            name, reason, t = block.status[k], block.message[k], block.t[k, : block.rows[k]]
+            if name == "ok":
+                exact, sizes, reason = exact_of(runs[member].scene, t.tobytes())
+                if reason:
+                    name = "no_reference"
+                else:
+                    difference = block.values[own][k, : len(t)] - exact
+                    measure = component_errors if group == own else whole_error
+                    errors[member] = measure(difference, t, sizes, norm).max()
+                    if not errors[member] <= threshold:
+                        name = "inaccurate"
+                        reason = f"The error of {group} ({norm}) is above {threshold:g}."
             elif name not in OUTCOMES:
                 name = "not_run"
             outcome[member] = OUTCOMES.index(name)
@@ -155,43 +158,17 @@ def outcome_map(
     }
 
 
-class _ErrorMeter:
-    """Measures errors of blocks; evaluates the reference once for every scene and set of times."""
+def _exact_values(t_end: float, group: str) -> Callable[[MechatronicSystem, bytes], tuple]:
+    """A function of a scene and times: exact values of a group, and their scales; or, as the third,
+    the reason why there are none. It keeps what it has found."""
+    reference_of = cache(lambda scene: Reference(scene, t_end))
 
-    def __init__(self, runs: list[BatchRun], t_end: float, group: str, norm: str) -> None:
-        self._runs, self._t_end, self._group, self._norm = runs, t_end, group, norm
-        self._references: dict[MechatronicSystem, Reference] = {}
-        self._exact: dict[tuple[MechatronicSystem, bytes], tuple[np.ndarray, Scales] | str] = {}
+    @cache
+    def values(scene: MechatronicSystem, times: bytes) -> tuple:
+        try:
+            reference = reference_of(scene)
+            return reference(np.frombuffer(times))[group], scales(reference, group), ""
+        except Exception as error:  # the scene may be a plugin, which may do anything
+            return None, None, f"The reference failed: {said(error)}"
 
-    def errors(self, block: Block) -> tuple[np.ndarray, dict[int, str]]:
-        """Return relative errors ``(k,)`` of the members of a block, NaN for those that are not
-        ok; and the reasons by place for those that have no reference."""
-        found, failed = np.full(len(block.members), np.nan), {}
-        together: dict[tuple[MechatronicSystem, bytes], list[int]] = {}
-        for k in (k for k, status in enumerate(block.status) if status == "ok"):
-            times = block.t[k, : block.rows[k]].tobytes()
-            together.setdefault((self._runs[block.members[k]].scene, times), []).append(k)
-        for (scene, times), places in together.items():
-            t = np.frombuffer(times)
-            known = self._at(scene, t)
-            if isinstance(known, str):
-                failed |= dict.fromkeys(places, known)
-                continue
-            exact, sizes = known
-            difference = block.values[self._group.strip("|")][places, : len(t)] - exact
-            if self._group.startswith("|"):
-                found[places] = whole_error(difference, t, sizes, self._norm)
-            else:
-                found[places] = component_errors(difference, t, sizes, self._norm).max(axis=-1)
-        return found, failed
-
-    def _at(self, scene: MechatronicSystem, t: np.ndarray) -> tuple[np.ndarray, Scales] | str:
-        key = scene, t.tobytes()
-        if key not in self._exact:
-            reference = self._references.setdefault(scene, Reference(scene, self._t_end))
-            try:
-                group = self._group.strip("|")
-                self._exact[key] = reference(t)[group], scales(reference, group)
-            except Exception as error:  # the scene may be a plugin, which may do anything
-                self._exact[key] = f"The reference failed: {said(error)}"
-        return self._exact[key]
+    return values

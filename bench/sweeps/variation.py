@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from bench.running.worker import Worker
 from bench.sweeps.batch import BatchRun, refuse
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances, check_end
-from problems.base.runtime import Float, check_runtime, jax, jnp
+from problems.base.runtime import Float
 from problems.base.spec import SpecError, build, numbers_of, options_of, split_spec, suggest
 from problems.system import MechatronicSystem
 
@@ -54,13 +55,16 @@ class Range:
         wide = self.low > 0 and self.high >= _LOGARITHMIC * self.low
         return wide or (self.quantity.owner in _TIME and self.low > 0)
 
+    def at(self, part: Float[np.ndarray, " count"]) -> Float[np.ndarray, " count"]:
+        """Return the values at parts of the way, from 0 to 1."""
+        if not self.logarithmic:
+            return np.clip(self.low + (self.high - self.low) * part, self.low, self.high)
+        low, high = math.log(self.low), math.log(self.high)
+        return np.clip(np.exp(low + (high - low) * part), self.low, self.high)
+
     def even(self, count: int) -> Float[np.ndarray, " count"]:
         """Return values at even distances, both ends included."""
-        if self.logarithmic:
-            values = np.geomspace(self.low, self.high, count)
-            values[[0, -1]] = self.low, self.high
-            return values
-        return np.linspace(self.low, self.high, count)
+        return self.at(np.linspace(0.0, 1.0, count))
 
     def draw(self, seed: int, place: int, first: int, count: int) -> Float[np.ndarray, " count"]:
         """Return values of a uniform random draw for ``count`` members from the ``first`` on.
@@ -69,11 +73,7 @@ class Range:
         among those that vary.
         """
         key = np.random.SeedSequence(seed, spawn_key=(place,)).generate_state(2, np.uint64)
-        part = np.random.Generator(np.random.Philox(key=key)).random(first + count)[first:]
-        if not self.logarithmic:
-            return self.low + (self.high - self.low) * part
-        low, high = math.log(self.low), math.log(self.high)
-        return np.clip(np.exp(low + (high - low) * part), self.low, self.high)
+        return self.at(np.random.Generator(np.random.Philox(key=key)).random(first + count)[first:])
 
 
 def find_quantity(name: str, scene: MechatronicSystem, method: Integrator) -> Quantity:
@@ -153,20 +153,15 @@ def runs_with(
     SpecError
         If a value is not allowed.
     """
-    made: dict[tuple, Any] = {}
     base = {"scene": scene, "integrator": method, method.controls: resolution}
-
-    def part(owner: str, settings: tuple[tuple[str, float], ...]) -> Any:
-        if (owner, settings) not in made:
-            made[owner, settings] = _with(base[owner], settings)
-        return made[owner, settings]
-
+    part = cache(lambda owner, settings: _with(base[owner], settings))
+    rows = zip(*(np.asarray(v, dtype=float).tolist() for v in values.values()), strict=True)
     runs = []
-    for row in zip(*(np.asarray(v, dtype=float).tolist() for v in values.values()), strict=True):
-        settings: dict[str, list[tuple[str, float]]] = {owner: [] for owner in base}
+    for row in rows:
+        own: dict[str, tuple[tuple[str, float], ...]] = dict.fromkeys(base, ())
         for of, value in zip(values, row, strict=True):
-            settings[of.owner].append((of.field, value))
-        runs.append(BatchRun(*(part(owner, tuple(settings[owner])) for owner in base)))
+            own[of.owner] += ((of.field, value),)
+        runs.append(BatchRun(*(part(owner, settings) for owner, settings in own.items())))
     return runs
 
 
@@ -197,6 +192,7 @@ def read_ranges(items: Sequence[str], option: str) -> dict[str, tuple[float, flo
 
 
 def _with(base: Any, settings: tuple[tuple[str, float], ...]) -> Any:
+    """A scene, an integrator, steps or tolerances with these numbers."""
     if not settings:
         return base
     if isinstance(base, Steps):
@@ -232,48 +228,18 @@ def _default_range(
     return max(low, ends[0]), min(high, ends[1])
 
 
-def unvaried_resolution(
-    scene: MechatronicSystem,
-    method: Integrator,
-    given: dict[str, Any],
-    t_end: float | None,
-    ranges: Iterable[Range],
-) -> Steps | Tolerances:
-    """Return the step, pattern or tolerances that are the same in all runs of a sweep.
-
-    ``given`` holds the values of --step, --pattern, --rtol and --atol; ``ranges`` vary.
-
-    Raises
-    ------
-    SpecError
-        If an option is given whose quantity varies, or a step in the ranges does not fit.
-    """
-    end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
-    for varied in ranges:
-        _, owner, field = varied.quantity
-        option = {"step": "step", "tolerance": field}.get(owner, "")
-        if given.get(option) is not None:
-            raise SpecError(f"The {owner} varies itself; leave --{option} out.")
-        if owner == "step":
-            for h in (varied.low, varied.high):
-                Steps(h).count(scene.interval[0], end)  # refuses a step that does not fit
-    return resolution_of(scene, method, **given)
-
-
 @dataclass(frozen=True, eq=False)  # tasks have a hash, and so must what is in them
 class SweepRequest:
     """The runs of a sweep as far as they are all alike.
 
     Names are printed names; ``given`` are the values of --step, --pattern, --rtol and --atol, None
-    where not given; ``t_end`` is in s, the scene's own if None; no further runs are begun after
-    ``budget`` seconds.
+    where not given; ``t_end`` is in s, the scene's own if None.
     """
 
     problem: str
     integrator: str
     given: dict[str, Any]
     t_end: float | None
-    budget: float
 
     def prepared(
         self, worker: Worker, spans: Mapping[str, tuple[float, float] | None]
@@ -285,18 +251,21 @@ class SweepRequest:
         Raises
         ------
         SpecError
-            If they cannot be run side by side, or JAX does not compute with 64 bits.
+            If they cannot be run side by side, an option is given whose quantity varies, or a step
+            in the ranges does not fit.
         """
-        try:
-            jax.default_backend()
-        except Exception:  # of whatever kind: JAX has none for a platform that is missing
-            raise SpecError(check_runtime() or "JAX does not start.") from None
         scene = worker.registry.problem(self.problem)
         method = worker.registry.integrator(self.integrator)
-        if jnp.zeros(1).dtype.itemsize != 8:  # a plugin may have changed it
-            raise SpecError("JAX computes with 32-bit floats; unset JAX_ENABLE_X64.")
         refuse(method, scene)
         worker.notify(PREPARING, "tracing and compiling")
         ranges = {name: find_range(name, scene, method, ends) for name, ends in spans.items()}
-        fixed = unvaried_resolution(scene, method, self.given, self.t_end, ranges.values())
-        return scene, method, ranges, fixed
+        start, own_end = scene.interval
+        end = check_end(start, own_end if self.t_end is None else self.t_end)
+        for of in ranges.values():
+            _, owner, field = of.quantity
+            option = {"step": "step", "tolerance": field}.get(owner, "")
+            if self.given.get(option) is not None:
+                raise SpecError(f"The {owner} varies itself; leave --{option} out.")
+            for h in (of.low, of.high) if owner == "step" else ():
+                Steps(h).count(start, end)  # refuses a step that does not fit
+        return scene, method, ranges, resolution_of(scene, method, **self.given)
