@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.commands.options import BUDGET_S, RESULTS, usable_registry
-from bench.commands.orders import order_records
+from bench.commands.orders import suite_of_orders
 from bench.commands.suite import run_suite, write_reports
 from bench.results.flat_rows import flatten
 from bench.results.orders import order_summary
@@ -62,20 +62,16 @@ class Solution:
     seconds: float | None
     _rows: Rows = field(repr=False)
 
-    @property
-    def title(self) -> str:
-        """The integrator, the scene, the resolution, and how the run ended."""
-        return f"{self.integrator} on {self.problem}, {self.resolution}: {self.status}"
-
     def __repr__(self) -> str:
-        return f"<{self.title}; {len(self.t)} rows>"
+        about = f"{self.integrator} on {self.problem}, {self.resolution}: {self.status}"
+        return f"<{about}; {len(self.t)} rows>"
 
     def _repr_svg_(self) -> str | None:
         from reports.figures import solution_chart
 
-        return (
-            solution_chart(self.integrator, self._rows, self.components) if self._rows.t else None
-        )
+        if not self._rows.t:
+            return None
+        return solution_chart(self.integrator, self._rows, self.components)
 
 
 @dataclass(frozen=True)
@@ -120,16 +116,12 @@ class Results:
 
     ``runs`` has a row per run: names, resolution, status, ``error_a_max`` ..., ``work_residuals``
     ..., ``operations``, ``run_s_median``; pattern, ``run_s`` and the errors of components are
-    lists. ``samples`` has a row per timing sample: the key of the run, the number of the round, and
-    seconds. ``scenes`` has sizes, parameters (a dictionary), the reference and its own error;
-    ``environments`` the date, command, machine and versions of each invocation that measured.
+    lists. ``scenes`` has sizes, parameters (a dictionary), the reference and its own error.
     """
 
     folder: Path
     runs: pd.DataFrame
-    samples: pd.DataFrame
     scenes: pd.DataFrame
-    environments: pd.DataFrame
     _state: str = field(repr=False)
 
     def __repr__(self) -> str:
@@ -152,29 +144,12 @@ def solve(
 ) -> Solution:
     """Run one integrator on one scene, as ``stepbench solve`` does.
 
-    Parameters
-    ----------
-    problem, integrator
-        Names, with options in brackets: ``"generalized_alpha[rho_inf=0.8]"``.
-    step, pattern
-        Step size in s of a method with fixed steps, and fractions of it that take turns.
-    rtol, atol
-        Tolerances of a method that chooses its steps.
-    t_end
-        End time in s; the scene's own if None.
-    parameters
-        Parameters of the scene.
-    plugins
-        Python files, or folders of them, with more scenes or integrators.
-    samples
-        How often the run is timed.
-    budget
-        Processor time in s after which the run is stopped.
-
-    Returns
-    -------
-    Solution
-        Values, errors and work. A run that fails is one with a ``status`` and a ``message``.
+    Names may have options in brackets: ``"generalized_alpha[rho_inf=0.8]"``. A method with constant
+    steps takes ``step`` in s, perhaps a ``pattern`` of fractions of it that take turns; one that
+    chooses its steps takes tolerances. ``t_end`` is in s, the scene's own if None. ``plugins`` are
+    Python files, or folders of them, with more scenes or integrators. The run is timed so many
+    times as there are ``samples``, and stopped after ``budget`` seconds of processor time. One that
+    fails is a solution with a status and a message.
 
     Raises
     ------
@@ -220,7 +195,7 @@ def order(
     plugins: Sequence[str | Path] = (),
     budget: float = BUDGET_S,
 ) -> Orders:
-    """Fit the order of convergence of a fixed-step integrator, as ``stepbench order`` does.
+    """Fit the order of convergence of an integrator at constant steps, in every norm.
 
     ``steps`` are step sizes in s, three at least; halvings of the scene's nominal step if None. All
     else, and what is raised, is as in `solve`.
@@ -231,10 +206,14 @@ def order(
     >>> round(found.orders["q"]["settled"])
     2
     """
+    from bench.running.session import solve_cells
+
     _check(budget=budget)
-    registry, sizes = usable_registry(plugins), {"steps": steps, "pattern": pattern, "t_end": t_end}
+    registry = usable_registry(plugins)
     scene = registry.problem(problem, **(parameters or {}))
-    records = order_records(registry, scene, integrator, budget, OnStandardError(), **sizes)
+    suite = suite_of_orders(registry, scene, [integrator], budget, steps, pattern, t_end)
+    cells = [*suite.cells.values()]
+    records = [r for r, _ in solve_cells(cells, registry, budget, progress=OnStandardError())]
     return Orders(**order_summary(records), _records=records)
 
 
@@ -255,12 +234,8 @@ def run(
     What the folder ``out`` holds already is not measured again, unless ``fresh``. Lists restrict
     the suite (a built-in one, or a TOML file) to scenes and integrators, or add some; ``mine`` is
     run beside the others, and highlighted. ``jobs`` is the number of worker processes; after
-    ``budget`` seconds of processor time (the suite's if None) a run is stopped.
-
-    Raises
-    ------
-    problems.base.spec.SpecError
-        If a name, an option or a number is not known or not allowed.
+    ``budget`` seconds of processor time (the suite's if None) a run is stopped. What is raised is
+    as in `solve`.
 
     Examples
     --------
@@ -295,11 +270,6 @@ def load(folder: str | Path = RESULTS) -> Results:
     with Store(Path(folder)) as store:
         records, machines = list(store.records().values()), store.environments()
         scenes = store.scenes()
-    samples = [
-        {"key": r.key, "problem": r.problem, "integrator": r.integrator, "number": k, "seconds": s}
-        for r in records
-        for (_, k), s in zip(r.rounds, r.run_s, strict=True)
-    ]
     names = "problem", "title", "t0", "t_end", "tags", "components"
     names += "reference_method", "reference_error"
     own = [
@@ -307,29 +277,20 @@ def load(folder: str | Path = RESULTS) -> Results:
         | {**s.sizes, "parameters": {p["name"]: p["value"] for p in s.parameters}}
         for s in scenes.values()
     ]
-    facts = "name", "date", "command", "cpu", "cores", "memory_gib", "platform"
-    environments = [
-        {name: getattr(e, name) for name in facts}
-        | {f"version_{name}": version for name, version in e.versions.items()}
-        for e in machines.values()
-    ]
     runs = [flatten(record, machines) for record in records]
     state = f"{len(records)} runs: {endings(records)}"
-    return Results(Path(folder), *map(frame, (runs, samples, own, environments)), _state=state)
+    return Results(Path(folder), frame(runs), frame(own), state)
 
 
 # ---- parts -------------------------------------------------------------------------------
 def _check(budget: float | None, samples: int = 0, jobs: int = 1) -> None:
     """Refuse numbers that the command line refuses."""
-    fault = ""
     if budget is not None and not 0 < budget <= LARGEST_BUDGET:
-        fault = f"The budget is {budget}; give a time in s above 0, at most {LARGEST_BUDGET:g}."
-    if samples < 0:
-        fault = f"A run cannot be timed {samples} times; give 0 or more samples."
-    if jobs < 1:
-        fault = f"The number of worker processes is {jobs}; give 1 or more jobs."
-    if fault:
-        raise SpecError(fault)
+        raise SpecError(
+            f"The budget is {budget}; give a time in s above 0, at most {LARGEST_BUDGET:g}."
+        )
+    if samples < 0 or jobs < 1:
+        raise SpecError(f"{samples} samples by {jobs} jobs are not allowed; give 0 and 1 at least.")
 
 
 def _array(rows: Rows, group: str) -> np.ndarray:

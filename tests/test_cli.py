@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 from small_stores import a_record
 
+from bench import order
 from bench.commands import results
 from bench.commands.main import main
 from bench.commands.single_runs import _end_values
+from bench.results.orders import EXACT
 from bench.results.records import Rows
 from bench.results.store import Store
 from bench.running.inventory import Inventory
@@ -63,42 +65,32 @@ def test_programs_of_which_no_times_are_taken_are_compiled_quickly(stepbench, mo
     for step in ("1e-3", "5e-7"):
         line = "solve", "pendulum", "generalized_alpha", "--t-end", "0.45", "--step", step
         assert stepbench(*line).exit_code == 0
-    line = "order", "pendulum", "generalized_alpha", "--steps", "0.01,0.005,0.0025"
-    assert stepbench(*line).exit_code == 0
+    order("pendulum", "generalized_alpha", [0.01, 0.005, 0.0025])
     # solve plans by a run of its own, which compiles quickly; a long run has another process.
     assert drafts == [True, True, True, False, True]
 
 
 @pytest.mark.usefixtures("without_processes")
-def test_order_gives_orders_windows_and_errors(stepbench):
-    steps = "0.01,0.005,0.0025,0.00125"
-    method = "generalized_alpha[rho_inf=0.5]"
-    answer = json.loads(stepbench("order", "pendulum", method, "--steps", steps, "--json").stdout)
+def test_an_order_has_a_window_errors_and_a_verdict():
+    steps = [0.01, 0.005, 0.0025, 0.00125]
+    found = order("pendulum", "generalized_alpha[rho_inf=0.5]", steps)
     for group in ("q", "v", "a", "lam"):
-        assert answer["orders"][group]["settled"] == pytest.approx(2.0, abs=0.06)
-        assert answer["window"][group]["settled"] == pytest.approx([0.01, 0.00125])
-        assert len(answer["errors"][group]["settled"]) == 4
-    assert answer["orders"]["lam"]["max"] == pytest.approx(1.0, abs=0.1)
+        assert found.orders[group]["settled"] == pytest.approx(2.0, abs=0.06)
+        assert found.window[group]["settled"] == pytest.approx([0.01, 0.00125])
+        assert len(found.errors[group]["settled"]) == 4
+    assert found.orders["lam"]["max"] == pytest.approx(1.0, abs=0.1)
+    exact = order("bouncing_ball", "newmark", [0.1, 0.05, 0.025])
+    assert exact.verdict["q"]["settled"] == EXACT
+    lost = order("pendulum", "generalized_alpha[rho_inf=1]", [0.02, 0.01, 0.005])
+    assert lost.verdict["lam"]["max"] == "does not converge"
+    assert lost.orders["q"]["max"] == pytest.approx(2.0, abs=0.05)
 
 
-@pytest.mark.long
-def test_an_order_that_is_not_there_is_null(stepbench):
-    method = "generalized_alpha[rho_inf=1]"
-    line = "order", "pendulum", method, "--steps", "0.02,0.01,0.005", "--json"
-    answer = json.loads(stepbench(*line).stdout)
-    assert answer["verdict"]["lam"]["max"] == "does not converge"
-    assert answer["orders"]["q"]["max"] == pytest.approx(2.0, abs=0.05)
-
-
-@pytest.mark.long
-def test_tables_for_people_show_the_same(stepbench):
-    for line, words in (
-        ("solve pendulum newmark --step 0.01 --set th0=1.0", "constraint residual"),
-        ("order spring_mass hht --t-end 2", "Fitted orders"),
-    ):
-        shown = stepbench(*line.split())
-        assert shown.exit_code == 0, shown.output
-        assert words in shown.output
+@pytest.mark.usefixtures("without_processes")
+def test_a_table_for_people_has_residuals_of_constraints(stepbench):
+    shown = stepbench("solve", "pendulum", "newmark", "--step", "0.01", "--set", "th0=1.0")
+    assert shown.exit_code == 0, shown.output
+    assert "constraint residual" in shown.output
 
 
 def test_an_output_folder_that_cannot_be_made_is_refused(refused, tmp_path):

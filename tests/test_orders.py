@@ -162,15 +162,3 @@ def test_lost_orders_are_listed_beside_the_claims_with_what_explains_them():
 
 def test_the_experiments_that_explain_losses_exist():
     assert {PATTERN, STIFF, TRANSIENT, UNDAMPED, IGNORED, OVER} <= {*built_in_experiments()}
-
-
-@pytest.mark.usefixtures("without_processes")
-def test_a_method_that_is_exact_has_no_order_and_is_told_to_be_exact(stepbench):
-    said = stepbench("order", "bouncing_ball", "newmark", "--steps", "0.1,0.05,0.025")
-    assert said.exit_code == 0, said.output
-    assert "Exact: at every step the error is round-off" in said.stdout
-    rows = [line.split() for line in said.stdout.splitlines() if " settled " in line]
-    assert rows[1:]
-    assert all("exact" in row for row in rows[-3:])
-    worse = stepbench("order", "pendulum", "newmark", "--steps", "0.1,0.02", "--t-end", "0.4")
-    assert "Exact" not in worse.output

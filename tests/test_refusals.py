@@ -42,7 +42,7 @@ of the form NAME:LOW                       | solve spring_mass newmark --ensembl
 lies outside                               | solve spring_mass newmark --ensemble 3 --vary m:-1..1
 larger than                                | solve spring_mass newmark --ensemble 3 --vary h:0.1..30
 leave --step out     | solve spring_mass newmark --ensemble 3 --vary h:0.1..0.2 --step 0.1
-ends in .csv or .parquet        | solve spring_mass newmark --ensemble 3 --vary k:1..2 -o x.txt
+give a name that ends in .csv   | solve spring_mass newmark --ensemble 3 --vary k:1..2 -o x.txt
 cannot run many members in one program     | solve spring_mass ida --ensemble 3 --vary k:1..2
 take kvaerno5[steps=constant               | solve spring_mass kvaerno5 --ensemble 3 --vary k:1..2
 takes fixed steps            | solve spring_mass newmark --ensemble 3 --vary k:1..2 --rtol 1e-3
@@ -68,12 +68,7 @@ rtol=-1 is not   | map pendulum generalized_alpha_adaptive --over rtol,th0 --ran
 
 at least three                             | order pendulum newmark --steps 0.1,0.05
 chooses its own steps                      | order pendulum ida
-No integrator is named for pendulum        | order pendulum
---jobs is for a table; name several        | order pendulum newmark --jobs 3
---json is for one integrator               | order pendulum newmark bdf2 --json
-at least three step sizes                  | order pendulum newmark bdf2 --steps 0.1,0.05
---t-end belongs to one scene; a suite has  | order orders newmark --t-end 2
---set belongs to one scene; a suite has    | order orders newmark --set m=1
+Missing argument 'INTEGRATOR...'           | order pendulum
 chooses its own steps, over which no order | order pendulum newmark ida
 
 did you mean 'quick'                       | run quik

@@ -10,7 +10,7 @@ from planted import plant, planted
 
 from bench.commands.suite import Outcome
 from bench.results.folders import merge
-from bench.results.records import Plan, Rows, endings
+from bench.results.records import Plan, endings
 from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
@@ -41,21 +41,14 @@ def test_runs_that_are_not_supported_are_no_failures(tmp_path):
     assert said == {"good": "1 ok", "shy": "refused: Because.", "wild": "2 diverged"}
 
 
-@pytest.mark.parametrize("norm", [[], ["--json"]])
-def test_an_order_of_unsupported_runs_alone_is_one_sentence(stepbench, monkeypatch, norm):
-    runs = [(ended("unsupported", h), Rows(t=[])) for h in (0.1, 0.05, 0.025)]
-    monkeypatch.setattr("bench.running.session.solve_cells", lambda *a, **k: runs)
-    result = stepbench("order", "pendulum", "newmark", *norm)
-    assert result.exit_code == 1
-    assert result.stderr == f"Error: {runs[0][0].integrator} does not take pendulum: Because.\n"
-    if norm:
-        assert json.loads(result.stdout)["status"] == ["unsupported"] * 3
-    else:
-        assert result.stdout == ""
-    runs[0] = ended("diverged"), runs[0][1]
-    failed = stepbench("order", "pendulum", "newmark", *norm)
-    assert "No run succeeded" in failed.stderr
-    assert bool(failed.stdout) == bool(norm)  # no empty table
+def test_an_order_of_unsupported_runs_alone_is_one_sentence(refused, monkeypatch, tmp_path):
+    def run_suite(suite, registry, out, *more):
+        Store(out, create=True).close()
+        return Outcome([ended("unsupported", h) for h in (0.1, 0.05, 0.025)], 3, [], ())
+
+    monkeypatch.setattr("bench.commands.orders.run_suite", run_suite)
+    said = refused("order", "pendulum", "newmark", "--out", tmp_path)
+    assert said == "Error: No order was measured. All end with unsupported: Because."
 
 
 def test_a_part_of_a_suite_is_titled_by_what_was_run(tmp_path):

@@ -34,10 +34,6 @@ SPREAD = 0.15
 NO_CONVERGENCE = 0.3
 #: The verdict on a method without an error that could fall, and the largest error that is none.
 EXACT, _ROUND_OFF = "exact", 1e-12
-EXACT_NOTE = (
-    "Exact: at every step the error is round-off, or within a hundred times the reference's own, "
-    "so that no order can be fitted."
-)
 
 
 class Fit(msgspec.Struct, frozen=True):
