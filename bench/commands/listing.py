@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,9 @@ from bench.running.inventory import Inventory, SceneFacts
 from bench.running.profiles import built_in_profiles, read_profile, suite_titles
 from problems.base.spec import SpecError, split_spec, suggest
 
-#: What there is, by the word for one of it.
+#: What there is, by the word for one of it, and the words for all.
 WORDS = {"problems": "scene", "integrators": "integrator", "suites": "suite"}
-#: Words that stand for all of a kind.
-_ALL_OF = {kind: [kind] for kind in WORDS} | {"scenes": ["problems"], "all": [*WORDS]}
+_ALL_OF = {"scenes": "problems", "integrators": "integrators", "suites": "suites"}
 #: Names are padded to the longest one, but not to more characters.
 _LONGEST_NAME = 40
 
@@ -55,40 +54,44 @@ def list_(o: Given) -> None:
     """
     registry = options.usable_registry(o.plugins) if o.draw else Inventory(o.plugins)
     every = {kind: getattr(registry, kind, built_in_profiles()) for kind in WORDS}
-    whole, named = _chosen(o.names or (("scenes",) if o.draw else ("all",)), every)
+    words = [*_ALL_OF, *(name for own in every.values() for name in own)]
+    for text in o.names:
+        if text not in words:
+            raise SpecError(f"There is no {text!r} to list; {suggest(text, words)}.")
+    whole = [kind for word, kind in _ALL_OF.items() if not o.names or word in o.names]
+    names = {kind: [n for n in dict.fromkeys(o.names) if n in every[kind]] for kind in WORDS}
     if o.settings:
-        if whole or not named["problems"]:
+        if whole or not names["problems"]:
             raise SpecError("--set belongs to scenes: name one.")
-        every["problems"] = {
-            name: _at(plugin, registry.problem(name, **o.settings).spec)
-            for name, plugin in every["problems"].items()
-            if name in named["problems"]
-        }
+        for name in names["problems"]:
+            spec = registry.problem(name, **o.settings).spec
+            of = replace(every["problems"][name], name=spec, values=split_spec(spec)[1])
+            every["problems"] = {**every["problems"], name: of}
     if o.draw:
-        if o.as_json or any(k != "problems" for k in (*whole, *filter(named.get, named))):
+        if o.as_json or not {*o.names} <= {"scenes", *every["problems"]}:
             raise SpecError(
                 "--draw writes pages of scenes alone; name scenes, and leave out --json."
             )
         usable = [name for name, plugin in registry.problems.items() if not plugin.reason]
-        scenes = usable if whole else named["problems"]
-        _draw([registry.problem(name, **o.settings) for name in scenes], o.out)
+        drawn = names["problems"] or usable
+        _draw([registry.problem(name, **o.settings) for name in drawn], o.out)
         return
     options.refuse("goes with --draw.", "out")
     if o.as_json:
-        told = {kind: every[kind] if kind in whole else named[kind] for kind in WORDS}
+        shown = {kind: every[kind] if kind in whole else names[kind] for kind in WORDS}
         options.print_json(
-            {k: [_row(k, n, every[k]) for n in own] for k, own in told.items() if own}
+            {kind: [_row(kind, n, every[kind]) for n in own] for kind, own in shown.items() if own}
         )
         return
     from bench.commands.terminal import show
 
     for kind in whole:
-        plugins_of = getattr(registry, kind, {}).values()
-        lines = {p.name: _reason(p) or p.summary for p in plugins_of} or suite_titles()
+        plugins = getattr(registry, kind, {}).values()
+        lines = {p.name: _reason(p) or p.summary for p in plugins} or suite_titles()
         _show_lines("scenes" if kind == "problems" else kind, lines)
     if whole:
         show("Options and documentation of one: stepbench list NAME")
-    for kind, own in named.items():
+    for kind, own in names.items():
         for name in own:
             show(*(_suite(name) if kind == "suites" else _plugin(kind, every[kind][name])))
 
@@ -106,34 +109,14 @@ def _draw(scenes: list[SceneFacts], out: Path) -> None:
     click.echo(f"Catalogue: {write_catalogue(records, out)}")
 
 
-def _chosen(
-    names: Iterable[str], every: Mapping[str, Collection[str]]
-) -> tuple[list[str], dict[str, list[str]]]:
-    """The kinds that are listed whole, and single names by kind."""
-    names = dict.fromkeys(names)
-    words = [*_ALL_OF, *(name for known in every.values() for name in known)]
-    for text in names:
-        if text not in words:
-            raise SpecError(f"There is no {text!r} to list; {suggest(text, words)}.")
-    whole = dict.fromkeys(kind for text in names for kind in _ALL_OF.get(text, ()))
-    return [*whole], {
-        kind: [text for text in names if text in known] for kind, known in every.items()
-    }
-
-
-def _at(plugin: Plugin, spec: str) -> Plugin:
-    """A scene with its values in the place of defaults, by its printed name."""
-    return replace(plugin, name=spec, values=split_spec(spec)[1])
-
-
 def _row(kind: str, name: str, known: Mapping[str, Plugin]) -> dict[str, Any]:
     """A scene, an integrator or a suite for JSON."""
     if kind == "suites":
         suite = msgspec.to_builtins(read_profile(name)[1])
         return {"name": name, "available": True, "reason": ""} | suite
     plugin = known[name]
-    told = ("name", "summary", "description", "origin", "reason", "options")
-    return {key: getattr(plugin, key) for key in told} | {"available": not plugin.reason}
+    facts = ("name", "summary", "description", "origin", "reason", "options")
+    return {key: getattr(plugin, key) for key in facts} | {"available": not plugin.reason}
 
 
 def _show_lines(title: str, lines: Mapping[str, str]) -> None:
@@ -153,10 +136,13 @@ def _plugin(kind: str, plugin: Plugin) -> list[Table | str]:
     first = f"{WORDS[kind]} {plugin.name} ({plugin.origin})"
     parts: list[Table | str] = [first, _reason(plugin) or plugin.summary]
     parts += [f"\n{text}" for text in plugin.description]
-    rows = [
-        [o["name"], _text(o["default"]), _allowed(o), f"{o['doc']}{_unit(o.get('unit', ''))}"]
-        for o in plugin.options
-    ]
+    rows = []
+    for o in plugin.options:
+        ends = (("from", o.get("low")), ("to", o.get("high")))
+        reach = " ".join(f"{word} {_text(end)}" for word, end in ends if end is not None)
+        allowed = ", ".join(filter(None, [*map(str, o.get("choices", ())), reach]))
+        unit = f" in {o['unit']}" if o.get("unit", "-") not in ("", "-") else ""
+        rows.append([o["name"], _text(o["default"]), allowed, f"{o['doc']}{unit}"])
     if rows:
         word = "parameter" if kind == "problems" else "option"
         head = [word, "value" if "[" in plugin.name else "default", "allowed", "meaning"]
@@ -168,19 +154,8 @@ def _reason(plugin: Plugin) -> str:
     return f"unavailable: {plugin.reason}" if plugin.reason else ""
 
 
-def _unit(unit: str) -> str:
-    return f" in {unit}" if unit not in ("", "-") else ""
-
-
 def _text(value: Any) -> str:
     return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _allowed(option: Mapping[str, Any]) -> str:
-    """The choices of an option and the range of its numbers."""
-    ends = (("from", option.get("low")), ("to", option.get("high")))
-    reach = " ".join(f"{word} {_text(end)}" for word, end in ends if end is not None)
-    return ", ".join([*map(str, option.get("choices", ())), *([reach] if reach else [])])
 
 
 def _suite(name: str) -> list[Table | str]:

@@ -22,7 +22,7 @@ from problems.base.text import clean
 
 #: Arguments for which a command would run. {store} is a folder of results, {odd} of odd things.
 RIGHT = {
-    "list": "all", "check": "pendulum", "new": "integrator mine", "show": "pendulum",
+    "list": "scenes", "check": "pendulum", "new": "integrator mine", "show": "pendulum",
     "solve": "pendulum newmark", "order": "pendulum newmark", "run": "quick", "report": "{store}",
     "compare": "{store} {store}", "merge": "{store}", "versus": "newmark ida {store}",
     "stability": "newmark", "drift": "pendulum newmark", "atlas": "undamped_index3",
@@ -42,7 +42,7 @@ MEMBERS = {"ensemble": "--ensemble 2", "vary": "--vary th0:1..2"}
 NEEDED = {
     "map": {"over": "--over h,rho_inf"},
     "merge": {"out": "--out all"},
-    "realtime": {"rate": "--rate 1kHz"},
+    "realtime": {"rate": "--rate 1000"},
     **{
         f"report {option}": {"scene": "--scene pendulum", "kind": f"--figure {kind}"}
         for option, kind in FIGURES.items()
