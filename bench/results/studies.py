@@ -17,7 +17,6 @@ from problems.variables import INVARIANTS
 DRIFTS = {block: (block, "1") for block in INVARIANTS} | {
     "position": ("position residual", "Φ"),
     "velocity": ("velocity residual", "Φ/s"),
-    "phase": ("phase", "s"),
 }
 #: Smaller values are no drift: round-off and what Newton's method leaves, in the quantity's unit.
 NO_DRIFT = 1e-10
@@ -32,10 +31,10 @@ RULE = (
     f"band of each other. Else neither."
 )
 _NOTE = (
-    "Largest: the value furthest from zero; above it energy is gained and a run is ahead of the "
-    "closed form, below it energy is lost and a run is behind. Per s: slope of a straight line "
-    "through all rows. Line: part of the variance that it explains. Halves: distance between the "
-    "bands of both halves, as a part of the whole band. Φ: the unit of the constraints. " + RULE
+    "Largest: the value furthest from zero; above it energy is gained, below it lost. Per s: slope "
+    "of a straight line through all rows. Line: part of the variance that it explains. Halves: "
+    "distance between the bands of both halves, as a part of the whole band. Φ: the unit of the "
+    "constraints. " + RULE
 )
 
 

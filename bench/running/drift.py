@@ -23,8 +23,6 @@ from problems.truth.reference import Reference
 
 #: Parts of a run of which a chart shows least and largest values.
 _PARTS = 200
-#: Iterations that find the phase at a row from that at the row before.
-_PHASE_ITERATIONS = 2
 
 
 def drift_job(
@@ -103,32 +101,7 @@ def drifts_of(
     scene: MechatronicSystem, run: Trajectory, reference: Reference | None = None
 ) -> dict[str, Float[np.ndarray, " k"]]:
     """Measure in each of the k rows of a run what a scene can tell of: `measure.invariant_changes`;
-    "position" and "velocity", the largest residuals of the constraints and of their rates; "phase",
-    the time in s by which it is ahead of the closed form of a motion that conserves energy."""
+    "position" and "velocity", the largest residuals of the constraints and of their rates."""
     violations = measure.violations(scene, run)
     violations.pop("acceleration", None)
-    drifts = measure.invariant_changes(scene, run, reference) | violations
-    if scene.has("energy") and scene.has_closed_form:
-        drifts["phase"] = phase(scene, run)
-    return drifts
-
-
-def phase(scene: MechatronicSystem, run: Trajectory) -> Float[np.ndarray, " k"]:
-    """Measure the time in s by which each of the k rows is ahead of the closed form.
-
-    It is the shift s of time at which the closed form at t + s is nearest to q and v, each
-    relative to its size, followed from row to row.
-    """
-    exact = scene.exact(run.t)
-    sizes = {name: np.abs(exact[name]).max() or 1.0 for name in ("q", "v")}
-    shift, change, shifts = 0.0, 0.0, []
-    for t, q, v in zip(run.t, run.q, run.v, strict=True):
-        before, shift = shift, shift + change
-        for _ in range(_PHASE_ITERATIONS):
-            there = {name: rows[0] for name, rows in scene.exact(np.array([t + shift])).items()}
-            off = np.concatenate([(q - there["q"]) / sizes["q"], (v - there["v"]) / sizes["v"]])
-            rate = np.concatenate([there["v"] / sizes["q"], there["a"] / sizes["v"]])
-            shift += off @ rate / (rate @ rate or 1.0)
-        change = shift - before
-        shifts.append(shift)
-    return np.array(shifts)
+    return measure.invariant_changes(scene, run, reference) | violations

@@ -118,13 +118,13 @@ def steps_of(scene: SceneFacts, rate: float, duration: float | None) -> int:
             f"The duration {duration:g} s is not allowed; give a positive one of at most "
             f"{length:g} s, the interval of {scene.spec}, where the reference is known."
         )
-    steps = math.floor(min(duration * rate * (1 + 1e-9), 2.0 * MOST_STEPS))
-    if not 2 <= steps <= MOST_STEPS:
+    steps = duration * rate * (1 + 1e-9)
+    if not 2 <= steps < MOST_STEPS + 1:
         raise SpecError(
             f"{rate:g} Hz over {duration:g} s is not allowed; give a rate and a duration that make "
             f"from 2 to {MOST_STEPS} steps."
         )
-    return steps
+    return math.floor(steps)
 
 
 def realtime_tables(runs: Sequence[RealTimeRun]) -> list[Table]:

@@ -25,7 +25,6 @@ HISTORIES = ERRORS | {
     "position": ("constraint residual, position", True),
     "velocity": ("constraint residual, velocity", True),
     **{block: (f"relative change of the {block}", True) for block in INVARIANTS},
-    "phase": ("phase in s", True),
 }
 
 #: Rows of a run that a chart shows.

@@ -20,15 +20,12 @@ _CHANGES = {
     False: "the change of the one that changes most, relative to its value at the start",
 }
 _CAPTION = (
-    "The band of values in each of up to 200 parts of the run. Energy, momentum and phase have "
-    "their sign: above zero a method gains or is ahead, below it loses or is behind; the axis is "
-    "logarithmic on both sides of the small values around zero. "
+    "The band of values in each of up to 200 parts of the run. Energy and momentum have their "
+    "sign: above zero a method gains, below it loses; the axis is logarithmic on both sides of the "
+    "small values around zero. "
     + "".join(f"{name.capitalize()}: {_CHANGES[i.kinetic]}. " for name, i in INVARIANTS.items())
-    + "Residuals: the largest one of the constraints Φ, and of their rates. Phase: time by which a "
-    "run is ahead of the closed form or behind it."
+    + "Residuals: the largest one of the constraints Φ, and of their rates."
 )
-#: Words for values above and below zero, of quantities that have both.
-_SIDES = dict.fromkeys(INVARIANTS, ("gained", "lost")) | {"phase": ("ahead", "behind")}
 
 
 def drift_chapter(runs: Mapping[str, LongRun]) -> Chapter:
@@ -76,13 +73,13 @@ def drift_chart(runs: Sequence[LongRun]) -> vl.Spec | None:
         encoding = line["encoding"]
         for channel in ("color", "strokeDash"):  # the legend shows lines, not the faint bands
             encoding[channel]["legend"] |= {"symbolOpacity": 1, "symbolStrokeWidth": 1.4}
-        signed = name in _SIDES
+        signed = name in INVARIANTS  # has values above and below zero
         title, more = DRIFTS[name][0].capitalize(), []
         if signed:
             line.pop("transform")
             scale, axis = _both_sides(_sizes(runs, name))
             encoding["y"] |= {"scale": scale, "axis": axis}
-            title += ": {} above zero, {} below".format(*_SIDES[name])
+            title += ": gained above zero, lost below"
             low = line | {"encoding": encoding | {"y": encoding["y"] | {"field": f"{name}_low"}}}
             low.pop("params", None)
             zero = {"mark": {"type": "rule", "color": vl.GREY}, "encoding": {"y": {"datum": 0}}}
@@ -117,7 +114,7 @@ def _both_sides(sizes: Sequence[Sequence[float]]) -> tuple[vl.Spec, vl.Spec]:
 def _sizes(runs: Sequence[LongRun], name: str) -> list[list[float]]:
     """Absolute values at the ends of the bands that a logarithmic axis can show, of each run."""
     bands = [(run.drifts[name].least, run.drifts[name].most) for run in runs if name in run.drifts]
-    if name not in _SIDES:
+    if name not in INVARIANTS:
         bands = [((), most) for _, most in bands]
     shown = [[vl.short(value) for band in own for value in band] for own in bands]
     return [[abs(value) for value in own if value] for own in shown]
@@ -131,7 +128,7 @@ def _rows(run: LongRun, ends: dict[str, float]) -> list[dict[str, float | str | 
         for name, end in ends.items():
             if name in run.drifts:
                 low, high = run.drifts[name].least[k], run.drifts[name].most[k]
-                low = low if name in _SIDES else max(low or end, end)
+                low = low if name in INVARIANTS else max(low or end, end)
                 row |= {name: vl.short(high), f"{name}_low": vl.short(low)}
         rows.append(row)
     return rows
