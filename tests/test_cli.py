@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import webbrowser
 
 import numpy as np
@@ -149,18 +147,6 @@ def test_help_has_examples_for_every_command(stepbench):
         assert command.help
         assert "Usage:" in text
         assert "Examples:" in text, name
-
-
-def test_help_and_list_do_not_wait_for_heavy_libraries():
-    code = (
-        "import sys; from bench.commands.main import main\n"
-        "for arguments in (['--help'], ['list']):\n"
-        "    try: main(arguments)\n    except SystemExit: pass\n"
-        "heavy = {'jax', 'scipy', 'diffrax', 'sksundae', 'altair'} & set(sys.modules)\n"
-        "assert not heavy, heavy"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
 
 
 def test_a_table_of_many_components_has_those_with_the_largest_errors():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 import re
 
@@ -175,22 +174,6 @@ def test_the_reference_is_made_once_per_scene_and_set_of_times(monkeypatch):
 
 # ---- the command -------------------------------------------------------------------------
 MAP = ("map", "pendulum", "generalized_alpha", "--over", "h,rho_inf", "--grid", "4x3")
-
-
-@pytest.mark.long
-def test_numbers_as_json(stepbench):
-    result = stepbench(*MAP, "--range", "h:1e-3..0.3", "--error", "q", "--json")
-    assert result.exit_code == 0, result.output
-    found = json.loads(result.stdout)
-    assert (found["problem"], found["integrator"]) == ("pendulum", "generalized_alpha")
-    assert found["x"]["values"] == pytest.approx(list(np.geomspace(1e-3, 0.3, 4)))
-    assert found["y"]["values"] == pytest.approx([0, 1 / 2, 1])
-    assert (found["x"]["log"], found["y"]["log"]) == (True, False)
-    assert sum(found["counts"].values()) == 12
-    assert [len(row) for row in found["log10_error"]] == [4] * 3
-    ok = [o == "ok" for row in found["outcome"] for o in row]
-    errors = [e for row in found["log10_error"] for e in row]
-    assert ok == [e <= -1 for e in errors]
 
 
 @pytest.mark.usefixtures("without_processes")

@@ -15,7 +15,6 @@ import pandas as pd
 import pytest
 
 from bench.plugins.registry import Registry, Sources
-from bench.running import interrupts
 from bench.running.cluster import ClusterRunner
 from bench.running.process import NoAnswer
 from bench.running.progress import Progress
@@ -80,11 +79,8 @@ def test_a_member_has_its_values_however_members_are_divided():
         # Evenly spread: each tenth of the range has about a tenth of the values.
         assert np.histogram(part, np.linspace(0, 1, 11))[0] == pytest.approx(100, abs=40)
     assert abs(np.corrcoef(together["k"], together["h"])[0, 1]) < 0.1
-    assert (drawn(ranges, 1, 0, 9)["k"] != drawn(ranges, 2, 0, 9)["k"]).all()
-
-
-def test_seeds_and_places_have_different_draws():
     of = Range(Quantity("k", "scene", "k"), 0.0, 1.0)
+    assert (of.draw(1, 0, 0, 9) != of.draw(2, 0, 0, 9)).all()
     assert (of.draw(5, 1, 0, 9) != of.draw(5 + 2**32, 0, 0, 9)).all()
 
 
@@ -108,18 +104,15 @@ def test_parts_in_any_order_are_the_ensemble_in_one_program(asked):
     assert found.work["steps"] == wanted.values["work_steps"].sum()
 
 
-def test_a_part_that_dies_is_missing_alone(asked):
+def test_a_part_that_dies_is_missing_alone_and_the_command_fails(
+    asked, tmp_path, monkeypatch, stepbench
+):
     found, fault = run_all(asked, None, DIED)
     assert fault.endswith("members 13 to 25: The process died.")
     assert found.values["member"].tolist() == [*range(13), *range(26, 40)]
     with pytest.raises(SpecError, match="members 26 to 39: The process died"):
         run_all(asked, DIED)  # before any has succeeded
-
-
-def test_an_ensemble_that_is_not_complete_is_written_and_the_command_fails(
-    asked, tmp_path, monkeypatch, stepbench
-):
-    line = ("solve", "spring_mass", "newmark", "--vary", "k:0.8..1.2", "--ensemble", "40")
+    line = "solve", "spring_mass", "newmark", "--vary", "k:0.8..1.2", "--ensemble", "40"
     monkeypatch.setattr("bench.running.runner.Runner.run", Here(None, DIED).run)
     file = tmp_path / "all.csv"
     result = stepbench(*line, "--step", "0.1", "-o", file)
@@ -128,19 +121,6 @@ def test_an_ensemble_that_is_not_complete_is_written_and_the_command_fails(
     assert "Not complete: 13 of 40 members are missing" in output
     assert "The process died" in output
     assert len(file.read_text().splitlines()) == 1 + 27
-
-
-def test_what_is_run_so_far_is_told_when_the_command_is_ended(asked):
-    class Ended(Here):
-        def run(self, groups):
-            for pair in super().run(groups):
-                yield pair
-                said.append(list(interrupts._remark))
-
-    said = []
-    run_members(Ended(), asked, Sources())
-    assert said[1] == ["27 of 40 members had been run; none is kept."]
-    assert interrupts._remark == []
 
 
 def test_a_cluster_gets_parts_in_groups_that_all_its_threads_share_and_a_gpu_large_ones(

@@ -1,4 +1,4 @@
-"""`stepbench recommend`: a race of all methods, and its verdict."""
+"""`stepbench recommend`: the search for the coarsest good resolution, the race and its verdict."""
 
 from __future__ import annotations
 
@@ -8,19 +8,136 @@ import time
 from functools import partialmethod
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from planted import planted
 from test_refusals import scenes
 
-from bench.results.demands import demand
+from bench.plugins.registry import Registry
+from bench.results.demands import bracket, demand, overviews
 from bench.results.quantities import NORMS
-from bench.results.records import UNSUPPORTED
+from bench.results.records import UNSUPPORTED, Plan, Record, Study
+from bench.results.store import Store
+from bench.running.inventory import Inventory
+from bench.running.plan import make_suite
+from bench.running.profiles import read_profile
 from bench.running.race import Race
-from bench.running.search import MOST_RUNS, Candidate, Search
+from bench.running.recommend import Recommendation
+from bench.running.search import MOST_RUNS, RESOLVED, Candidate, Search, Sizes
 from integrators.resolutions import Steps
+from problems.base.spec import SpecError
+from problems.scenes.iftomm_pendulum import IFToMMPendulum
 
+# ---- the search for one method -----------------------------------------------------------
+STEPS = Sizes(length=10.0, start=0.1, finest=1e-7, coarsest=10.0)
+RTOL = Sizes(length=None, start=1e-4, finest=1e-13, coarsest=0.1)
+
+
+def search(sizes, error, limit):
+    tried = {}
+    while (size := sizes.next(tried, limit)) is not None:
+        assert size not in tried
+        assert sizes.finest <= size <= sizes.coarsest
+        tried[size] = error(size)
+    return tried
+
+
+@settings(deadline=None)
+@given(
+    st.floats(0.7, 6.0), st.floats(-2.0, 4.0), st.floats(-6.0, -1.0), st.sampled_from([STEPS, RTOL])
+)
+def test_the_coarsest_good_size_of_a_power_law_is_found_in_few_runs(order, factor, limit, sizes):
+    limit = 10**limit
+    exact = (limit / 10**factor) ** (1 / order)
+    tried = search(sizes, lambda size: 10**factor * size**order, limit)
+    assert len(tried) <= 12
+    good, bad = bracket(tried, limit)
+    if sizes.finest * 2 < exact < sizes.coarsest / 2:
+        assert good <= exact * 1.001 <= bad * 1.002
+        neighbours = sizes.length is not None and sizes.length / good - sizes.length / bad < 1.5
+        assert bad <= good * RESOLVED or neighbours
+
+
+def test_sizes_that_fail_or_are_good_by_accident_spoil_no_bracket():
+    good, bad = bracket(search(STEPS, lambda h: 1e-9 * h if h < 0.0123 else math.inf, 1e-3), 1e-3)
+    assert good < 0.0123 <= bad <= good * RESOLVED
+    tried = {0.4: 1.0, 0.2: 1e-9, 0.1: 0.5, 0.05: 1e-4, 0.02: 1e-5}
+    assert bracket(tried, 1e-3) == (0.05, 0.1)
+    tried = {0.4: 1.0, 0.2: 0.05, 0.1: 0.01, 0.05: math.inf, 0.02: 1e-4, 0.01: math.inf}
+    for limit, wanted in (0.1, (0.2, 0.4)), (1e-3, (0.02, 0.05)), (1e-5, (None, 0.01)):
+        assert bracket(tried, limit) == wanted
+
+    def error(h):  # steps that come near a singular position
+        return math.inf if round(100 / h) % 7 == 0 else h**2
+
+    for limit in (1e-2, 1e-4, 1e-8):
+        good, _ = bracket(search(STEPS, error, limit), limit)
+        assert limit / 2 < error(good) <= limit
+
+
+def test_every_search_ends_at_allowed_sizes():
+    tried = search(STEPS, lambda h: max(h**2, 1e-6), 1e-8)  # errors do not fall any more
+    assert bracket(tried, 1e-8).good is None
+    assert len(tried) <= 8
+    assert len(search(STEPS, lambda h: math.inf, 1e-3)) <= 4
+    wild = iter([10.0 ** ((-1) ** k * k) for k in range(100)])
+    assert len(search(STEPS, lambda h: next(wild), 1e-3)) <= MOST_RUNS
+    assert bracket(search(STEPS, lambda h: 1e-9, 1e-3), 1e-3) == (10.0, None)
+    for size in (0.03, 0.7, 9.0):  # an interval has a whole number of steps
+        count = STEPS.length / STEPS.allowed(size)
+        assert count == pytest.approx(round(count))
+    assert RTOL.allowed(1.23456e-5) == 1.2e-5
+
+
+def test_demands_are_read_and_judged():
+    run = Record(
+        key="", problem="", integrator="", family="", formulation="", controls="step", t0=0.0,
+        t_end=1.0, status="ok", errors={"q": {"max": 0.2, "end": 0.1}}, energy_drift=0.3,
+        history_error=0.4,
+    )  # fmt: skip
+    found = [demand(text).of(run) for text in ("q:1", "q:end:1", "energy:1", "points:1", "a:1")]
+    assert found == [0.2, 0.1, 0.3, 0.4, math.inf]
+    run.status = "diverged"
+    assert demand("q:1").of(run) == math.inf
+    for text in ("a", "a:", "a:0", "a:-1", "a:nan", "a:inf", ":1", "z:1", "a:b:1"):
+        with pytest.raises(SpecError):
+            demand(text)
+
+
+def test_the_table_of_a_suite_has_the_time_of_the_coarsest_good_run():
+    def run(scene, method, h, error, seconds, status="ok"):
+        return planted(
+            scene, method, {}, h=h, history_error=error, run_s=[seconds], status=status,
+        )  # fmt: skip
+
+    runs = [
+        run("s", "one", 0.1, 0.05, 1.0), run("s", "one", 0.01, 5e-4, 9.0),
+        run("s", "one", 0.02, 9e-4, 5.0), run("t", "one", 0.1, 9e-4, 3.0),
+        run("s", "two", 0.1, 0.05, 2.0), run("t", "two", 0.1, 0.0, 1.0, UNSUPPORTED),
+        run("s", "three", 0.1, 5e-4, 7.0), run("t", "three", 0.1, 2e-3, 2.0),
+        # Good by accident: a finer run is not.
+        run("s", "four", 0.1, 5e-4, 1.0), run("s", "four", 0.05, 0.01, 2.0),
+    ]  # fmt: skip
+    studies = [
+        Study(
+            title=scene, problem=scene, t_end=1.0, figures=[],
+            cells=[r.key for r in runs if r.problem == scene], demands=demands,
+        )
+        for scene, demands in (("s", ["points:1e-3", "no:1"]), ("t", ["points:1e-3"]), ("u", []))
+    ]  # fmt: skip
+    plan = Plan(name="", title="", samples=1, budget_s=1.0, studies=studies)
+    (table,) = overviews(plan, {r.key: r for r in runs})
+    assert table.head == ["integrator", "s", "t"]
+    assert table.rows == [
+        ["one", "5", "3"], ["three", "7", "not met"], ["two", "not met", "–"],  # noqa: RUF001
+        ["four", "not met", "–"],  # noqa: RUF001
+    ]  # fmt: skip
+    assert table.best == {(0, 1), (0, 2)}
+
+
+# ---- the race of all ---------------------------------------------------------------------
 LIMIT = 1e-3
 
 
@@ -62,15 +179,12 @@ def test_a_race_finds_the_cheapest_and_drops_the_others_soon():
         Power("first", 1, 1.0, 10.0), Power("second", 2, 1.0, 30.0), Power("fourth", 4, 1.0, 90.0),
         Power("fifth", 5, 1.0, 100.0), Power("dear", 2, 1.0, 3000.0),
     ]  # fmt: skip
-    race = raced(methods)
+    race, least = raced(methods), min(m.least() for m in methods)
     assert race.leader is min(methods, key=Power.least).candidate
-    assert race.operations(race.leader) == pytest.approx(
-        min(m.least() for m in methods), rel=Race.SETTLED - 1
-    )
+    assert race.operations(race.leader) == pytest.approx(least, rel=Race.SETTLED - 1)
     for method in methods:
-        assert race.is_dropped(method.candidate) == (
-            method.least() > 1.1 * race.operations(race.leader)
-        )
+        dropped = method.least() > 1.1 * race.operations(race.leader)
+        assert race.is_dropped(method.candidate) == dropped
     # Alone it would be searched to the end.
     dear, alone = methods[-1].candidate, Power("dear", 2, 1.0, 3000.0)
     raced([alone])
@@ -118,61 +232,29 @@ def test_a_race_ends_whatever_errors_do(errors):
         assert race.promised(odd.candidate) < math.inf
 
 
-def test_equal_errors_promise_far_more_operations_than_one_good_run():
-    """Two equal errors once promised infinitely many, which is no number."""
+def test_a_method_is_dropped_for_its_promise_not_for_unknown_operations_and_time_ends_a_race():
     good, flat = Power("good", 2, 1e-3, 3.0), Power("flat", 0, 0.5, 3.0)
     for size in (0.1, 0.05):
         good.run(size)
         flat.run(size)
+    # Two nearly equal errors promise very many operations, and not infinitely many.
     flat.candidate.runs[0.1].errors["q"] = dict.fromkeys(NORMS, math.nextafter(0.5, 1))
     race = Race([good.candidate, flat.candidate], 1.1, math.inf)
     assert 1e6 < race.promised(flat.candidate) < math.inf
     assert race.is_dropped(flat.candidate)
-
-
-def test_no_run_begins_when_the_time_is_over_and_none_of_who_refuses():
-    method = Power("a", 2, 5.0, 7.0)
-    assert Race([method.candidate], 1.1, time.monotonic() - 1.0).next() == []
-    method.run(0.1, UNSUPPORTED)
-    assert Race([method.candidate], 1.1, math.inf).next() == []
-    # A method whose operations are unknown is not dropped for them.
     known, unknown = Power("a", 2, 1e-3, 7.0), Power("b", 2, 10.0, 0.0)
     known.run(0.1)
     unknown.run(0.1)
     race = Race([known.candidate, unknown.candidate], 1.1, math.inf)
     assert race.leader is known.candidate
     assert not race.is_dropped(unknown.candidate)
+    method = Power("a", 2, 5.0, 7.0)
+    assert Race([method.candidate], 1.1, time.monotonic() - 1.0).next() == []
+    method.run(0.1, UNSUPPORTED)
+    assert Race([method.candidate], 1.1, math.inf).next() == []
 
 
-@pytest.mark.long
-def test_a_file_with_one_scene_gets_its_verdict_and_again_at_once(stepbench, tmp_path):
-    file = tmp_path / "own.py"
-    file.write_text(scenes("OwnMass"))
-    out = tmp_path / "out"
-    asked = "recommend", file, "--error", "q:1e-4", "--cost", "operations", "--out", out, "--json"
-    told = json.loads(stepbench(*asked, "--budget", "40").stdout)
-    assert told == json.loads((out / "recommendation.json").read_text())
-    first, *others = told["ratings"]
-    assert first["problem"] == "own_mass"
-    assert first["error"] <= 1e-4
-    assert all(first["operations"] <= other["operations"] for other in others)
-    assert f"ake {first['integrator']} with {first['resolution']}" in told["sentences"][0]
-    assert (out / "report.html").exists() is False  # --json writes no page
-    again = stepbench(*asked, "--budget", "40")
-    assert "ake " in again.stdout
-    assert json.loads(again.stdout)["ratings"][0]["operations"] <= first["operations"]
-
-
-@pytest.mark.long
-def test_it_says_when_nothing_reaches_the_error(stepbench, tmp_path):
-    result = stepbench(
-        "recommend", "oscillator", "--error", "q:1e-30", "--budget", "30", "--out", tmp_path
-    )
-    assert result.exit_code == 1
-    assert "Nothing reaches error in position q" in result.stdout
-    assert "No integrator reaches" in result.stderr
-
-
+# ---- the command -------------------------------------------------------------------------
 @pytest.fixture
 def planted_runs(monkeypatch):
     """A search whose runs cost what a law says: phem56 least, and less with constant steps."""
@@ -199,27 +281,106 @@ def planted_runs(monkeypatch):
     return lambda **changes: monkeypatch.setattr(Search, "run", partialmethod(run, **changes))
 
 
-ASKED = "recommend", "pendulum", "--error", f"q:{LIMIT}", "--cost", "operations", "--json"
-
-
-@pytest.mark.usefixtures("without_processes", "planted_runs")
-def test_constant_steps_win_where_they_are_cheapest(stepbench, tmp_path):
-    told = json.loads(stepbench(*ASKED, "--budget", "600", "--out", tmp_path).stdout)
+@pytest.mark.usefixtures("without_processes")
+def test_constant_steps_win_where_they_are_cheapest_and_an_error_loses_nothing(
+    stepbench, tmp_path, planted_runs
+):
+    asked = "recommend", "pendulum", "--error", f"q:{LIMIT}", "--cost", "operations"
+    asked += "--budget", "600", "--out", tmp_path
+    told = json.loads(stepbench(*asked, "--json").stdout)
     assert told["ratings"][0]["integrator"] == "phem56[steps=constant]"
     _, tried = told["sentences"][-1].split(
         "Constant steps and other Newton's methods were tried for "
     )
     assert {"phem56", "rattle"} < {*tried.partition(" alone")[0].split(", ")}
-    shown = stepbench(*ASKED[:-1], "--budget", "600", "--out", tmp_path).stdout
+    shown = stepbench(*asked).stdout
     line = 'In a program: bench.solve("pendulum", "phem56[steps=constant]", step='
     assert line in " ".join(shown.split())
-
-
-@pytest.mark.usefixtures("without_processes")
-def test_what_was_found_before_an_error_is_not_lost(stepbench, tmp_path, planted_runs):
     planted_runs(fails=60)
-    result = stepbench(*ASKED, "--budget", "600", "--out", tmp_path)
+    result = stepbench(*asked, "--json")
     assert result.exit_code
     told = json.loads((tmp_path / "recommendation.json").read_text())
     assert told["ratings"]
     assert json.loads(result.stdout) == told
+
+
+def test_a_scene_without_points_is_judged_by_its_energy_or_says_why_not():
+    found = Recommendation(Inventory(), "pendulum", ["rattle"], rule="iftomm")
+    assert found.remarks == ["pendulum names no points: its change of energy is judged."]
+    demands = [str(verdict.asked) for verdict in found.verdicts]
+    assert demands == ["change of energy <= 0.1", "change of energy <= 0.001"]
+
+
+def test_named_methods_have_their_coarsest_good_runs_which_are_kept(stepbench, tmp_path):
+    rate = "recommend", "pendulum", "rattle", "ida", "--t-end", "0.5", "--out", tmp_path, "--json"
+    result = stepbench(*rate, "--error", "q:1e-3")
+    assert result.exit_code == 0, result.output
+    told = json.loads((tmp_path / "recommendation.json").read_text())
+    assert json.loads(result.stdout) == told
+    for own in told["ratings"]:
+        assert (own["met"], own["error"] <= 1e-3) == (True, True)
+        assert min(own["seconds"], own["operations"]) > 0
+    again = stepbench(*rate, "--error", "q:1e-3")
+    assert "measuring" not in again.stderr
+    assert json.loads(again.stdout)["ratings"] == told["ratings"]
+
+
+@pytest.mark.long
+def test_a_file_with_one_scene_gets_its_verdict_and_again_at_once(stepbench, tmp_path):
+    file = tmp_path / "own.py"
+    file.write_text(scenes("OwnMass"))
+    out = tmp_path / "out"
+    asked = "recommend", file, "--error", "q:1e-4", "--cost", "operations", "--out", out, "--json"
+    told = json.loads(stepbench(*asked, "--budget", "40").stdout)
+    assert told == json.loads((out / "recommendation.json").read_text())
+    first, *others = told["ratings"]
+    assert first["problem"] == "own_mass"
+    assert first["error"] <= 1e-4
+    assert all(first["operations"] <= other["operations"] for other in others)
+    assert f"ake {first['integrator']} with {first['resolution']}" in told["sentences"][0]
+    assert (out / "report.html").exists() is False  # --json writes no page
+    again = json.loads(stepbench(*asked, "--budget", "40").stdout)
+    assert again["ratings"][0]["operations"] <= first["operations"]
+
+
+@pytest.mark.long
+def test_a_demand_that_nobody_meets_is_an_error_with_reasons(stepbench, tmp_path):
+    asked = "recommend", "oscillator", "--error", "q:1e-30", "--budget", "30"
+    result = stepbench(*asked, "--out", tmp_path / "all")
+    assert result.exit_code == 1
+    assert "Nothing reaches error in position q" in result.stdout
+    assert "No integrator reaches" in result.stderr
+    asked = "recommend", "pendulum", "half_explicit_euler", "stormer_verlet", "--t-end", "0.4"
+    result = stepbench(*asked, "--error", "q:1e-14", "--budget", "2", "--out", tmp_path, "--json")
+    assert result.exit_code == 1
+    ratings = json.loads((tmp_path / "recommendation.json").read_text())["ratings"]
+    first, second = sorted(ratings, key=lambda own: own["integrator"])
+    assert (first["met"], second["met"]) == (False, False)
+    assert first["obstacle"].startswith(("Errors do not fall", "budget_exceeded"))
+    assert second["obstacle"].startswith("unsupported")
+    assert 1e-14 < first["error"] < 1e-3
+
+
+@pytest.mark.long
+def test_the_iftomm_rule_has_two_precisions_of_the_points(stepbench, tmp_path):
+    rule = "--rule", "iftomm", "--out", tmp_path, "--t-end", "1", "--json"
+    told = json.loads(stepbench("recommend", "iftomm_pendulum", "rattle", *rule).stdout)["ratings"]
+    for own, limit in zip(told, (0.1, 1e-3), strict=True):
+        assert own["demand"] == f"error of the named points <= {limit:g}"
+        assert limit / 4 < own["error"] <= limit
+        with Store(tmp_path) as store:
+            (run,) = (r for r in store.records().values() if r.resolution == own["resolution"])
+        (place,) = run.points.values()
+        assert np.hypot(*place) == pytest.approx(1.0, abs=1e-10)
+        exact = IFToMMPendulum().exact(np.array([1.0]))["q"][0]
+        assert 0.0 < np.abs(place - exact).max() < limit
+
+
+def test_the_suite_iftomm_has_many_families_and_methods_that_take_its_scenes():
+    registry, inventory = Registry(), Inventory()
+    suite = make_suite(*read_profile("iftomm"), inventory)
+    pairs = {(c.problem, c.integrator) for c in suite.cells.values()}
+    assert len({registry.integrator(method).family for _, method in pairs}) >= 8
+    for scene, method in pairs:
+        assert inventory.problem(scene).points
+        assert registry.integrator(method).supports(registry.problem(scene)) is None

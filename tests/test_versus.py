@@ -6,10 +6,8 @@ import json
 import math
 
 import pytest
-from click.testing import CliRunner
 from planted import STEPS, everything, plant, planted
 
-from bench.commands.main import main
 from bench.results.records import UNSUPPORTED
 from reports.questions.question import Question
 from reports.questions.versus import versus
@@ -19,18 +17,16 @@ from reports.series import series_of
 EXACT = pytest.approx
 
 
-def line(name, constant, order=2, scene="s", work=1.0, start=(), steps=STEPS, groups="a", **more):
-    """Runs with the error C h^p, at 30 operations per step times ``work``."""
-    found = []
-    for h in steps:
-        own = more | (
-            {"later": [dict.fromkeys(groups.split(","), f * constant * h**order) for f in start]}
-            if start
-            else {}
-        )
-        r = planted(scene, name, {g: (constant, order) for g in groups.split(",")}, h=h, **own)
-        r.operations = {"residuals": 30 * work / h}
-        found.append(r)
+def line(name, constant, order=2, scene="s", work=1.0, start=(), groups="a", **more):
+    """Runs with the error C h^p, at 30 operations per step times ``work``; ``start`` has factors of
+    the error from later starts."""
+    found, groups = [], groups.split(",")
+    for h in STEPS:
+        later = [dict.fromkeys(groups, f * constant * h**order) for f in start]
+        own = more | ({"later": later} if later else {})
+        record = planted(scene, name, {g: (constant, order) for g in groups}, h=h, **own)
+        record.operations = {"residuals": 30 * work / h}
+        found.append(record)
     return found
 
 
@@ -59,11 +55,10 @@ def test_the_ratio_of_costs_at_equal_error_is_exact_between_runs():
         assert found.told_apart
         back = one(line("B", 3.0), line("A", 12.0, work=2.0), target=target)
         assert ends(back) == EXACT((0.25, 0.25, 0.25))
-
-
-def test_orders_may_differ():
     found = one(line("A", 100.0, order=4), line("B", 1.0, order=2), target=1e-3)
     assert found.ratio == EXACT(1e-3**-0.5 / 1e-5**-0.25)
+    for work, apart in ((1.09, False), (1.11, True), (1 / 1.09, False), (1 / 1.11, True)):
+        assert one(line("A", 3.0), line("B", 3.0, work=work)).told_apart == apart
 
 
 def test_the_interval_has_the_spread_over_later_starts():
@@ -89,19 +84,10 @@ def test_times_are_compared_within_rounds():
         r.rounds = [(2, k) for k in range(7)]
     low, high = min(busy), max(busy)
     found = one(a, b, cost="seconds")
-    assert found.ratio == EXACT(2.0 * 2.0 / 2.0)
-    assert (found.low, found.high) == EXACT((2 * low / high, 2 * max(7 * 0.9, 1.44) / low))
+    assert ends(found) == EXACT((2.0, 2 * low / high, 2 * max(7 * 0.9, 1.44) / low))
     assert not found.told_apart
     b[2].rounds = [(3, k) for k in range(7)]  # neighbours without common rounds
     assert one(a, b, cost="seconds").ratio == EXACT(2.0)
-
-
-def test_costs_within_the_tie_are_not_told_apart():
-    a = line("A", 3.0)
-    assert not one(a, line("B", 3.0, work=1.09)).told_apart
-    assert one(a, line("B", 3.0, work=1.11)).told_apart
-    assert not one(a, line("B", 3.0, work=1 / 1.09)).told_apart
-    assert one(a, line("B", 3.0, work=1 / 1.11)).told_apart
 
 
 def test_a_run_that_is_better_already_bounds_the_cost():
@@ -118,33 +104,31 @@ def test_a_run_that_is_better_already_bounds_the_cost():
     assert one(a, b, target=a[0].error("a", "max")).high < math.inf
 
 
-def test_a_duel_without_two_costs_says_why():
-    a, never = line("A", 3.0), line("B", 1.0, order=0)
-    only = duels(a, never)
-    assert (only.duels["s"].ratio, only.shown("s")) == (math.inf, "only first")
-    assert only.duels["s"].told_apart
-    other = duels(line("A", 1.0, order=0), line("B", 3.0))
-    assert (other.duels["s"].ratio, other.shown("s")) == (0.0, "only second")
-    both = line("A", 0.01), line("B", 0.02)
+def test_a_duel_without_two_costs_says_why_and_a_scene_that_one_did_not_try_is_left_out():
+    a, never, second = line("A", 3.0), line("B", 1.0, order=0), line("B", 3.0)
+    for records, ratio, words in (
+        ((a, never), math.inf, "only first"),
+        ((line("A", 1.0, order=0), second), 0.0, "only second"),
+    ):
+        found = duels(*records)
+        assert (found.duels["s"].ratio, found.shown("s")) == (ratio, words)
+        assert found.duels["s"].told_apart
     single = line("A", 3.0, run_s=[1e-3]), line("B", 3.0, run_s=[1e-3])
     vague = {"reference_error": {"a": {"max": 2e-5}}}
-    for records, more, why in (
-        ((line("A", 1.0, order=0), never), {}, "neither reaches it"),
-        (both, {}, "coarsest runs"),
-        ((line("A", 3.0, **vague), line("B", 3.0)), {}, "not judged"),
-        ((line("A", 3.0), line("B", 3.0)), {"cost": "solves"}, "cost unknown"),
-        ((line("A", 3.0), line("B", 3.0)), {"cost": "seconds"}, "cost unknown"),
-        (single, {"cost": "seconds"}, "single times"),
+    for records, cost, why in (
+        ((line("A", 1.0, order=0), never), "operations", "neither reaches it"),
+        ((line("A", 0.01), line("B", 0.02)), "operations", "coarsest runs"),
+        ((line("A", 3.0, **vague), second), "operations", "not judged"),
+        ((a, second), "solves", "cost unknown"),
+        ((a, second), "seconds", "cost unknown"),
+        (single, "seconds", "single times"),
     ):
-        found = duels(*records, **more)
+        found = duels(*records, cost=cost)
         assert (found.duels["s"].ratio, found.shown("s")) == (None, why)
         assert found.sentence == (
             f"Nothing can be compared at 1e-3 in acceleration (largest over time): s ({why})."
         )
-
-
-def test_scenes_on_which_one_was_not_tried_are_left_out():
-    records = [line("A", 3.0), line("B", 12.0), line("A", 3.0, scene="t")]
+    records = [a, line("B", 12.0), line("A", 3.0, scene="t")]
     assert list(duels(*records).duels) == ["s"]
     skipped = line("B", 12.0, scene="t", status=UNSUPPORTED)
     assert list(duels(*records, skipped).duels) == ["s"]
@@ -153,16 +137,13 @@ def test_scenes_on_which_one_was_not_tried_are_left_out():
 
 
 def test_both_groups_at_once_are_judged_by_the_larger_error():
-    a = line("A", 3.0, groups="a,lam")
-    b = line("B", 3.0, groups="a,lam")
-    for r in b:
-        r.errors["lam"]["max"] = 48 * r.h**2
-    assert one(a, b).ratio == EXACT(1.0)
-    assert one(a, b, group="lam").ratio == EXACT(4.0)
-    assert one(a, b, group="a,lam").ratio == EXACT(4.0)
-    for r in b:
-        r.errors["lam"]["max"], r.errors["a"]["max"] = 3 * r.h**2, 12 * r.h**2
-    assert one(a, b, group="a,lam").ratio == EXACT(2.0)
+    a, b = line("A", 3.0, groups="a,lam"), line("B", 3.0, groups="a,lam")
+    for errors, group, ratio in (
+        ((3, 48), "a", 1.0), ((3, 48), "lam", 4.0), ((3, 48), "a,lam", 4.0), ((12, 3), "a,lam", 2.0)
+    ):  # fmt: skip
+        for r in b:
+            r.errors["a"]["max"], r.errors["lam"]["max"] = (c * r.h**2 for c in errors)
+        assert one(a, b, group=group).ratio == EXACT(ratio)
     free = line("A", 3.0, scene="t"), line("B", 3.0, scene="t")
     assert list(duels(a, b, *free, group="a,lam").duels) == ["s"]
     assert answers({"t": series_of([*free[0], *free[1]])}, ["a,lam"], [1e-3]) == {}
@@ -185,15 +166,12 @@ def over(*factors):
     return duels(*(own for pair in pairs for own in pair))
 
 
-def test_the_sign_test_over_the_scenes_is_that_of_the_binomial_distribution():
-    assert over(2, 2, 2, 2, 2, 2).p_value == 2 / 64
-    assert over(2, 2, 2, 2, 2).p_value == 2 / 32
-    assert over(2, 2, 2, 2, 2, 0.5, 1.05).p_value == 2 * 7 / 64
-    assert over(2, 0.5).p_value == 1.0
-    assert over(1.0).p_value == 1.0
-
-
-def test_the_sentence_tells_size_scenes_and_significance():
+def test_the_sign_test_over_the_scenes_is_the_binomial_one_and_the_sentence_tells_it():
+    for factors, p in (
+        ([2] * 6, 2 / 64), ([2] * 5, 2 / 32), ([*[2] * 5, 0.5, 1.05], 2 * 7 / 64), ([2, 0.5], 1.0),
+        ([1.0], 1.0),
+    ):  # fmt: skip
+        assert over(*factors).p_value == p
     goal = "By operations at 1e-3 in acceleration (largest over time): second costs"
     wins = "first wins beyond doubt on {} and second on {} of {}"
     assert over(1.5, 1.6, 1.7, 1.8, 1.9, 2.1).sentence == (
@@ -210,34 +188,22 @@ def test_the_sentence_tells_size_scenes_and_significance():
 
 
 # ---- the command -------------------------------------------------------------------------
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return plant(tmp_path_factory.mktemp("planted"), everything())
-
-
-def asked(*given):
-    return CliRunner().invoke(main, ["versus", *map(str, given)])
-
-
-def test_the_command_prints_what_is_in_its_json(folder):
-    pair = "good[rho_inf=0.8]", "poor"
-    (found,) = json.loads(asked(*pair, folder, "--target", "2e-2", "--json").output)
+def test_the_command_prints_what_is_in_its_json_and_refuses_in_a_sentence(
+    stepbench, refused, tmp_path
+):
+    folder = plant(tmp_path / "planted", everything())
+    asked = "versus", "good[rho_inf=0.8]", "poor", folder, "--target", "2e-2"
+    (found,) = json.loads(stepbench(*asked, "--json").output)
     # The errors 3 h^2 and 3 h: sqrt(150) against 150 steps.
     assert found["scenes"]["spring_mass"]["ratio"] == EXACT(150**0.5)
-    assert (found["first"], found["second"], found["group"]) == (*pair, "a")
-    shown = " ".join(asked(*pair, folder, "--target", "2e-2").output.split())
+    assert (found["first"], found["second"], found["group"]) == (*asked[1:3], "a")
+    shown = " ".join(stepbench(*asked).output.split())
     assert found["sentence"] in shown
     assert "Cost of poor as a multiple of that of good 0.8" in shown
-    (other,) = json.loads(
-        asked(
-            "good 0.8", "good 0.5", folder, "--group", "a,lam", "--target", "0.05", "--json"
-        ).output
-    )
+    asked = "versus", "good 0.8", "good 0.5", folder, "--group", "a,lam", "--target", "0.05"
+    (other,) = json.loads(stepbench(*asked, "--json").output)
     assert other["group"] == "a,lam"
     assert other["scenes"]["pendulum"]["ratio"] == EXACT(1.0)
-
-
-def test_wrong_input_is_refused_in_a_sentence(folder, tmp_path, refused):
     for given, reason in (
         ("goodd poor", "There is no integrator 'goodd' in the store; known: adaptive, fragile"),
         ("good poor", "'good' are several; name one of good[rho_inf=0.8], good[rho_inf=0.5]"),
@@ -245,9 +211,8 @@ def test_wrong_input_is_refused_in_a_sentence(folder, tmp_path, refused):
         ("poor fragile --group a,b", "There is no group 'b'"),
         ("poor fragile --norm most", "There is no norm 'most'"),
         ("poor fragile --cost second", "There is no cost 'second'"),
-        ("poor fragile --cost=", "There is no cost ''; known:"),
         ("poor fragile --target 2", "2 is no accuracy; give one between 0 and 1"),
     ):
-        one, two, *more = given.split()
-        assert reason in refused("versus", one, two, folder, *more)
+        first, second, *more = given.split()
+        assert reason in refused("versus", first, second, folder, *more)
     assert "holds no stepbench results" in refused("versus", "a", "b", tmp_path)

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from bench.results.quantities import COSTS, NORM, NORMS, checked_group
 from bench.results.records import NOT_TRIED, Record, counted
@@ -236,8 +236,7 @@ def _between(one: Samples, two: Samples, part: float) -> Samples:
 
 
 # ---- the table ---------------------------------------------------------------------------
-@dataclass(frozen=True)
-class SideBySide:
+class SideBySide(NamedTuple):
     """Sentences and plain data of two integrators, one per accuracy, and their table.
 
     The table has a row per scene and a column per accuracy; bold is a ratio beyond doubt.
@@ -260,15 +259,9 @@ def side_by_side(
 ) -> SideBySide:
     """Compare two integrators of a run folder at several accuracies.
 
-    Parameters
-    ----------
-    one, two
-        Their names: short, as printed, or without options where that is unique.
-    folder
-        The run folder.
-    group, targets, cost, norm
-        The question: a group, or several as "a,lam" for both at once; errors between 0 and 1; the
-        cost is that by which the results are ranked first if not given.
+    They are named in short, as printed, or without options where that is unique. The question is a
+    group, or several as "a,lam" for both at once, errors between 0 and 1, a norm, and a cost: that
+    by which the results are ranked first if not given.
 
     Raises
     ------
@@ -286,26 +279,20 @@ def side_by_side(
         raise SpecError(f"{wrong[0]:g} is no accuracy; give one between 0 and 1.")
     asked = [Question(group, target, cost) for target in targets or TABLE_TARGETS]
     columns = [versus(stored.series, labels, names, question, norm) for question in asked]
-    scenes = list(columns[0].duels)
+    quantity, scenes = asked[0].quantity, list(columns[0].duels)
     if not scenes:
-        raise SpecError(
-            f"{names[first]} and {names[second]} have no scene in common with an error in "
-            f"{asked[0].quantity}."
-        )
+        both = f"{names[first]} and {names[second]}"
+        raise SpecError(f"{both} have no scene in common with an error in {quantity}.")
     rows = [[scene, *(c.shown(scene) for c in columns)] for scene in scenes]
     if len(scenes) > 1:
         rows.append(["median", *(c.median.text() if c.median else "" for c in columns)])
+    cells = [(i, j) for i in range(len(scenes)) for j in range(len(columns))]
     table = Table(
         f"Cost of {names[second]} as a multiple of that of {names[first]} "
-        f"({asked[0].quantity}, {NORMS[norm]}; {COSTS[cost].words})",
+        f"({quantity}, {NORMS[norm]}; {COSTS[cost].words})",
         ["scene", *(question.accuracy for question in asked)],
         rows,
-        best={
-            (i, j)
-            for i, scene in enumerate(scenes)
-            for j, c in enumerate(columns, 1)
-            if c.duels[scene].told_apart
-        },
+        best={(i, j + 1) for i, j in cells if columns[j].duels[scenes[i]].told_apart},
         note=f"Above 1 {names[first]} is cheaper; bold: beyond doubt. {_MEANING}",
     )
     plain = [
