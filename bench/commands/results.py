@@ -59,8 +59,8 @@ _QUESTION = ("scene", "error", "cost", "component", "integrators", "t_end")
         "--t-end", "Figure: end time in s, if FOLDER has the scene with several.", type=float,
     ),
     options.file(
-        "File of rows, whose ending .csv or .json decides (the screen if not given), or of a "
-        "figure, which ends in .svg, .png, .pdf or .json (Vega-Lite; KIND.svg if not given)."
+        "File of rows, which ends in .csv or .json (the screen if not given), or of a figure, "
+        "which ends in .svg, .png, .pdf or .json (Vega-Lite; KIND.svg if not given)."
     ),
 )  # fmt: skip
 def report(o: Given) -> None:
@@ -84,7 +84,7 @@ def report(o: Given) -> None:
     if o.kind is None:
         options.refuse("belongs to a figure; name its kind by --figure.", *_QUESTION)
     ending = o.out.suffix.lower().removeprefix(".") if o.out else ""
-    form = ending if ending in _FORMS and not wanted else o.form
+    form = o.form or (ending if ending in _FORMS and not wanted else "")
     if o.kind is not None:
         from reports.figures import write_figure
 
@@ -93,10 +93,6 @@ def report(o: Given) -> None:
         file = write_figure(o.kind, o.folder, o.out or Path(f"{o.kind}.svg"), **asked)
         click.echo(f"Figure: {file}")
     elif form:
-        if ending in {*_FORMS} - {form}:
-            raise SpecError(
-                f"{o.out} ends in .{ending} and --{form} was given; leave one of them out."
-            )
         _write_rows(o.folder, form, o.out)
     elif o.out:
         raise SpecError(f"{o.out} is a file of rows or of a figure; say --csv, --json or --figure.")
