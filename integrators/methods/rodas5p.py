@@ -93,8 +93,8 @@ _OF_TIME = (
 )  # fmt: skip
 
 
-#: Stages 2 to 8: number, place and weight of the derivative by time.
-_ROWS = np.arange(1, len(_PLACES)), np.array(_PLACES[1:]), np.array(_OF_TIME[1:])
+#: The stages: number, place and weight of the derivative by time.
+_ROWS = np.arange(len(_PLACES)), np.array(_PLACES), np.array(_OF_TIME)
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,10 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
             return rows(there._replace(q=advance(scene, z.q, change.q)), rate)
 
         solution = work.factorised(moved, jnp.zeros(layout.size))
-        residual, along, _ = small_matrices.linearised(lambda z: rows(z, still), z)
+
+        def along(change: Variables) -> Array:
+            """The derivative of the residuals along a change."""
+            return jax.jvp(lambda z: rows(z, still), (z,), (change,))[1]
 
         def ahead(s: Int[Array, ""] | int, t: Time, changes: Array) -> Variables:
             """The values at the place of a stage."""
@@ -198,12 +201,7 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
             )  # fmt: skip
             return changes.at[s].set(solved(base, rows(there, still))), None
 
-        v = g * z.a
-        base = Variables(
-            g * (z.v + v), v, 0.0 * z.a, 0.0 * z.lam, 0.0 * z.x, 0.0 * z.y, _OF_TIME[0] * h
-        )
-        first = solved(base, residual)
-        changes = jnp.zeros((len(_PLACES), len(first))).at[0].set(first)
+        changes = jnp.zeros((len(_PLACES), groups.size))
         changes, _ = work.scan(one, changes, _ROWS)
         work.count(residuals=len(_PLACES))
         end, last = ahead(len(_PLACES), t, changes), named(changes[-1])

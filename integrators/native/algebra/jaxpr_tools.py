@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from integrators.lowering.to_graph import lowered
-from problems.base.runtime import Array, Bool, jax, jnp
+from problems.base.runtime import Array, Bool, Float, jax, jnp
 
 if TYPE_CHECKING:
     from jax.extend.core import ClosedJaxpr
@@ -105,6 +105,55 @@ def tangent_pattern(program: ClosedJaxpr, n: int) -> Bool[np.ndarray, "m n"]:
     for row, found in zip(entries, graph.origins(results.ravel().tolist(), changes), strict=True):
         row[[*found]] = True
     return entries
+
+
+def tangent_along(
+    residual: Callable[[Float[Array, " n"]], Float[Array, " m"]],
+    u: Float[Array, " n"],
+    seeds: Float[np.ndarray, "k n"],
+) -> list[Float[Array, " m"]]:
+    """Products of a residual's tangent at u with seeds, in loops: for chains of small arrays this
+    takes half as long as side by side.
+
+    A residual splits its unknowns into groups. A seed within one group is taken by this group
+    alone: no body's motion has a derivative by the multipliers.
+    """
+    parted, sizes = _parted(jax.make_jaxpr(residual)(u))
+    cuts = np.cumsum(sizes)[:-1]
+    groups, of_group = jnp.split(u, cuts), np.split(np.asarray(seeds), cuts, axis=1)
+    touched = np.array([part.any(axis=1) for part in of_group])
+    products: list[Any] = [None] * len(seeds)
+
+    def along(taken: Sequence[int], *seed: Array) -> Array:
+        def moved(*changed: Array) -> Array:
+            others = dict(zip(taken, changed, strict=True))
+            return parted(*(others.get(k, group) for k, group in enumerate(groups)))
+
+        return jax.jvp(moved, tuple(groups[k] for k in taken), seed)[1]
+
+    for pattern in np.unique(touched, axis=1).T:
+        taken, mine = np.flatnonzero(pattern), np.flatnonzero((pattern == touched.T).all(axis=1))
+        parts = [jnp.asarray(of_group[k][mine]) for k in taken]
+        found = jax.lax.map(lambda seed, taken=taken: along(taken, *seed), parts)
+        for k, product in zip(mine, found, strict=True):
+            products[k] = product
+    return products
+
+
+def _parted(program: ClosedJaxpr) -> tuple[Callable[..., Array], list[int]]:
+    """A program as a function of the groups into which it splits its unknowns, and their sizes; of
+    one group if it does not begin so."""
+    from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+
+    inner, [u] = program.jaxpr, program.jaxpr.invars
+    takers = [one for one in inner.eqns if u in one.invars]
+    if len(takers) != 1 or takers[0].primitive.name != "split" or u in inner.outvars:
+        return partial(with_constants, program, program.consts), [u.aval.size]
+    rest = [one for one in inner.eqns if one is not takers[0]]
+    names = inner.debug_info.with_unknown_names()
+    groups = inner.replace(invars=takers[0].outvars, eqns=rest, debug_info=names)
+    function = jaxpr_as_fun(ClosedJaxpr(groups, program.consts))
+    return lambda *parts: function(*parts)[0], list(map(int, takers[0].params["sizes"]))
 
 
 def with_constants(program: ClosedJaxpr, constants: Sequence[Array], *u: Array) -> Array:

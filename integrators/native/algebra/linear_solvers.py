@@ -23,6 +23,7 @@ from integrators.native.algebra.fixed_elimination import EliminationPlan, Factor
 from integrators.native.algebra.jaxpr_tools import (
     replaced,
     split_arrays,
+    tangent_along,
     tangent_pattern,
     traced_constants,
     with_constants,
@@ -166,8 +167,13 @@ class DenseSolver(LinearSolver):
         return jnp.full((size, size), jnp.nan)
 
     def renewed(self, residual: Residual, u: Float[Array, " n"], kept: Array) -> Array:
+        program = jax.make_jaxpr(residual)(u)
+        residual = partial(with_constants, program, program.consts)
         with part("Jacobians"):
-            tangent = jax.jacfwd(residual)(u)
+            if _is_dear(program, len(u)):
+                tangent = jnp.stack(tangent_along(residual, u, np.eye(len(u))), axis=1)
+            else:
+                tangent = jax.jacfwd(residual)(u)
         return small_matrices.inverse(tangent)
 
     def update(self, kept: Array, r: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -195,12 +201,20 @@ def _linearised(
     residual: Residual, u: Float[Array, " n"], seeds: Float[np.ndarray, "colours n"]
 ) -> tuple[Float[Array, " n"], list[Float[Array, " n"]]]:
     """The residual at u, and the products of its tangent with the seeds."""
+    if _is_dear(jax.make_jaxpr(residual)(u), len(seeds)):
+        with part("residuals"):
+            r = residual(u)
+        with part("Jacobians"):
+            return r, tangent_along(residual, u, seeds)
     with part("residuals"):
-        r, product, size = small_matrices.linearised(residual, u)
+        r, product = small_matrices.linearised(residual, u)
     with part("Jacobians"):
-        if len(seeds) * size > _MOST_WRITTEN_OUT:
-            return r, list(jax.vmap(product)(jnp.asarray(seeds)))
         return r, [product(jnp.asarray(seed)) for seed in seeds]
+
+
+def _is_dear(program: ClosedJaxpr, products: int) -> bool:
+    """Whether products with the tangent of a program are too many to be written out."""
+    return products * small_matrices.size(program) > _MOST_WRITTEN_OUT
 
 
 def _side_by_side(program: ClosedJaxpr, order: EliminationPlan) -> Callable[..., Array] | None:

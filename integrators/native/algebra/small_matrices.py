@@ -139,9 +139,9 @@ def unfused(function: Callable, *args: Any) -> Any:
     return jax.lax.cond(jnp.isnan(first) | (first <= jnp.inf), function, otherwise, *args)
 
 
-def linearised(function: Callable, *at: Any) -> tuple[Array, Callable[..., Array], int]:
+def linearised(function: Callable, *at: Any) -> tuple[Array, Callable[..., Array]]:
     """The value of a function at some arguments, its derivative along changes of them, of which all
-    that does not depend on the changes is computed once, and the number of steps of this."""
+    that does not depend on the changes is computed once."""
     programs: list[Any] = []
 
     def coefficients(*at: Any) -> tuple[Array, list[Array]]:
@@ -154,7 +154,16 @@ def linearised(function: Callable, *at: Any) -> tuple[Array, Callable[..., Array
     def product(*changes: Any) -> Array:
         return with_constants(programs[-1], constants, *jax.tree.leaves(changes))
 
-    return value, product, len(programs[-1].eqns)
+    return value, product
+
+
+def size(program: Any) -> int:
+    """Number of steps of a program, with those of programs that it calls."""
+    steps = 0
+    for equation in program.eqns:
+        called = [value for value in equation.params.values() if is_program(value)]
+        steps += sum(map(size, called)) if called else 1
+    return steps
 
 
 def _eliminated(k: int, w: Array) -> Array:
