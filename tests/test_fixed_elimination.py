@@ -16,7 +16,7 @@ from integrators.lowering.to_graph import lowered
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.native.algebra import fixed_elimination, linear_solvers, small_matrices
 from integrators.native.algebra.fixed_elimination import EliminationPlan, planned
-from integrators.native.algebra.jaxpr_tools import tangent_pattern
+from integrators.native.algebra.jaxpr_tools import tangent_along, tangent_pattern
 from integrators.native.step.step_work import EquationsFinder
 from problems.equations.initial_values import consistent_start
 from problems.scenes.car_axis import CarAxis
@@ -84,6 +84,28 @@ def unknown_steps(u):
     looped = jax.lax.fori_loop(0, 2, lambda _, x: x[::-1] * x, u[:2])
     chosen = jax.lax.cond(u[2] > 0, lambda x: x, lambda x: x[::-1], u[2:4])
     return jnp.concatenate([looped, chosen, jnp.sort(u[4:6]), double(u[6:])])
+
+
+def split_unknowns(u):
+    """Two groups of unknowns, of which one is taken by a derivative of its own."""
+    a, lam = jnp.split(u, [5])
+    return jnp.concatenate([unknown_steps(jnp.concatenate([jnp.sin(a), a])), lam * a[:2]])
+
+
+@pytest.mark.parametrize(("residual", "n"), [(split_unknowns, 7), (unknown_steps, 8)])
+def test_products_in_loops_are_those_of_the_tangent_also_of_groups_alone(residual, n):
+    u, mixed = jnp.linspace(0.3, 1.7, n), np.arange(2.0 * n).reshape(2, n)
+    seeds = np.concatenate([np.eye(n), mixed])
+    expected = jax.jit(jax.jacfwd(residual))(u) @ seeds.T
+    products = jax.jit(lambda u: tangent_along(residual, u, seeds))(u)
+    np.testing.assert_allclose(np.stack(products, axis=1), expected, rtol=1e-14)
+
+    def steps(seeds):
+        return str(jax.make_jaxpr(lambda u: tangent_along(residual, u, seeds))(u))
+
+    assert ("cos" in steps(seeds[:1])) == (residual is split_unknowns)
+    assert "cos" not in steps(seeds[5:7])
+    assert small_matrices.size(jax.make_jaxpr(jax.jit(lambda u: jnp.sin(u) * u))(u)) == 2
 
 
 def test_steps_of_a_program_that_are_not_known_hide_nothing_and_switches_keep_their_entries():

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from integrators.lowering.to_graph import lowered
-from problems.base.runtime import Array, Bool, Float, jax, jnp
+from problems.base.runtime import Array, Bool, Float, Int, jax, jnp
 
 if TYPE_CHECKING:
     from jax.extend.core import ClosedJaxpr
@@ -124,7 +124,7 @@ def tangent_along(
     touched = np.array([part.any(axis=1) for part in of_group])
     products: list[Any] = [None] * len(seeds)
 
-    def along(taken: Sequence[int], *seed: Array) -> Array:
+    def along(taken: Int[np.ndarray, " g"], *seed: Array) -> Array:
         def moved(*changed: Array) -> Array:
             others = dict(zip(taken, changed, strict=True))
             return parted(*(others.get(k, group) for k, group in enumerate(groups)))
