@@ -273,12 +273,6 @@ def _ratio(value: float, best: float) -> float:
     return value / best if best else math.inf
 
 
-def reaches(record: Record, group: str, target: float) -> bool:
-    """Whether the error of a group is no larger than the target."""
-    error = record.error(group, NORM)
-    return error is not None and error <= target
-
-
 def told_apart(one: Record, two: Record, cost: str) -> bool:
     """Whether the costs of two runs differ beyond what is known of them.
 

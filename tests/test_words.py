@@ -16,7 +16,7 @@ from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import read_profile, suite_titles
 from reports.pages.report import read_report
-from reports.questions.words import Ref, listed, plain, rendered
+from reports.questions.words import Ref, listed, plain
 
 GROUPS = {"q": (1.0, 2), "v": (1.0, 2), "a": (1.0, 2), "lam": (1.0, 2)}
 
@@ -167,8 +167,6 @@ def test_mine_is_run_reported_and_told(stepbench, monkeypatch, tmp_path):
         assert wrong.stderr.startswith("Error: ")
 
 
-def test_parts_become_text_or_links():
+def test_parts_become_text():
     sentence = ["On ", *listed([[Ref("scene", k, k.upper())] for k in "abcd"]), "."]
     assert plain(sentence) == "On A, B, C and 1 more."
-    linked = rendered(sentence, str.upper, lambda ref: f"<{ref.kind} {ref.key}>")
-    assert linked == "ON <scene a>, <scene b>, <scene c> AND 1 MORE."

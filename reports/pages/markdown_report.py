@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import quote
 
@@ -12,9 +12,8 @@ from reports.formatting import file_name
 from reports.names import scene_name
 from reports.pages.chapter import FOLDER, Figure
 from reports.pages.report import Report, read_report
-from reports.pages.templating import escape_markdown, markdown
+from reports.pages.templating import markdown
 from reports.questions.verdict import DIFFER, headlines
-from reports.questions.words import Ref, rendered
 from reports.tables.ranking_tables import standings_table
 
 FILE = "report.md"
@@ -60,13 +59,12 @@ def write_markdown_report(folder: Path) -> Path:
     for old in own.glob("scene-*.md"):
         if old.name not in map(_scene_file, (chapter.name for chapter in report.scenes)):
             old.unlink()
-    links = _links(report, files)
     text = markdown(
         "report.md.j2",
         names,
         report=report,
-        answer=[rendered(s, _escaped, links) for s in headlines(report.answered, report.names)],
-        doubts=[rendered(s, _escaped, links) for s in ([DIFFER], *report.wrong)],
+        answer=headlines(report.answered, report.names),
+        doubts=[[DIFFER], *report.wrong],
         standings=standings_table(report.answer),
         scenes=[(scene_name(s.name), files[s.name]) for s in report.scenes],
         figures=_FIGURES,
@@ -78,24 +76,6 @@ def write_markdown_report(folder: Path) -> Path:
 
 def _scene_file(name: str) -> str:
     return f"scene-{file_name(name)}.md"
-
-
-def _links(report: Report, files: Mapping[str, str]) -> Callable[[Ref], str]:
-    """Links from the index to the scenes and runs that a sentence names; others stay text."""
-    of_run = {r.key: name for name, own in report.series.items() for s in own for r in s.records}
-
-    def link(ref: Ref) -> str:
-        text = _escaped(ref.text)
-        scene = of_run.get(ref.key, ref.key) if ref.kind in ("scene", "run") else ""
-        return f"[{text}]({files[scene]})" if scene in files else text
-
-    return link
-
-
-def _escaped(text: str) -> str:
-    """Text between others, whose spaces at the ends stay."""
-    before, after = " " * text.startswith(" "), " " * (text.endswith(" ") and len(text) > 1)
-    return f"{before}{escape_markdown(text)}{after}"
 
 
 def _figures(report: Report) -> Iterator[Figure]:

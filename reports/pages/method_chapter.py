@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from bench.results.quantities import COSTS, GROUPS, NORM, NORMS, WRONG
 from bench.results.records import NOT_TRIED, IntegratorFacts
@@ -81,7 +80,7 @@ class MethodChapter:
         )
         self.scenes = Section("On all scenes", [strip, _scenes_table(label, by_scene, answer)])
         atlas = atlas_table(name, list(stored.atlas.values()))
-        unsupported = _own(unsupported_table(runs), "Scenes that it does not support")
+        unsupported = unsupported_table(runs)
         wrong = "; some are wrong" * any(r.wrong(group) for r in runs for group in GROUPS)
         fine = f"All its runs{' on scenes that it supports' * bool(unsupported)} reached the end"
         self.others = [
@@ -93,17 +92,12 @@ class MethodChapter:
             Section(
                 "Where it fails",
                 [
-                    _own(failures_table(runs), "Its runs that did not reach the end")
-                    or Text(f"{fine}{wrong}."),
-                    _own(notes_table(runs), "Its runs that reached the end with a note"),
+                    failures_table(runs) or Text(f"{fine}{wrong}."),
+                    notes_table(runs),
                     unsupported,
                 ],
             ),
         ]
-
-
-def _own(table: Table | None, caption: str) -> Table | None:
-    return replace(table, caption=caption) if table else None
 
 
 def _facts(name: str, series: Series, facts: IntegratorFacts | None) -> dict[str, str]:

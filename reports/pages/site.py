@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,8 +15,6 @@ from reports.names import scene_name
 from reports.pages.chapter import FOLDER, FRONT, Link, Page, Section, chapter_page
 from reports.pages.report import Report
 from reports.pages.scene_chapter import SceneChapter
-from reports.questions.question import FIRST, Question
-from reports.ranking import reaches
 from reports.tables.glossary import TERMS
 from reports.tables.mathml import equations
 from reports.tables.scene_tables import unknowns
@@ -136,8 +133,7 @@ def _scene(report: Report, chapter: SceneChapter) -> Page:
         "motion": motion(scene.drawings) if scene else None,
         "equations": equations(scene) if scene else [],
         "unknowns": unknowns(scene) if scene else "",
-        "command": _command(runs, plugins, report.stored.first),
-        "end": f"{runs[0].t_end:g}" if runs and not any(map(_own_atol, runs)) else "",
+        "end": f"{runs[0].t_end:g}" if runs and all(map(_usual, runs)) else "",
         "plugins": {label: option for label, option in plugins.items() if option},
     }
     anchors = [chapter.anchor, *(report.run_ids[r.key] for r in runs)]
@@ -149,20 +145,6 @@ def _scene(report: Report, chapter: SceneChapter) -> Page:
     )
 
 
-def _own_atol(run: Record) -> bool:
-    """Whether the absolute tolerance is another one than is usual for the relative one."""
-    return bool(run.rtol and run.atol and not math.isclose(run.atol, run.rtol / 100))
-
-
-def _command(runs: list[Record], plugins: Mapping[str, str], first: Question = FIRST) -> str:
-    """A command that repeats the cheapest run that answers the question, or the first one."""
-    good = [r for r in runs if r.status == "ok" and len(r.pattern) == 1]
-    if not good:
-        return ""
-    able = [r for r in good if reaches(r, first.group, first.target)] or good[:1]
-    best = min(able, key=lambda r: r.cost(first.cost) or float("inf"))
-    control = f"--step {best.h:.6g}" if best.controls == "step" else f"--rtol {best.rtol:g}"
-    if _own_atol(best):
-        control += f" --atol {best.atol:g}"
-    words = ["stepbench", "solve", best.problem, best.integrator]
-    return f"{shlex.join(words)} {control} --t-end {best.t_end:g}{plugins[best.integrator]}"
+def _usual(run: Record) -> bool:
+    """Whether the absolute tolerance is the one that is usual for the relative one."""
+    return not (run.rtol and run.atol) or math.isclose(run.atol, run.rtol / 100)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -33,14 +33,7 @@ Names = Mapping[str, str]
 
 def plain(sentence: Sequence[Piece]) -> str:
     """The sentence without its references."""
-    return rendered(sentence, str, lambda ref: ref.text)
-
-
-def rendered(
-    sentence: Sequence[Piece], text_of: Callable[[str], str], link_of: Callable[[Ref], str]
-) -> str:
-    """The sentence in a page's language: plain parts by ``text_of``, references by ``link_of``."""
-    return "".join(text_of(p) if isinstance(p, str) else link_of(p) for p in sentence)
+    return "".join(p if isinstance(p, str) else p.text for p in sentence)
 
 
 def listed(items: Iterable[Sequence[Piece]], most: int = 3) -> Sentence:
