@@ -217,11 +217,6 @@ def form_name(runs: Iterable[Record | None]) -> str:
     return ", ".join(_FORMS[part] for part in next(stated, []) if part in _FORMS)
 
 
-def form_behind(name: str, form: str) -> str:
-    """A form behind a short name, without what the name says already."""
-    return ", ".join(part for part in form.split(", ") if part and part not in name.split(" · "))
-
-
 def scene_name(scene: str) -> str:
     """A scene as a person reads it: `slider_crank[l1=2]` is `slider crank[l1=2]`."""
     name, bracket, rest = scene.partition("[")

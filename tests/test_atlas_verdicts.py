@@ -13,6 +13,7 @@ from bench.atlas.runs import digest, number_of, value_of, within
 from bench.results.records import Record, Rows
 from bench.results.studies import (
     CaseResult,
+    Expected,
     ExperimentResult,
     PartResult,
     experiments_table,
@@ -68,12 +69,17 @@ def test_a_number_that_does_not_exist_is_no_verdict_and_its_reason_is_shown():
     reason = "newton_failed: Newton's method did not converge in the step to t=0.1 s"
     cases = planted(3.0), planted(1.0), planted(None, reason), planted(None, "no steps", x=[], y=[])
     assert [case.verdict for case in cases] == ["spared", "hit", "does not apply", "does not apply"]
-    shown = [part_table(part).rows[0][-2] for part in result(*cases).parts]
-    assert shown[2].startswith("- (newton_failed: Newton's method did not converge")
-    assert shown[3] == "- (no steps)"
+    tables = [part_table(part) for part in result(*cases).parts]
+    assert [table.head[-1] for table in tables] == ["method", "method", "remark", "remark"]
+    assert tables[2].rows[0][-1] == reason
+    assert tables[3].rows[0][-1] == "no steps"
+    expected = Expected((2.9, 3.1), "theory", "", "")
+    differs = planted(1.0, expected=expected, as_expected=False), planted(None, stopped=True)
+    remarks = [part_table(part).rows[0][-1] for part in result(*differs).parts]
+    assert remarks == ["DIFFERS", "not measured"]
     assert experiments_table([result(*cases)]).rows[0][-1] == "1 of 2"
     assert experiments_table([result(*cases[2:])]).rows[0][-1] == "does not apply"
-    verdicts = [part_table(part).rows[0][-1] for part in result(*cases).parts]
+    verdicts = [table.rows[0][4] for table in tables]
     assert verdicts == [case.verdict for case in cases]
 
 

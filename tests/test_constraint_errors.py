@@ -221,7 +221,9 @@ def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_viol
         return [browser.execute_script(said, place) for place in ("[data-verdict]", ".methods tr")]
 
     (verdict,), rows = asked("pendulum", "#group=constraint&target=1e-3&cost=operations")
-    assert verdict.startswith("To 1e-3 in constraints Φ: two (3000 operations at h=0.01; index 2;")
+    assert verdict.startswith(
+        "To 1e-3 in constraints Φ: two (3000 operations at h=0.01; violation of Φ"
+    )
     assert "one index 2 not reached" in rows[-1].replace("\t", " ")
     _, (head, one, two) = asked("pendulum", "#group=a&target=1e-4&cost=operations")
     assert "form" in head

@@ -121,7 +121,7 @@ def test_the_headline_has_at_most_twelve_words():
         ([(1, 1), (2, 2)], "A and B are each cheapest on both scenes, always tied."),
         ([(1, 9, 9), (9, 1, 9), (9, 9, 1)], "3 methods tie: each is cheapest on 1 of 3 scenes."),
         ([(1, 9), (1, 9)], "A is cheapest on both scenes."),
-        ([(None, None)] * 3, "No method reaches 1e-4 on any of 3 scenes."),
+        ([(None, None)] * 3, "No method reaches 1e-4 on any of the 3 scenes judged."),
         ([(1,)], "It is reached, but no costs can be compared."),
         # Both are first on three scenes, B on one of them by itself.
         (

@@ -73,7 +73,7 @@ class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     first to the last, or the slope of a straight line in log-log. ``show`` names a component
     (such as lam1) whose history in the first run is drawn.
 
-    ``basis``, a key of `bench.results.studies.BASES`, and ``why`` say why a number is expected;
+    ``basis``, one of `bench.results.studies.BASES`, and ``why`` say why a number is expected;
     ``margin`` is the distance from it that is allowed, absolute of a slope, else relative.
     """
 
@@ -210,7 +210,7 @@ def _number(formula: Formula) -> float:
 
 def _check(s: Case, healthy: tuple[float, float], where: str) -> None:
     _one_of(s.measure, MEASURES, f"{where}: measure")
-    _one_of(s.basis, list(BASES), f"{where}: basis")
+    _one_of(s.basis, BASES, f"{where}: basis")
     expected = s.expectation()
     if not expected or not -math.inf < expected.bounds[0] <= expected.bounds[1] < math.inf:
         raise SpecError(f"{where}: expected={s.expected} is no number and no interval.")

@@ -120,16 +120,12 @@ def drift_table(runs: Sequence[LongRun]) -> Table:
     return Table("Largest drift, and its trend", head, rows, note=_NOTE)
 
 
-#: Bases of numbers that are expected, and the verdict on a number found that is so.
-BASES = {
-    "theory": "as predicted",
-    "publication": "as predicted",
-    "measurement": "as measured earlier",
-}
+#: Bases of numbers that are expected.
+BASES = "theory", "publication", "measurement"
 
 
 class Expected(msgspec.Struct):
-    """The interval in which a number is expected, its basis, a key of `BASES`, the ``formula`` of
+    """The interval in which a number is expected, its basis, one of `BASES`, the ``formula`` of
     the number or of the bounds, empty if these are plain numbers, and the reason in words."""
 
     bounds: tuple[float, float]
@@ -254,28 +250,27 @@ def spared(cases: Iterable[CaseResult]) -> str:
 
 
 def part_table(part: PartResult) -> Table:
-    """The number of each case beside its prediction."""
+    """The number of each case beside its prediction, with a remark where these differ."""
     how = {"slope": "power of the step, or of what is swept", "growth": "last over first",
            "largest": "largest of the sweep", "last": ""}[part.take]  # fmt: skip
     quantity_text = f"{part.quantity} ({how})" if how else part.quantity
     rows, best = [], set()
     for case in part.cases:
-        expected, verdict = case.expected, "not measured" if case.stopped else "-"
-        if expected and not case.stopped:
-            verdict = BASES[expected.basis] if case.as_expected else "DIFFERS"
+        expected = case.expected
         found = "none" if case.number is None else number(case.number)
         where = [bounds(expected.bounds), expected.basis] if expected else ["-", "-"]
-        rows.append([case.label, found, *where, verdict])
-        if case.message:
-            rows[-1][-1] += f" ({case.message.split(';')[0].rstrip('.')})"
-        rows[-1].append(case.verdict)
+        differs = "not measured" if case.stopped else "DIFFERS" * (case.as_expected is False)
+        remark = ": ".join(filter(None, (differs, case.message.split(";")[0].rstrip("."))))
+        rows.append([case.label, found, *where, case.verdict, remark])
         if case.healthy:
-            best.add((len(rows) - 1, 5))
+            best.add((len(rows) - 1, 4))
     note = f"Measured: {quantity_text}. Spared is what lies within {bounds(part.healthy)}."
     told = [(case.label, case.expected) for case in part.cases if case.expected]
     texts = [e.why for _, e in told] + [f"{label}: {e.formula}" for label, e in told if e.formula]
     if why := "; ".join(filter(None, dict.fromkeys(texts))):
         note += f" Expected: {why}."
-    head = ["", "found", "expected", "basis", "verdict", "method"]
+    head = ["", "found", "expected", "basis", "method", "remark"]
+    if not any(row[-1] for row in rows):
+        head, rows = head[:-1], [row[:-1] for row in rows]
     named = all(case.label == case.integrator for case in part.cases)
     return Table(part.text, head, rows, best=best, code=(0,) if named else (), note=note)

@@ -75,7 +75,7 @@ class Site:
         ]
         words = next(root + self.link(p) for p in self.pages if p.kind == "glossary")
         below[SEARCHED[1]] = [
-            Link(f"{words.partition('#')[0]}#{term.anchor}", term.name) for term in TERMS
+            Link(f"{words.partition('#')[0]}#{term.anchor}", term.title) for term in TERMS
         ]
         return [(heading, links) for heading, links in below.items() if links]
 

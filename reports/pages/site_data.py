@@ -17,7 +17,7 @@ from reports.formatting import number, tie_text
 from reports.names import family_name, form_name, scene_name
 from reports.pages.report import Report
 from reports.pages.site import method_page, scene_page
-from reports.questions.question import BOTH, GRID, Question, filters, tag_name
+from reports.questions.question import BOTH, GRID, KINDS, Question, filters, kind_of, tag_name
 from reports.questions.verdict import HEADLINES, LATER, WRONG_A
 from reports.questions.words import Piece
 from reports.questions.wrong import wrong_sentences
@@ -68,6 +68,7 @@ def site_data(report: Report) -> dict[str, Any] | None:
             "cost": first.cost,
             "highlight": report.mine,
         },
+        "kinds": [*map(tag_name, KINDS), "others"],
         "filters": [
             {"id": f.key, "name": f.name, "scenes": [[*measured].index(k) for k in f.scenes]}
             for f in chosen
@@ -110,6 +111,7 @@ def _scene(
     return {
         "id": name,
         "name": scene_name(name),
+        "kind": kind_of(scene.tags if scene else ()),
         "about": " · ".join([*filter(None, [options]), *tags]),
         "page": scene_page(name),
         "groups": groups,

@@ -29,6 +29,8 @@ BOTH = ("operations", "seconds")
 ALL = "all"
 #: Tags by which nobody chooses a mechanism: they tell how a scene serves the bench.
 OF_THE_BENCH = {"conformance", "orders", "benchmark", "closed form", "scalable"}
+#: Kinds of scenes: each is of the first of these tags that it has.
+KINDS = ("mechatronic", "constrained", "events", "stiff", "smooth")
 #: Tags that read better by another word.
 _TAG_NAMES = {"mechatronic": "controlled", "rheonomic": "driven constraint"}
 
@@ -108,6 +110,11 @@ def filters(tags: Mapping[str, Sequence[str]]) -> list[Filter]:
             seen.add(tuple(scenes))
             found.append(Filter(tag.replace(" ", "_"), tag_name(tag), tuple(scenes)))
     return found
+
+
+def kind_of(tags: Sequence[str]) -> str:
+    """The kind of a scene, in a reader's word."""
+    return next((tag_name(kind) for kind in KINDS if kind in tags), "others")
 
 
 def tag_name(tag: str) -> str:

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping
 from bench.results.quantities import COSTS, NORM
 from bench.results.records import Record
 from reports.formatting import cost_text, named, number
-from reports.names import form_behind, form_name
 from reports.questions.question import BOTH, Question
 from reports.questions.words import Names, Sentence, listed, method_ref
 from reports.ranking import Answer, RankEntry, SceneAnswer
@@ -39,7 +38,7 @@ def headline(found: Answer, names: Names, of: Answer | None = None) -> Sentence:
     count, alone = max(((s.alone + s.tied, s.alone) for s in rows), default=(0, 0))
     if not count:
         kind = "unpriced" if missed < judged else "nobody" if judged else "unjudged"
-        scenes = {1: "the scene"}.get(judged, f"any of {judged} scenes")
+        scenes = {1: "the scene"}.get(judged, f"any of the {judged} scenes judged")
         return [HEADLINES[kind].format(target=found.question.accuracy, any=scenes)]
     lead = [s.label for s in rows if (s.alone + s.tied, s.alone) == (count, alone)]
     on = every if count == judged else f"{count} of {judged} scenes"
@@ -70,7 +69,7 @@ def verdict(found: SceneAnswer, names: Names) -> str:
     unknown = f"not measured: {named(names.get(k, k) for k in found.unknown)}"
     if not found.tied:
         return unknown if found.unknown else "nobody reaches it" + _near(found, names)
-    said = named(names.get(s.label, s.label) + _costs(s, found, names) for s in found.first)
+    said = named(names.get(s.label, s.label) + _costs(s, found) for s in found.first)
     if len(found.tied) > 1:
         said += " tie"
     if second := found.second:
@@ -103,15 +102,13 @@ def violation_text(runs: Iterable[Record | None], target: float) -> str:
     return f"{shown}, relative {number(worst)}" if worst else shown
 
 
-def _costs(entry: RankEntry, found: SceneAnswer, names: Names) -> str:
-    """' (100 at h=0.1; GGL)': cost and resolution of the cheapest run, its form of constraints
-    without what the name says already, and what speaks against it."""
+def _costs(entry: RankEntry, found: SceneAnswer) -> str:
+    """' (100 at h=0.1)': cost and resolution of the cheapest run, and what speaks against it."""
     run: Record | None = entry.run
     if not run:
         return ""
-    form = form_behind(names.get(entry.label, entry.label), form_name([run]))
     wrong = found.question.group != "a" and entry.series.never_right("a")
-    notes = form, LATER * (entry.label in found.later), WRONG_A * wrong
+    notes = LATER * (entry.label in found.later), WRONG_A * wrong
     at = f"{cost_text(entry.value, found.question.cost)} at {run.resolution.split(',')[0]}"
     return f" ({'; '.join(filter(None, (at, *notes)))})"
 

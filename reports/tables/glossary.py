@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import NamedTuple
 
 
-class Term(NamedTuple):
-    """A term with its definition."""
+class Term:
+    """A term with its definition, and other words for it beside its plural."""
 
-    name: str
-    definition: str
+    def __init__(self, definition: str, name: str, *also: str) -> None:
+        self.definition, self.name, self.also = definition, name, also
+
+    @property
+    def title(self) -> str:
+        """The term, with other words for it behind."""
+        return self.name + (f" ({', '.join(self.also)})" if self.also else "")
 
     @property
     def anchor(self) -> str:
@@ -19,42 +23,46 @@ class Term(NamedTuple):
         return "term-" + re.sub(r"\W+", "-", self.name.lower())
 
 
+#: The definitions by the term and other words for it.
 _DEFINITIONS = {
     "Baumgarte": "Constraints that are not solved but pulled back: their violation decays like a "
     "damped oscillation.",
-    "Consistent start": "Values that satisfy all equations at t0; start=corrected shifts the "
-    "acceleration of a generalized-α method so that its first steps have full order.",
+    "Consistent start, start=corrected, corrected start": "Values that satisfy all equations at "
+    "t0; start=corrected shifts the acceleration of a generalized-α method so that its first steps "
+    "have full order.",
     "Constraint": "An equation Φ(q, t) = 0 that the coordinates must satisfy at all times, such as "
     "a joint.",
     "Controller state": "An unknown x with a differential equation of first order, such as the "
     "integral of a controller.",
-    "Damping ratio": "The part of critical damping that a method adds to an oscillation that has "
-    "none.",
+    "Damping ratio, numerical damping": "The part of critical damping that a method adds to an "
+    "oscillation that has none.",
     "Drift": "The growth of what should stay constant: the constraint residual, or the energy of a "
     "system that conserves it.",
     "Floor": "A hundred times the reference's own error: below it an error says nothing.",
     "GGL": "The formulation of Gear, Gupta and Leimkuhler, which holds the constraints at the "
     "level of positions and of velocities at once and has index 2.",
-    "Hit": "The verdict of an experiment of the failure atlas: a number of the method lies outside "
-    "of the interval in which a method passes; spared: within.",
-    "Index": "The number of differentiations that turn equations with constraints into "
-    "differential equations: 3 with constraints on positions, and the higher the harder.",
+    "Hit, spared": "The verdict of an experiment of the failure atlas: a number of the method lies "
+    "outside of the interval in which a method passes; spared: within.",
+    "Index, index 1, index 2, index 3, index1, index2, index3": "The number of differentiations "
+    "that turn equations with constraints into differential equations: 3 with constraints on "
+    "positions, and the higher the harder.",
     "Multiplier": "An unknown λ, the force that holds a constraint.",
-    "Newton iteration": "A linear solve that improves the guess of an implicit step; full Newton "
-    "takes a new tangent each time, modified Newton keeps an old one.",
+    "Newton iteration, modified Newton, full Newton": "A linear solve that improves the guess of "
+    "an implicit step; full Newton takes a new tangent each time, modified Newton keeps an old "
+    "one.",
     "Norm": "The rule that makes one number of an error over time: its largest value over all "
     "steps unless another is named.",
     "ODE form": "The equations solved for the accelerations, constraints differentiated twice "
     "(index 1).",
-    "Operations": "Floating-point operations of a run, counted from the program of its steps, the "
-    "same on every machine; those of library codes are an estimate: their own arithmetic is taken "
-    "from published formulas.",
+    "Operations, floating-point operations": "Floating-point operations of a run, counted from the "
+    "program of its steps, the same on every machine; those of library codes are an estimate: "
+    "their own arithmetic is taken from published formulas.",
     "Order": "The power p with which an error falls: with half the step it is 2^p times smaller.",
     "Performance profile": "The part of all tasks that a method solves at no more than so many "
     "times the cost of the best one.",
     "Period error": "The relative change of the period of an oscillation that a method computes.",
-    "Projected": "After each step the values are moved back onto the constraints; unprojected: "
-    "they drift off.",
+    "Projected, unprojected": "After each step the values are moved back onto the constraints; "
+    "unprojected: they drift off.",
     "Reference": "The solution with which runs are compared: a closed form, or a computation that "
     "is far more accurate than the runs and knows its own error.",
     "Relative error": "The distance from the reference, divided by the component's natural size, "
@@ -63,42 +71,25 @@ _DEFINITIONS = {
     "make if each changes by its size, an angle by at most 1 rad.",
     "Residual evaluation": "One evaluation of the equations of motion, the work that every "
     "implicit method does.",
-    "rho_inf": "The spectral radius ρ∞ of a method at steps of infinite length: 1 damps nothing, "
-    "0 all that steps cannot resolve.",
-    "Settled": "The norm that takes the largest error in the last quarter of the time, when the "
-    "transient of the start is over.",
+    "rho_inf, ρ∞": "The spectral radius ρ∞ of a method at steps of infinite length: 1 damps "
+    "nothing, 0 all that steps cannot resolve.",
+    "Settled, last quarter": "The norm that takes the largest error in the last quarter of the "
+    "time, when the transient of the start is over.",
     "Spectral radius": "The factor by which a step multiplies the slowest decaying part of an "
     "error or a vibration; above 1 the solution grows.",
-    "Start transient": "Errors of lower order in the first steps, made by starting values that do "
-    "not fit the method.",
-    "Stiff": "A system is stiff if it has parts that decay or oscillate much faster than the "
-    "motion that is of interest.",
-    "Tie": "Two methods tie if their costs cannot be told apart: times by the quotients within "
-    "rounds of samples, operations within 10 %.",
-    "Tolerance": "The local error that a method with steps of its own choice allows itself in a "
-    "step: rtol, relative to the value, and atol, which is rtol/100 unless another is named.",
+    "Start transient, transient": "Errors of lower order in the first steps, made by starting "
+    "values that do not fit the method.",
+    "Stiff, stiffness": "A system is stiff if it has parts that decay or oscillate much faster "
+    "than the motion that is of interest.",
+    "Tie, tied": "Two methods tie if their costs cannot be told apart: times by the quotients "
+    "within rounds of samples, operations within 10 %. One that is the cheapest if the runs start "
+    "later on the same motion ties, too.",
+    "Tolerance, rtol": "The local error that a method with steps of its own choice allows itself "
+    "in a step: rtol, relative to the value, and atol, which is rtol/100 unless another is named.",
 }
-TERMS = tuple(Term(name, text) for name, text in _DEFINITIONS.items())
-#: Other words for the terms, beside their names and plurals.
-_SYNONYMS = {
-    "Damping ratio": ("numerical damping",),
-    "Consistent start": ("start=corrected", "corrected start"),
-    "Hit": ("spared",),
-    "Index": ("index 1", "index 2", "index 3", "index1", "index2", "index3"),
-    "Newton iteration": ("modified Newton", "full Newton"),
-    "Operations": ("floating-point operations",),
-    "Projected": ("unprojected",),
-    "rho_inf": ("ρ∞",),
-    "Settled": ("last quarter",),
-    "Start transient": ("transient",),
-    "Stiff": ("stiffness",),
-    "Tie": ("tied",),
-    "Tolerance": ("rtol",),
-}
+TERMS = [Term(text, *words.split(", ")) for words, text in _DEFINITIONS.items()]
 _BY_FORM = {
-    form.lower(): term
-    for term in TERMS
-    for form in (term.name, f"{term.name}s", *_SYNONYMS.get(term.name, ()))
+    form.lower(): term for term in TERMS for form in (term.name, f"{term.name}s", *term.also)
 }
 _FORMS = re.compile(
     rf"(?<![\w-])({'|'.join(sorted(map(re.escape, _BY_FORM), key=len, reverse=True))})"

@@ -64,9 +64,9 @@ def policies_table(by_policy: Mapping[str, Sequence[Series]]) -> Table:
     labels = dict.fromkeys(label for own in runs.values() for label in own)
     rows = [[label, *(_nearest(own.get(label)) for own in runs.values())] for label in labels]
     note = (
-        f"Smallest error in {quantity(JUDGED)} ({NORMS[NORM]}) and its run. hit: a step ends at "
-        "each sample; interpolate: constant steps go over samples; ignore: the controller is "
-        "called wherever the method evaluates the equations."
+        f"Smallest error in {quantity(JUDGED)} ({NORMS[NORM]}) and its run. ``hit``: a step ends "
+        "at each sample; ``interpolate``: constant steps go over samples; ``ignore``: the "
+        "controller is called wherever the method evaluates the equations."
     )
     head = ["integrator", *(f"sampling={name}" for name in runs)]
     return Table("Errors by what runs do at samples", head, rows, note=note)

@@ -15,20 +15,11 @@
   // The cell with most colour is the cheapest; from this multiple on it has the least.
   const MOST = 100;
 
-  // Scenes in the order of the groups they belong to: the first filter that has them.
+  // The scenes by kind, or all of a chosen set together.
   const grouped = (chosen) => {
-    const filters = data.filters.filter((f) => f.id !== "all");
-    const asked = filters.find((f) => f.id === stepbench.question.scenes);
-    if (asked) return [[asked.name, chosen]];
-    const left = new Set(chosen), groups = [];
-    for (const filter of filters) {
-      const own = filter.scenes.filter((k) => left.has(k));
-      if (own.length < 2) continue;
-      own.forEach((k) => left.delete(k));
-      groups.push([filter.name, own]);
-    }
-    if (left.size) groups.push([groups.length ? "others" : "all scenes", [...left]]);
-    return groups;
+    const filter = data.filters.find((f) => f.id === stepbench.question.scenes && f.id !== "all");
+    if (filter) return [[filter.name, chosen]];
+    return data.kinds.map((kind) => [kind, chosen.filter((k) => data.scenes[k].kind === kind)]).filter(([, own]) => own.length);
   };
 
   const cell = (method, index, answer) => {

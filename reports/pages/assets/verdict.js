@@ -47,8 +47,8 @@
       return own.reached ? ["It is reached, at costs that are not measured."] : [`No method reaches ${question.target}`, ...(near ? ["; nearest: ", stepbench.methodRef(near.index), at] : ["."])];
     }
     const run = (m) => {
-      const [, k, cost] = own.states[m], runs = runsOf(scene, m), off = stepbench.columnOf(runs, "constraint")?.[k], { form, short } = data.methods[m];
-      const held = off > 0 ? `; ${form && !short.endsWith(form) ? `${form}; ` : ""}violation of Φ ${runs.phi[k]}${runs.phi[k] ? ", " : ""}relative ${stepbench.number(off)}${off > Number(question.target) ? ` > ${question.target}` : ""}` : "";
+      const [, k, cost] = own.states[m], runs = runsOf(scene, m), off = stepbench.columnOf(runs, "constraint")?.[k];
+      const held = off > 0 ? `; violation of Φ ${runs.phi[k]}${runs.phi[k] ? ", " : ""}relative ${stepbench.number(off)}${off > Number(question.target) ? ` > ${question.target}` : ""}` : "";
       return [stepbench.methodRef(m), ` (${stepbench.costWithUnit(cost, question.cost)} at ${stepbench.resolutionOf(runs, k)}${held}${marks(scene, own, m, question)})`];
     };
     const shown = own.first.slice(0, MOST).map(run), more = own.first.length - shown.length;
