@@ -19,7 +19,8 @@
   const grouped = (chosen) => {
     const filter = data.filters.find((f) => f.id === stepbench.question.scenes && f.id !== "all");
     if (filter) return [[filter.name, chosen]];
-    return data.kinds.map((kind) => [kind, chosen.filter((k) => data.scenes[k].kind === kind)]).filter(([, own]) => own.length);
+    const kinds = data.kinds.map((kind) => [kind, chosen.filter((k) => data.scenes[k].kind === kind)]).filter(([, own]) => own.length);
+    return kinds.length > 1 ? kinds : [["all scenes", chosen]];
   };
 
   const cell = (method, index, answer) => {
