@@ -33,10 +33,6 @@ def raises(state: tuple) -> int:
     raise ValueError("so it goes")
 
 
-def leaves(state: tuple) -> int:
-    raise SystemExit(0)
-
-
 def refuses(state: tuple) -> int:
     raise SpecError("No such thing.")
 
@@ -62,15 +58,6 @@ def hoards(state: tuple) -> int:
     hoard = [np.ones(10**7) for _ in range(8)]
     time.sleep(60)
     return len(hoard)
-
-
-def sends_rubbish(state: tuple) -> int:
-    for descriptor in range(3, 1000):
-        try:
-            os.write(descriptor, b"\xff" * 100)
-        except OSError:
-            continue
-    return 1
 
 
 def ends_by(state: tuple, number: int) -> int:
@@ -102,10 +89,3 @@ def starts_children(state: tuple) -> list[int]:
     return [
         subprocess.Popen(["sleep", "1000"], start_new_session=alone).pid for alone in (False, True)
     ]
-
-
-def closes_its_output(state: tuple, seconds: float) -> int:
-    for descriptor in (1, 2):
-        os.close(descriptor)
-    time.sleep(seconds)
-    return 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -176,15 +175,6 @@ def test_the_command_says_a_line_for_each_check_and_exits_with_1(stepbench, tmp_
         "  ✗ description: The parameter m has no unit; give '1' for a pure number."
     ]
     assert f"1 of {2 * len(CHECKS['problems'])} checks failed." in result.stderr
-
-
-@pytest.mark.long
-def test_the_command_answers_in_json(stepbench):
-    result = stepbench("check", "spring_mass", "--json")
-    assert result.exit_code == 0, result.output
-    (answer,) = json.loads(result.stdout)
-    assert (answer["name"], answer["kind"], answer["passed"]) == ("spring_mass", "scene", True)
-    assert [check["check"] for check in answer["checks"]] == list(CHECKS["problems"])
 
 
 def test_a_file_that_cannot_be_loaded_fails_with_its_reason(stepbench, tmp_path):

@@ -22,16 +22,13 @@ from bench.running.process import (
     NoAnswer,
     Refused,
     usage,
-    wait_for_any,
 )
 from bench.running.serve import LOADING, PREPARING, RUNNING, WAITING
 
 #: Job, arguments, status and words of what it costs.
 FATES = [
     (jobs.raises, (), "crashed", "ValueError: so it goes (guarded_jobs.py, line"),
-    (jobs.leaves, (), "crashed", "SystemExit: 0"),
     (jobs.a_function_of_its_own, (), "crashed", "local object"),
-    (jobs.sends_rubbish, (), "crashed", "Its answer cannot be read"),
     (jobs.exits, (), "crashed", "died while running (exit code 3). Its last words: it said so"),
     (jobs.ends_by, (signal.SIGSEGV,), "crashed", "died while running (SIGSEGV)"),
     (jobs.ends_by, (signal.SIGKILL,), "interrupted", "from outside while running (SIGKILL)"),
@@ -150,15 +147,6 @@ def test_a_process_ends_with_the_program_that_started_it(tmp_path):
     )
     assert done.returncode == -signal.SIGKILL, done.stderr
     assert comes(lambda: not psutil.pid_exists(int(done.stdout)))
-
-
-def test_who_closes_its_output_keeps_nobody_awake(guarded):
-    guarded().start(jobs.closes_its_output, 0.5)
-    looks, begun = 0, time.monotonic()
-    while guarded().poll() is None:
-        wait_for_any([guarded()])
-        looks += 1
-    assert looks < 5 + (time.monotonic() - begun) / limits._BETWEEN
 
 
 # ---- budgets -------------------------------------------------------------------------------

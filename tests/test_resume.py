@@ -157,15 +157,13 @@ def missing(store: Store, **more: float) -> tuple[int, int]:
     return len(cells), len(scenes)
 
 
-def test_what_a_budget_stopped_is_run_again_with_more_time_or_memory(store):
+def test_what_a_budget_stopped_is_run_again_with_more_and_what_went_wrong_otherwise_is_not(store):
     keep(store, budget_s=10.0, memory_gib=4.0)
-    assert missing(store) == (0, 0)
-    assert missing(store, budget_s=5.0, memory_gib=2.0) == (0, 0)
-    assert missing(store, budget_s=20.0) == (1, 1)
-    assert missing(store, memory_gib=8.0) == (1, 1)
-
-
-def test_what_went_wrong_otherwise_is_not_run_again(store):
+    for more, count in (
+        ({}, 0), ({"budget_s": 5.0, "memory_gib": 2.0}, 0), ({"budget_s": 20.0}, 1),
+        ({"memory_gib": 8.0}, 1),
+    ):  # fmt: skip
+        assert missing(store, **more) == (count, count)
     keep(store, stopped=False, budget_s=10.0, memory_gib=4.0)
     assert missing(store, budget_s=20.0, memory_gib=8.0) == (0, 0)
 
