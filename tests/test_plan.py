@@ -53,7 +53,7 @@ def test_varied_options_are_combined_with_every_integrator(tmp_path):
         ("steps =", 'components = ["q2:q9"]\nsteps =', "pendulum has no component 'q9'"),
         ("steps =", 'components = ["q1:"]\nsteps =', "pendulum has no component ''"),
         ("steps =", 'components = ["z1"]\nsteps =', "give a group and a number such as q1"),
-        ("steps =", 'figures = ["run"]\nsteps =', "did you mean 'runs'"),
+        ("steps =", 'figures = ["order"]\nsteps =', "did you mean 'orders'"),
     ],
 )
 def test_a_bad_profile_is_one_sentence(tmp_path, old, new, words):

@@ -245,14 +245,12 @@ def plugin_files(paths: Sequence[str | Path]) -> list[str]:
                 f"{str(name)!r} is not the path of a plugin: {said(error)}."
             ) from None
         inside = sorted(f for f in path.glob("*.py") if not f.name.startswith("_"))
-        if path.is_dir() and not inside:
-            raise PluginError(f"The folder {path} has no Python file with a plugin.")
         for file in inside or [path]:
-            if not file.is_file():  # a pipe would be waited for
-                raise PluginError(f"There is no plugin file or folder {file}.")
-            if file.suffix not in (".py", *SUFFIXES):
-                known = ", ".join(SUFFIXES)
-                raise PluginError(f"{file} is not a Python file, nor a model ({known}).")
+            if not file.is_file() or file.suffix not in (".py", *SUFFIXES):
+                raise PluginError(
+                    f"{file} is not a Python file, nor a folder with one, nor a model "
+                    f"({', '.join(SUFFIXES)})."
+                )
             files.append(str(file))
     return list(dict.fromkeys(files))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
@@ -10,7 +9,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
-import numpy as np
 
 from bench.plugins.fingerprint import fingerprint, reference_file
 from bench.plugins.registry import Plugin, PluginError, Registry, Sources, Unavailable, why
@@ -136,15 +134,6 @@ class Inventory:
         """Return the facts of an integrator with what its defaults choose on a scene."""
         kept = method.keeping_tangents if scene.dear_tangents else ""
         return self.integrator(kept) if kept else method
-
-    def weight(self, text: str) -> float:
-        """Estimate how long runs of a scene take: steps times the square of its states. Those of a
-        scene from outside, of which nothing is run here, come first."""
-        facts = self.problem(text)
-        if facts.sources:
-            return math.inf
-        states = sum(np.size(part) for part in self._registry.problem(text).start())
-        return float(np.ptp(facts.interval) / facts.nominal_step * states**2)
 
     def refusals(self, text: str, methods: Sequence[str]) -> dict[str, str]:
         """Return why integrators do not take a scene, by their names.

@@ -112,8 +112,6 @@ def measure_suite(
 
     if cells or scenes or further:
         groups = _groups(cells, scenes, registry)
-        # So that no worker is left alone with the longest group in the end.
-        groups.sort(key=lambda group: registry.weight(group[0].scene or ""), reverse=True)
         # Scenes are counted if there is nothing else to do: people ask for cells.
         counted = Worker.measure if cells or further else Worker.scene
         progress = runner.progress
