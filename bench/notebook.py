@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.commands.options import BUDGET_S, RESULTS, usable_registry
-from bench.commands.orders import suite_of_orders
-from bench.commands.suite import run_suite, write_reports
+from bench.commands.suite import run_suite, suite_of_orders, write_reports
 from bench.results.flat_rows import flatten
 from bench.results.orders import order_summary
 from bench.results.quantities import GROUPS

@@ -12,7 +12,7 @@ from small_stores import a_record
 from bench import order
 from bench.commands import results
 from bench.commands.main import main
-from bench.commands.single_runs import _end_values
+from bench.commands.runs import _end_values
 from bench.results.orders import EXACT
 from bench.results.records import Rows
 from bench.results.store import Store

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from planted import STEPS, planted
 
-from bench.commands.orders import suite_of_orders
+from bench.commands.suite import suite_of_orders
 from bench.plugins.registry import Registry
 from bench.results.records import Study
 from bench.results.store import Store

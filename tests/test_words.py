@@ -46,7 +46,7 @@ def test_an_order_of_unsupported_runs_alone_is_one_sentence(refused, monkeypatch
         Store(out, create=True).close()
         return Outcome([ended("unsupported", h) for h in (0.1, 0.05, 0.025)], 3, [], ())
 
-    monkeypatch.setattr("bench.commands.orders.run_suite", run_suite)
+    monkeypatch.setattr("bench.commands.suite.run_suite", run_suite)
     said = refused("order", "pendulum", "newmark", "--out", tmp_path)
     assert said == "Error: No order was measured. All end with unsupported: Because."
 

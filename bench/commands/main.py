@@ -10,25 +10,11 @@ from typing import Any
 
 import click
 
-from bench.commands import (
-    listing,
-    orders,
-    plugins,
-    recommendations,
-    results,
-    single_runs,
-    studies,
-    suite,
-    sweeps,
-)
+from bench.commands import listing, plugins, results, runs, studies, suite
 from bench.results.store import StoreError
 from problems.base.spec import SpecError, suggest
 from problems.base.text import shortened
 
-#: The modules with commands.
-_MODULES = (
-    listing, plugins, single_runs, orders, suite, recommendations, results, studies, sweeps
-)  # fmt: skip
 #: The answer to `stepbench` alone.
 _FIRST = """\
 stepbench compares time integrators for mechanical and mechatronic systems. First:
@@ -127,7 +113,7 @@ def main(context: click.Context) -> None:
         click.echo(_FIRST)
 
 
-for module in _MODULES:
+for module in (listing, plugins, runs, suite, results, studies):
     for command in vars(module).values():
         if isinstance(command, click.Command):
             main.add_command(command)

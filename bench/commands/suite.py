@@ -1,4 +1,4 @@
-"""The command for whole suites: `stepbench run`."""
+"""The commands that measure many runs into a folder: `run`, `order` and `recommend`."""
 
 from __future__ import annotations
 
@@ -10,15 +10,23 @@ from pathlib import Path
 import click
 
 from bench.commands import options
-from bench.commands.options import Given
+from bench.commands.options import BUDGET_S, Given
+from bench.plugins.registry import SUFFIXES
 from bench.results.records import INTERRUPTED, Record, counted, endings
 from bench.results.store import Store
 from bench.results.studies import ExperimentResult
 from bench.running.interrupts import remark
-from bench.running.inventory import Inventory
+from bench.running.inventory import Inventory, SceneFacts
 from bench.running.plan import Suite, make_suite
-from bench.running.profiles import read_profile
+from bench.running.profiles import ProfileFile, StudyFile, read_profile
+from bench.running.recommend import PARTS, RULES, Recommendation
+from problems.base.cache import put
 from problems.base.spec import SpecError
+
+#: What a report shows of runs that were made for their orders.
+_FIGURES = ("orders", "convergence")
+#: File of a recommendation in its folder.
+FILE = "recommendation.json"
 
 
 @dataclass(frozen=True)
@@ -108,6 +116,7 @@ def write_reports(folder: Path, single_file: bool = False) -> None:
         ) from None
 
 
+# ---- suites ------------------------------------------------------------------------------
 @options.command(
     "run",
     options.argument("suite", default="quick"),
@@ -185,3 +194,178 @@ def in_common(records: Sequence[Record]) -> str:
     ((reason, count),) = reasons.most_common(1)
     share = "All end with" if count == len(records) else f"{count} of {len(records)} end with"
     return f"{share} {reason}"
+
+
+# ---- orders ------------------------------------------------------------------------------
+@options.command(
+    "order",
+    options.PROBLEM,
+    options.METHODS,
+    options.numbers(
+        "--steps", "H1,H2,...",
+        "Step sizes in s; five halvings of the scene's nominal step if not given.",
+    ),
+    options.PATTERN,
+    options.T_END,
+    *options.SET,
+    options.budget(),
+    options.PLUGINS,
+    options.folder("Folder of the runs and their report.", "stepbench-orders"),
+    options.FRESH,
+    options.jobs("Worker processes."),
+)  # fmt: skip
+def order_(o: Given) -> None:
+    """Measure the order of integrators at constant steps.
+
+    The table has for each group of variables the order that is claimed, the one after the start
+    transient, and the one from the first step; the report has errors over steps. `stepbench run
+    orders` measures every native method that takes constant steps.
+
+    \b
+    Examples:
+      stepbench order pendulum "generalized_alpha[rho_inf=0.9]" --steps 0.01,0.005,0.0025,0.00125
+      stepbench order spring_mass "generalized_alpha[gamma=updated]" --pattern 0.3,0.7 --t-end 5
+      stepbench order pendulum newmark bdf2 "bdf2[formulation=index2]"
+    """
+    registry = options.usable_registry(o.plugins)
+    scene = registry.problem(o.problem, **o.settings)
+    suite = suite_of_orders(registry, scene, o.names, o.budget, o.steps, o.pattern, o.t_end)
+    outcome = run_suite(suite, registry, o.out, o.fresh, o.jobs)
+    from bench.commands.terminal import show
+    from reports.tables.order_table import stored_order_tables
+
+    tables = stored_order_tables(o.out)
+    if not tables:
+        raise click.ClickException(f"No order was measured. {in_common(outcome.records)}")
+    show(*tables)
+    for sentence in outcome.sentences:
+        click.echo(sentence)
+    write_reports(o.out)
+
+
+def suite_of_orders(
+    registry: Inventory,
+    scene: SceneFacts,
+    integrators: Sequence[str],
+    budget: float = BUDGET_S,
+    steps: Sequence[float] | None = None,
+    pattern: Sequence[float] | None = None,
+    t_end: float | None = None,
+) -> Suite:
+    """Return the runs of methods on a scene to which their orders are fitted.
+
+    Raises
+    ------
+    SpecError
+        If a method chooses its own steps, or steps or the end time are not allowed.
+    """
+    for method in map(registry.integrator, integrators):
+        if method.controls != "step":
+            raise SpecError(
+                f"{method.spec} chooses its own steps, over which no order can be measured; name "
+                "methods of constant steps, for some with the option steps=constant."
+            )
+    if steps and len(steps) < 3:
+        raise SpecError(f"An order needs at least three step sizes; {len(steps)} came.")
+    study = StudyFile(
+        problems=[scene.spec],
+        integrators=list(integrators),
+        t_end=t_end,
+        steps=list(steps) if steps else None,  # halvings of the scene's own
+        pattern=tuple(pattern or (1.0,)),
+        figures=_FIGURES,
+    )
+    profile = ProfileFile(study=[study], samples=0, budget_s=budget)
+    return make_suite("orders", profile, registry, [scene.spec])
+
+
+# ---- recommendations ---------------------------------------------------------------------
+@options.command(
+    "recommend",
+    options.argument("name", "SCENE|FILE|SUITE"),
+    options.argument("methods", "[INTEGRATOR]...", nargs=-1),
+    options.option(
+        "--error errors", "Largest error that is allowed, such as a:1e-3 (if not given), "
+        "q:end:1e-6, energy:1e-4 or points:1e-3; repeatable where integrators are named.",
+        multiple=True, metavar="QUANTITY:LIMIT",
+    ),
+    options.option(
+        "--rule", "Errors that are asked for if none is given; iftomm: of the named points, 0.1 "
+        "and 0.001.", type=click.Choice([*RULES]), default="work-precision",
+    ),
+    options.option(
+        "--cost", "Cost by which integrators are ranked.", type=click.Choice([*PARTS]),
+        default="seconds",
+    ),
+    options.budget(
+        "Time in s for all runs together; where integrators are named, processor time after which "
+        "a run is stopped.",
+        60.0,
+    ),
+    options.T_END,
+    *options.SET,
+    options.folder("Folder of the results.", "stepbench-recommendation"),
+    options.FRESH,
+    options.jobs("Worker processes; timing is done by one at a time."),
+    options.PLUGINS,
+    options.JSON,
+)  # fmt: skip
+def recommend_(o: Given) -> None:
+    """Find the integrator, and its step or tolerance, that reaches an accuracy at the least cost.
+
+    Without names all that take the scene are tried, and dropped as soon as they cannot win. The
+    best are tried with constant steps and another Newton's method, too. FILE is a file with one
+    scene of your own, or a model of MuJoCo or URDF. The same command goes on with the runs that are
+    stored; a larger --budget tries more.
+
+    Of each INTEGRATOR that is named, or that a SUITE has for its scenes, the largest step or
+    tolerance is found that meets every error: each search is a bisection that follows the
+    convergence of its own errors. The rule iftomm is that of the IFToMM benchmark library; on a
+    scene without named points it limits the change of energy.
+
+    \b
+    Examples:
+      stepbench recommend slider_crank --error a:1e-3
+      stepbench recommend my_scene.py --error q:1e-4 --cost operations
+      stepbench recommend robot.xml --set contacts=left_out
+      stepbench recommend quarter_car --error a:settled:1e-3 --budget 20
+      stepbench recommend pendulum generalized_alpha ida --error a:1e-3
+      stepbench recommend quick --error q:1e-4 --error energy:1e-5
+      stepbench recommend iftomm --rule iftomm
+    """
+    from bench.commands.terminal import RunProgress, show
+
+    own = [o.name] if o.name.endswith((".py", *SUFFIXES)) else []
+    registry = options.usable_registry([*o.plugins, *own])
+    name = _scene_in(registry, o.name) if own else o.name
+    asked = {name: getattr(o, name) for name in ("errors", "rule", "cost", "budget")}
+    found = Recommendation(registry, name, o.methods, **asked, t_end=o.t_end, settings=o.settings)
+    for sentence in found.remarks:
+        click.echo(sentence, err=True)
+    with RunProgress(lines=False) as progress:
+        try:
+            found.search(o.out, progress, o.jobs, o.fresh)
+        finally:  # what was found before an error is not lost by it
+            if found.runs:
+                put(o.out / FILE, options.json_text(found.plain))
+                if o.as_json:
+                    options.print_json(found.plain)
+                else:
+                    for verdict in found.verdicts:
+                        program = [verdict.program] if verdict.order else []
+                        show(verdict.table(), *verdict.sentences(), *program)
+                    show(*found.tables)
+    if not o.as_json:
+        write_reports(o.out)
+    if not any(verdict.order for verdict in found.verdicts):
+        raise click.ClickException(f"No integrator reaches {found.about} on {found.name}.")
+
+
+def _scene_in(registry: Inventory, file: str) -> str:
+    """Return the name of the one scene of a file."""
+    path = str(Path(file).absolute())
+    names = [name for name, facts in registry.problems.items() if path in facts.sources]
+    if len(names) != 1:
+        told = f"the scenes {', '.join(names)}" if names else "no scene"
+        raise SpecError(f"{file} has {told}; name one scene, and give the file with --plugins.")
+    return names[0]

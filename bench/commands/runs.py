@@ -1,0 +1,335 @@
+"""The commands of runs without a folder: `solve`, also of ensembles, and `map`."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import click
+import msgspec
+import numpy as np
+
+from bench.commands import options
+from bench.commands.options import Given
+from bench.results.flat_rows import published_table
+from bench.results.quantities import IMPACTS, NORMS
+from bench.results.records import Record, Rows
+from bench.results.table import NO_VALUE, Table, formatted
+from problems.base.spec import SpecError
+
+if TYPE_CHECKING:
+    from bench.sweeps.ensemble import Ensemble
+
+#: Most points of a map, and members of an ensemble: all are in memory.
+_MOST = 1_000_000
+#: Components of a group that a table has at most: those of a planar mechanism of three bodies.
+_SHOWN = 9
+#: Facts of a record that are answered in JSON, before its values and after them.
+_BEFORE = ("problem", "integrator", "resolution", "formulation", "status", "message", "notes")
+_AFTER = ("events", "points", "errors", "reference_error", "constraint", "energy_drift")
+_AFTER += ("history_error", "work")
+#: Options of an ensemble.
+ENSEMBLE = (
+    options.option(
+        "--ensemble", "Run N members, a million at most, in one compiled program; needs --vary. "
+        "--budget is that of some 1000 members.", type=click.IntRange(1, _MOST), metavar="N",
+    ),
+    options.option(
+        "--vary", "Draw h, a parameter or an option of each member evenly from this range (in the "
+        "logarithm if it is wide); repeatable.", multiple=True, metavar="NAME:LOW..HIGH",
+    ),
+    options.option("--seed", "Seed of the random draw.", type=click.IntRange(min=0), default=0),
+    options.cluster(
+        "Run the members on the workers of a dask scheduler, such as tcp://host:8786."
+    ),
+    options.file("File for the members, .csv, a flat row each."),
+)  # fmt: skip
+
+
+# ---- single runs -------------------------------------------------------------------------
+@options.command(
+    "solve",
+    options.PROBLEM,
+    options.INTEGRATOR,
+    options.STEP,
+    options.PATTERN,
+    *options.TOLERANCES,
+    options.T_END,
+    *options.SET,
+    *ENSEMBLE,
+    options.budget(),
+    options.PLUGINS,
+    options.JSON,
+)
+def solve_(o: Given) -> None:
+    """Run one integrator on one scene.
+
+    The table has the values at the end, errors and work. With --ensemble, run many members; --vary
+    says how they differ.
+
+    \b
+    Examples:
+      stepbench solve spring_mass "generalized_alpha[rho_inf=0.8]" --step 0.1 --t-end 5
+      stepbench solve pendulum ida --rtol 1e-8 --set th0=3.0 --json
+      stepbench solve quarter_car generalized_alpha --ensemble 1000 --vary k:2e4..3e4 -o cars.csv
+      stepbench solve quarter_car newmark --ensemble 1000000 --vary k:2e4..3e4 -o cars.csv
+    """
+    if o.ensemble is not None:
+        solve_ensemble(o)
+        return
+    options.refuse("is for an ensemble; give --ensemble N, too.", "vary", "seed", "cluster", "out")
+    from bench.commands.terminal import RunProgress, show
+    from bench.running.session import Request, solve
+
+    request = Request(o.problem, o.integrator, o.settings, **options.sizes(o), t_end=o.t_end)
+    with RunProgress() as progress:
+        (record, rows), names = solve(request, o.plugins, o.budget, progress)
+    if o.as_json:
+        options.print_json(_solution(record, rows))
+    else:
+        published = published_table(record.published)
+        show(_end_values(record, rows, names), *filter(None, [published]), *_facts(record))
+    if record.status != "ok":
+        raise click.ClickException(f"{record.status}: {record.message}")
+
+
+def _solution(record: Record, rows: Rows) -> dict[str, Any]:
+    """Return end values, errors, work and times of a run, for JSON."""
+    last = {name: values[-1] for name, values in rows.values.items() if rows.t}
+    digits = [msgspec.to_builtins(d) | {"difference": d.difference} for d in record.published]
+    seconds = {"compile_s": record.compile_s, "run_s": record.run_s, "run_s_median": record.seconds}
+    return {
+        **{name: getattr(record, name) for name in _BEFORE},
+        "t": rows.t[-1] if rows.t else None,
+        **{name: last.get(name, []) for name in ("q", "v", "a", "lam", "x", "xdot", "y", "xd")},
+        **{name: getattr(record, name) for name in _AFTER},
+        "published": digits,
+        "time": seconds,
+    }
+
+
+def _end_values(record: Record, rows: Rows, names: Mapping[str, Sequence[str]]) -> Table:
+    """The values at the end with their errors; ``names`` are those of components by group.
+
+    Of a group with many components it has those with the largest errors.
+    """
+    cells, left_out = [], False
+    for group, values in rows.values.items() if rows.t else ():
+        errors = record.components.get(group, {})
+        largest = [-(error or 0.0) for error in errors.get("max", [0.0] * len(values[-1]))]
+        shown = sorted(np.argsort(largest, kind="stable")[:_SHOWN])
+        left_out |= len(shown) < len(largest)
+        for i in shown:
+            own = (formatted(errors[norm][i] if norm in errors else None, ".2e") for norm in NORMS)
+            cells.append([group, names[group][i], f"{values[-1][i]:.10g}", *own])
+    end = f"at t={rows.t[-1]:.6g} s" if rows.t else "at the end"
+    places = [
+        [name, f"{axis} [m]", f"{value:.10g}", *(NO_VALUE for _ in NORMS)]
+        for name, place in record.points.items()
+        for axis, value in zip("xyz", place, strict=False)
+    ]
+    cells += places[: 3 * _SHOWN]
+    left_out |= len(places) > 3 * _SHOWN
+    title = f"{record.integrator} on {record.problem}, {record.resolution}: {record.status}"
+    note = f"The {_SHOWN} components of a group with the largest errors; --json has all."
+    head = ["group", "component", end, *NORMS]
+    return Table(title, head, cells, note=note if left_out else "")
+
+
+def _facts(record: Record) -> list[str]:
+    """Lines on the meaning of errors, constraints, work, energy and times of a run."""
+    lines = []
+    if record.components:
+        steps = record.work.get("steps") or 0
+        where = f", at {record.rows} of {steps} steps" if record.rows < steps else ""
+        lines = [f"{', '.join(NORMS)}: errors relative to the component's largest value{where}"]
+    for title, numbers in (
+        ("constraint residual", record.constraint),
+        ("work", record.work),
+        ("floating-point operations", record.operations),
+    ):
+        known = [
+            f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
+            for name, value in numbers.items()
+            if value is not None
+        ]
+        if known:
+            lines.append(f"{title}: {', '.join(known)}")
+    lines += [f"note: {note}" for note in record.notes]
+    if record.events:
+        number, expected, time = (record.events[k] for k in ("events", "expected", "time"))
+        found = f"events: {number:g} of {expected:g}, their times off by at most {time:.3g} s"
+        more = [f"{k} {record.events[k]:.1e}" for k in IMPACTS if k in record.events]
+        lines.append(f"{found}; relative errors: {', '.join(more)}" if more else found)
+    if record.history_error is not None:
+        lines.append(f"error of the named points, IFToMM's rule: {record.history_error:.3g}")
+    if record.energy_drift is not None:
+        lines.append(f"energy drift: {record.energy_drift:.3g}")
+    prepared = f"prepared in {formatted(record.compile_s, '.2g')} s of processor time"
+    if record.run_s:
+        lines.append(f"{prepared}, run in {record.seconds:.3g} s (median of {len(record.run_s)})")
+    elif record.compile_s:
+        lines.append(f"{prepared}; `stepbench run` takes the times of runs")
+    return lines
+
+
+# ---- ensembles ---------------------------------------------------------------------------
+def solve_ensemble(o: Given) -> None:
+    """Draw and run the members, and show or write the results."""
+    from bench.commands.terminal import RunProgress, show
+    from bench.running.cluster import ClusterRunner
+    from bench.running.process import Limits
+    from bench.running.runner import Runner
+    from bench.sweeps import ensemble
+    from problems.base.usage import cores
+
+    scene, method = options.asked_for(o)
+    common = scene.spec, method.spec, options.sizes(o), o.t_end
+    request = ensemble.EnsembleRequest(*common, o.ensemble, o.vary, o.seed)
+    if not o.vary:
+        raise SpecError("An ensemble needs something in which its members differ; give --vary.")
+    if o.out and o.out.suffix != ".csv":
+        raise SpecError(f"{o.out.name} is no table; give a name that ends in .csv.")
+    began = time.perf_counter()
+    limits = Limits(o.budget, processors=1 if o.cluster else cores())
+    make = partial(ClusterRunner, o.cluster) if o.cluster else partial(Runner, 1)
+    with RunProgress() as progress, make(limits, progress) as runner:
+        found, fault = ensemble.run_members(runner, request, scene.sources | method.sources)
+    if o.as_json:
+        facts = ("problem", "integrator", "t_end", "work", "compile_s", "run_s")
+        counts = {"statuses": Counter(found.status), "summary": found.summary()}
+        options.print_json({name: getattr(found, name) for name in facts} | counts)
+    else:
+        show(*_shown(found, time.perf_counter() - began))
+    if o.out:
+        found.write(o.out)
+        click.echo(f"{len(found.status)} members in {o.out}", err=o.as_json)
+    if "ok" not in found.status:
+        raise click.ClickException(f"No member succeeded. The first: {found.message[0]}")
+    if lost := o.ensemble - len(found.status):
+        raise click.ClickException(
+            f"Not complete: {lost} of {o.ensemble} members are missing. {fault}"
+        )
+
+
+def _shown(found: Ensemble, seconds: float) -> list[Table | str]:
+    """Least, median and largest end values; then statuses, work and times."""
+    count = len(found.status)
+    title = f"{found.integrator} on {found.problem}: {count} members at t={found.t_end:g} s"
+    columns = ("min", "median", "max")
+    rows = [
+        [name, *(f"{numbers[column]:.9g}" for column in columns)]
+        for name, numbers in found.summary().items()
+    ]
+    statuses = Counter(found.status)
+    lines = [", ".join(f"{number} {status}" for status, number in statuses.items())]
+    for status in statuses:
+        k = found.status.index(status)
+        member = found.values["member"][k]
+        if status != "ok":
+            lines.append(f"{status}, first member {member}: {found.message[k]}")
+    work = ", ".join(f"{name} {counts}" for name, counts in found.work.items())
+    times = (
+        f"{count} members in {seconds:.3g} s: {count / seconds:.3g} members/s (all parts together: "
+        f"prepared in {found.compile_s:.2g} s, run in {found.run_s:.3g} s)"
+    )
+    return [Table(title, ["value", *columns], rows), *lines, f"work of all: {work}", times]
+
+
+# ---- maps --------------------------------------------------------------------------------
+@options.command(
+    "map",
+    options.PROBLEM,
+    options.INTEGRATOR,
+    options.option(
+        "--over", "Two quantities: the step h (or rtol or atol of a method that chooses its "
+        "steps), an option of the integrator, or a parameter of the scene.", required=True,
+        metavar="X,Y",
+    ),
+    options.option(
+        "--range ranges", "Range of one of them; repeatable. An option is taken over all allowed "
+        "values, a parameter over a tenth to tenfold, h around the scene's nominal step, rtol "
+        "from 1e-6 to 1e-1, if not given.", multiple=True, metavar="NAME:LOW..HIGH",
+    ),
+    options.option(
+        "--grid", "Points along both; 100x100 if not given, 25 along a parameter of a scene "
+        "without a closed form.", metavar="NXxNY",
+    ),
+    options.option("--step", "Step size h in s, if h does not vary.", type=float),
+    options.PATTERN,
+    *options.TOLERANCES,
+    options.option(
+        "--error", "Relative error to show, as in the report.", metavar="GROUP:NORM",
+        default="a:end",
+    ),
+    options.option(
+        "--threshold", "A run with a larger error is called inaccurate.", type=float, default=0.1,
+    ),
+    options.T_END,
+    *options.SET,
+    options.budget(),
+    options.folder("Folder of the page.", "stepbench-map"),
+    options.PLUGINS,
+    options.JSON,
+)  # fmt: skip
+def map_(o: Given) -> None:
+    """Map where a method works, over two quantities.
+
+    Each point is a run: ok, inaccurate, failed in Newton's method, or diverged; all are run in one
+    compiled program. Writes a page with the map, coloured by outcome and error. Steps and wide
+    ranges are divided evenly in their logarithm. Write step.h, scene.NAME or integrator.NAME for a
+    name that stands for two things.
+
+    \b
+    Examples:
+      stepbench map pendulum generalized_alpha --over h,rho_inf
+      stepbench map stiff_bar newmark --over h,ea --range h:1e-3..0.1 --grid 60x40
+      stepbench map soft_impact generalized_alpha_adaptive --over rtol,d --error q:end
+      stepbench map pendulum "kvaerno5[steps=constant]" --over h,th0 --error q:max --json
+    """
+    names = tuple(name.strip() for name in o.over.split(","))
+    if len(names) != 2 or not all(names) or names[0] == names[1]:
+        raise SpecError(
+            f"--over {o.over!r} is not allowed; give two different numbers as h,rho_inf."
+        )
+    counts = None if o.grid is None else _read_grid(o.grid)
+    scene, method = options.asked_for(o)
+
+    from bench.commands.terminal import show
+    from bench.sweeps.outcome_map import map_job
+    from bench.sweeps.variation import SweepRequest
+    from reports.pages.outcome_map import write_map_page
+
+    request = SweepRequest(scene.spec, method.spec, options.sizes(o), o.t_end)
+    task = request, names, o.ranges, counts, o.error, o.threshold
+    about, sources = f"{o.integrator} on {o.problem}", scene.sources | method.sources
+    plain = options.guarded(about, map_job, sources, o.budget, *task, threads=True)
+    if o.as_json:
+        options.print_json(plain)
+        return
+    total = sum(plain["counts"].values())
+    title = f"{plain['integrator']} on {plain['problem']} over {names[0]} and {names[1]}"
+    rows = [
+        [name, str(count), f"{100 * count / total:.1f} %", plain["reasons"].get(name, "")]
+        for name, count in plain["counts"].items()
+    ]
+    show(
+        Table(f"{title}: {total} runs", ["outcome", "runs", "part", "reason"], rows),
+        f"Prepared in {plain['compile_s']:.2g} s, run in {plain['run_s']:.2g} s.",
+    )
+    click.echo(f"Page: {write_map_page(plain, o.out)}")
+
+
+def _read_grid(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d{1,9})x(\d{1,9})", text.replace(" ", ""))
+    counts = tuple(map(int, match.groups())) if match else (0, 0)
+    if min(counts) < 2 or counts[0] * counts[1] > _MOST:
+        raise SpecError(
+            f"--grid {text!r} is not allowed; give two numbers of at least 2 as 200x200, and at "
+            f"most {_MOST} points."
+        )
+    return counts[0], counts[1]
