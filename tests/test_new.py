@@ -31,6 +31,8 @@ def test_what_is_written_passes_every_check(stepbench, tmp_path, kind, plural, r
     assert result.exit_code == 0, result.output
     file = tmp_path / (rest[1] if rest else f"my_{kind}.py")
     assert f"stepbench check {file.name}" in result.stdout
+    then = "recommend " if kind == "problem" else f"run --mine my_{kind} --plugins "
+    assert f"stepbench {then}{file.name}" in result.stdout
     assert len(file.read_text().splitlines()) < 60
     registry = Registry([file])
     findings = [examine(registry, plural, f"my_{kind}", check) for check in checks]

@@ -142,10 +142,13 @@ def new(o: Given) -> None:
             file.write(text)
     except FileExistsError:
         raise SpecError(f"{path} is there already; give another name or --out.") from None
-    run = f"pendulum {o.name}" if o.kind == "integrator" else f"{o.name} newmark"
-    file = shlex.quote(str(path))
-    trial = f"stepbench solve {run} --plugins {file}"
-    click.echo(f"{path} is written. Next:\n  {trial}\n  stepbench check {file}")
+    mine, file = o.kind == "integrator", shlex.quote(str(path))
+    then = (
+        f"solve {f'pendulum {o.name}' if mine else f'{o.name} newmark'} --plugins {file}",
+        f"check {file}",
+        f"run --mine {o.name} --plugins {file}" if mine else f"recommend {file} --error a:1e-3",
+    )
+    click.echo("\n  stepbench ".join((f"{path} is written. Next:", *then)))
 
 
 def _number(key: str, text: str) -> float:

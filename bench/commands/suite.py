@@ -174,7 +174,8 @@ def run_(o: Given) -> None:
     for line in method_card(o.out, suite.plan.mine) if suite.plan.mine else [answer]:
         say(line)
     write_reports(o.out)
-    say(f"Next: stepbench report {o.out} --open shows it; stepbench run --mine METHOD adds yours.")
+    mine = "" if suite.plan.mine else "; stepbench run --mine METHOD puts yours beside these"
+    say(f"Next: stepbench report {o.out} --open shows it{mine}.")
     for line in (*[answer] * bool(suite.plan.mine), *others, *outcome.sentences):
         say(line)
     if not any(record.status == "ok" for record in outcome.records):

@@ -68,10 +68,10 @@ class MujocoScene(MechatronicSystem):
             )
         if left := [key for key in self.lacking if getattr(self, key) != LEFT_OUT]:
             parts = ", and ".join(self.lacking[key] for key in left)
-            options = ",".join(f"{key}={LEFT_OUT}" for key in self.lacking)
+            options = [f"{key}={LEFT_OUT}" for key in self.lacking]
             raise SpecError(
                 f"{self.name}: the model has {parts}; a scene cannot state this. "
-                f"{self.name}[{options}] leaves it out."
+                f"--set {' --set '.join(options)} leaves it out ({self.name}[{','.join(options)}])."
             )
 
     # ---- blocks
