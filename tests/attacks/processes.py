@@ -54,9 +54,14 @@ class Started:
         STARTED.append(self)
 
     @property
+    def text(self) -> str:
+        """What it said."""
+        return self._said.read_text(errors="replace")
+
+    @property
     def said(self) -> str:
         """What it said, in one line; the last part of very much."""
-        return " ".join(self._said.read_text(errors="replace")[-100_000:].split())
+        return " ".join(self.text[-100_000:].split())
 
     def family(self, words: str = "") -> list[int]:
         """All processes that it started, itself included, oldest first; or its workers."""

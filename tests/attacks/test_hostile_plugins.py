@@ -6,12 +6,7 @@ plugins, to the last bit.
 
 from __future__ import annotations
 
-import os
 import re
-import secrets
-import subprocess
-import sys
-import time
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -19,9 +14,8 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import hostile_plugins as hostile
-import psutil
 import pytest
-from processes import promised_seconds
+from processes import Started
 
 from bench.plugins.registry import Registry
 from bench.results.records import INTERRUPTED, Record
@@ -30,9 +24,6 @@ from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators import Steps
 
-STEPBENCH = str(Path(sys.executable).with_name("stepbench"))
-#: By this variable processes of a run are known.
-MARK = "HOSTILE_RUN"
 ALL = hostile.METHODS | hostile.SCENES
 NEWMARK = "newmark[beta=0.25,gamma=0.5]"
 GROUPS = dict.fromkeys(plugin.group for plugin in ALL.values())
@@ -45,51 +36,20 @@ HEAD = "budget_s = 2.0\nmemory_gib = 1.5\nsamples = {}\n"
 
 class Run(NamedTuple):
     """A finished command: exit code, output, records by (scene, integrator), sampled rows of the
-    controls, processes that are left, and whether there are pages."""
+    controls, and whether there are pages."""
 
     code: int
     output: str
     records: dict[tuple[str, str], Record]
     controls: dict[str, tuple]
-    left: list[str]
     pages: bool
-
-
-def processes(mark: str) -> list[str]:
-    """Processes of a run that still live."""
-    found = []
-    for process in psutil.process_iter():
-        try:
-            if process.environ().get(MARK) == mark:
-                found.append(f"{process.pid} {process.cmdline()}")
-        except psutil.Error:
-            continue
-    return found
-
-
-def command(folder: Path, *arguments: object, mark: str) -> tuple[int, str]:
-    """Exit code and output of a command on the plugins in a folder."""
-    environment = {k: v for k, v in os.environ.items() if k != "STEPBENCH_TRACEBACK"}
-    done = subprocess.run(
-        [STEPBENCH, *map(str, arguments)],
-        env=environment | {MARK: mark, "COLUMNS": "10000"},
-        cwd=folder,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        timeout=580,
-        check=False,
-    )
-    output = (done.stdout + done.stderr).decode(errors="replace")
-    assert "Traceback" not in output, output
-    assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", output), output
-    return done.returncode, output
 
 
 def run(
     folder: Path, names: Sequence[str], samples: int, jobs: int, controls: list[str] = CONTROLS
 ) -> Run:
     """Run hostile plugins beside the controls."""
-    plugins, out, mark = folder / "plugins", folder / "out", secrets.token_hex(8)
+    plugins, out = folder / "plugins", folder / "out"
     plugins.mkdir()
     hostile.write(plugins, names)
     studies = [
@@ -103,10 +63,12 @@ def run(
     ]
     (folder / "profile.toml").write_text("".join([HEAD.format(samples), *studies]))
     options = ("--out", out, "--jobs", jobs, "--plugins", plugins)
-    code, output = command(folder, "run", "profile.toml", *options, mark=mark)
-    given_up = time.monotonic() + promised_seconds()
-    while (left := processes(mark)) and time.monotonic() < given_up:
-        time.sleep(0.1)
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("COLUMNS", "10000")
+        environment.delenv("STEPBENCH_TRACEBACK", raising=False)
+        started = Started(folder, "run", "profile.toml", *options)
+    code, output = started.finish(580), started.text
+    assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", output), output
     with Store(out) as store:
         records = {(r.problem, r.integrator.partition("[")[0]): r for r in store.records().values()}
         measured = {
@@ -116,7 +78,7 @@ def run(
             for key in [record.key]
         }
     pages = all((out / page).stat().st_size for page in ("report.html", "report.md"))
-    return Run(code, output, records, measured, left, pages)
+    return Run(code, output, records, measured, pages)
 
 
 @cache
@@ -146,10 +108,9 @@ def runs(tmp_path_factory):
 
 
 def check_controls(found: Run, controls: list[str] = CONTROLS) -> None:
-    """The controls are those of a run without plugins, pages are made, nothing runs on."""
+    """The controls are those of a run without plugins, and pages are made."""
     assert found.controls == {scene: alone(scene) for scene in controls}
     assert found.pages
-    assert not found.left
 
 
 def check_fate(name: str, found: Run) -> None:
