@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from radau2 import Radau2
 
-from bench.check.orders import check_order
-from bench.check.trials import ORDERS_TAG, TRAJECTORY_GROUPS, Trial, reference, trials
+from bench.check.trials import ORDERS_TAG, TRAJECTORY_GROUPS, Trial, check_order, reference, trials
 from bench.check.verdicts import Failed
 from bench.plugins.registry import Registry
 from integrators import Integrator, PreparedRun, Reading, Trajectory, option

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from bench.check.orders import check_order, check_tolerance
 from bench.check.trials import (
     ORDERS_TAG,
     TRAJECTORY_GROUPS,
@@ -18,6 +17,8 @@ from bench.check.trials import (
     FiniteTimeBlowUp,
     Trial,
     TrialBall,
+    check_order,
+    check_tolerance,
     names_of,
     spoilt,
     trials,
