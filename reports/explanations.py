@@ -10,7 +10,6 @@ from bench.results.records import Record, SceneRecord
 from bench.results.studies import ExperimentResult
 from reports.names import label_parts
 from reports.series import Series
-from reports.tables.jump_tables import policy
 
 #: Names of experiments.
 PATTERN, TRANSIENT, UNDAMPED = "variable_steps", "start_transient", "undamped_index3"
@@ -20,8 +19,17 @@ IGNORED, OVER = "ignored_samples", "steps_over_samples"
 STUCK = "does not converge"
 #: Options that change how equations are solved, not what a method computes.
 _SOLVING = {"newton", "linear_solver", "callbacks", "max_calls"}
+#: Policies at samples (`problems.hybrid.sampled.POLICIES`) in the order of the columns.
+POLICIES = ("hit", "interpolate", "ignore")
 #: Results of experiments by name.
 Atlas = Mapping[str, ExperimentResult]
+
+
+def policy(scene: SceneRecord | None) -> str:
+    """The policy of a scene's runs at samples; nothing if no controller is sampled."""
+    own = scene.parameters if scene else ()
+    found = next((p["value"] for p in own if p["name"] == "sampling"), "")
+    return found if found in POLICIES else ""
 
 
 def explained(

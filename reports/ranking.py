@@ -17,7 +17,7 @@ from bench.results.quantities import ASKED, COSTS, NORM, TRUST, parts
 from bench.results.records import NOT_TRIED, Record
 from bench.results.timings import quotient
 from reports.formatting import times
-from reports.questions.question import TARGETS, Question, questions
+from reports.questions import TARGETS, Question, questions
 from reports.series import Series, groups_of, ok_runs, reference_error
 
 #: The cheapest run of an integrator with its cost.

@@ -7,16 +7,21 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
-from bench.results.records import Environment, Plan, Record, SceneRecord, Study, scene_titles
+from bench.results.records import (
+    Environment,
+    Plan,
+    Record,
+    SceneRecord,
+    Study,
+    endings,
+    scene_titles,
+)
 from bench.results.store import Store
 from bench.results.timings import Repeatability, repeatability
 from reports.explanations import Atlas
 from reports.names import short_names
-from reports.questions.question import FIRST, Question
-from reports.questions.words import Names
-from reports.questions.wrong import Wrong, wrong_on
+from reports.questions import FIRST, Names, Question
 from reports.series import Series, series_of
-from reports.tables.measurement import state_sentence
 
 #: Figures of runs that belong to no study.
 _FIGURES = ("trajectory", "convergence", "work_precision")
@@ -28,15 +33,14 @@ Key = tuple[str, float]
 class StoredRuns:
     """The runs of a store: ``series`` and ``scenes`` by the titles of the scenes.
 
-    ``state`` counts runs planned, measured and ended; ``titles`` has those of all scenes by key, in
-    the order of the plan. ``atlas`` has the experiments of the failure atlas by name.
+    ``titles`` has those of all scenes by key, in the order of the plan, ``atlas`` the experiments
+    of the failure atlas by name.
     """
 
     title: str
     series: dict[str, list[Series]]
     scenes: dict[str, SceneRecord]
     environments: Mapping[int, Environment]
-    state: str = ""
     plan: Plan | None = None
     records: Mapping[str, Record] = field(default_factory=dict)
     titles: Mapping[Key, str] = field(default_factory=dict)
@@ -58,16 +62,17 @@ class StoredRuns:
         mine = self.plan.mine if self.plan else ""
         return mine if mine in self.names else ""
 
-    def wrong(self, group: str, label: str = "") -> dict[str, list[Wrong]]:
-        """The wrong runs in a group by scene, of one integrator or of all."""
-        return {
-            scene: [
-                wrong_on(s, group, self.scenes.get(scene), self.atlas)
-                for s in own
-                if label in ("", s.label)
-            ]
-            for scene, own in self.series.items()
-        }
+    @property
+    def planned(self) -> set[str]:
+        """The keys of the runs that were planned."""
+        return {key for study in (self.plan.studies if self.plan else ()) for key in study.cells}
+
+    @property
+    def state(self) -> str:
+        """Counts of runs: planned, measured, ended well."""
+        records = self.records
+        of_plan = f" of {len(self.planned | {*records})} planned" if self.planned else ""
+        return f"{len(records)}{of_plan} runs measured: {endings([*records.values()])}."
 
     def studies(self, title: str) -> list[Study]:
         """The studies of a scene; all of its runs as one if the plan has none of it."""
@@ -104,7 +109,6 @@ class StoredRuns:
             },
             scenes={title: described[key] for key, title in titles.items() if key in described},
             environments=store.environments(),
-            state=state_sentence(plan, runs),
             plan=plan,
             records=records,
             titles=titles,

@@ -14,10 +14,9 @@ from bench.results.records import INTERRUPTED, UNSUPPORTED, Plan, Rows, Study
 from bench.results.store import Store
 from reports.pages.html_report import write_html_report
 from reports.pages.report import read_report
-from reports.questions.question import GRID, TARGETS, Question
-from reports.questions.verdict import headline
-from reports.questions.words import plain
+from reports.questions import GRID, TARGETS, Question, plain
 from reports.ranking import Answer, answers
+from reports.verdicts import headline
 
 NONE = Rows(t=[])
 #: The answers of the page in one norm, and the profile over the decades.

@@ -45,7 +45,9 @@ LAYERS = [
     {"bench.running"},
     {"bench.sweeps", "bench.stability"},
     {"bench.check", "bench.atlas"},
-    {"reports"},
+    {"reports"},  # records as series, the ranking, and its words
+    {"reports.charts", "reports.tables"},
+    {"reports.figures", "reports.pages"},
     {"bench.commands"},
     {"bench.notebook"},
     {"bench.__main__"},

@@ -18,14 +18,12 @@ from problems.scenes.pendulum import Pendulum
 from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven
 from problems.truth.reference import Reference
 from reports.pages.html_report import write_html_report
-from reports.questions.method_card import stored_card
-from reports.questions.question import FIRST, Question
-from reports.questions.verdict import headline, violation_text
-from reports.questions.words import plain
+from reports.questions import FIRST, Question, plain
 from reports.ranking import answer, answers
 from reports.scenes import StoredRuns
 from reports.series import series_of
 from reports.tables.ranking_tables import targets_table, winners_table
+from reports.verdicts import headline, stored_card, violation_text
 
 HELD = Question("constraint", 1e-4, "operations")
 

@@ -15,12 +15,10 @@ from bench.results.timings import REPEATABLE, Repeatability, interval_width, rep
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
-from reports.questions.method_card import method_card
-from reports.questions.question import Question
-from reports.questions.verdict import headlines
-from reports.questions.words import plain
+from reports.questions import Question, plain
 from reports.scenes import stored_runs
 from reports.tables.measurement import times_sentence
+from reports.verdicts import headlines, method_card
 
 #: The samples of a run, relative to the first.
 QUIET, NOISY = (1.0, 1.01, 1.02, 1.03, 1.04, 1.05), (1.0, 1.05, 1.1, 1.2, 1.25, 1.3)

@@ -12,7 +12,7 @@ from planted import everything, plant, planted
 from bench.results.store import Store
 from reports.pages.html_report import write_html_report
 from reports.pages.report import read_report
-from reports.questions.question import Question
+from reports.questions import Question
 from reports.ranking import answers
 
 

@@ -7,14 +7,14 @@ from planted import STEPS, planted
 from small_stores import atlas_with
 
 from bench.results.records import SceneRecord
-from reports.explanations import IGNORED, OVER, wrong_runs
+from reports.explanations import IGNORED, OVER, policy, wrong_runs
 from reports.pages.jumps import jumps_chapter
 from reports.pages.report import Report
-from reports.questions.words import plain
-from reports.questions.wrong import wrong_on, wrong_sentences
+from reports.questions import plain
 from reports.scenes import StoredRuns
 from reports.series import series_of
-from reports.tables.jump_tables import events_table, policies_table, policy
+from reports.tables.jump_tables import events_table, policies_table
+from reports.verdicts import wrong_on, wrong_sentences
 
 
 def scene(problem, sampling="", **more):

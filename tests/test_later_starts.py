@@ -14,7 +14,7 @@ from problems.scenes.pendulum import Pendulum
 from problems.scenes.soft_impact import SoftImpact
 from problems.truth.reference import Reference
 from problems.variables import State
-from reports.questions.question import FIRST
+from reports.questions import FIRST
 from reports.ranking import answers
 from reports.series import series_of
 

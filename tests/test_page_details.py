@@ -21,10 +21,10 @@ from problems.base.spec import SpecError
 from reports.charts.method_strip import method_strip
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
-from reports.questions.method_card import method_card
 from reports.ranking import answers
 from reports.scenes import StoredRuns
 from reports.tables.glossary import TERMS
+from reports.verdicts import method_card
 
 LONG = "generalized_alpha[rho_inf=0.8,formulation=stabilised_index2,newton=modified]"
 

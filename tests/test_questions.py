@@ -12,11 +12,10 @@ from planted import everything, planted
 from test_ranking import worded
 
 from bench.results.records import UNSUPPORTED
-from reports.questions.question import ALL, FIRST, GRID, TARGETS, Question, filters
-from reports.questions.verdict import LATER, WRONG_A, headline, headlines
-from reports.questions.words import plain
+from reports.questions import ALL, FIRST, GRID, TARGETS, Question, filters, plain
 from reports.ranking import answer, answers
 from reports.series import series_of
+from reports.verdicts import LATER, WRONG_A, headline, headlines
 
 COUNTS = Question("a", 1e-4, "residuals")
 

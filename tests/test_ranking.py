@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from planted import planted
 
 from bench.results.records import IntegratorFacts
-from reports.questions.question import FIRST, TABLE_TARGETS
-from reports.questions.verdict import verdict
+from reports.questions import FIRST, TABLE_TARGETS
 from reports.ranking import answers, told_apart
 from reports.series import series_of
 from reports.tables.ranking_tables import integrators_table, targets_table, winners_table
+from reports.verdicts import verdict
 
 SECOND = {"q": (1.0, 2), "a": (1.0, 2)}
 #: Another method of the same order: its errors differ.

@@ -20,7 +20,7 @@ from reports.charts.errors import convergence_chart, error_against_cost, error_c
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import ERRORS, MOST_ROWS, histories, thinned, trajectory_chart
 from reports.pages.report import read_report
-from reports.questions.question import Question
+from reports.questions import Question
 from reports.series import series_of
 
 

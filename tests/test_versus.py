@@ -9,10 +9,10 @@ import pytest
 from planted import STEPS, everything, plant, planted
 
 from bench.results.records import UNSUPPORTED
-from reports.questions.question import Question
-from reports.questions.versus import versus
+from reports.questions import Question
 from reports.ranking import answer, answers
 from reports.series import series_of
+from reports.versus import versus
 
 EXACT = pytest.approx
 

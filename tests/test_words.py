@@ -16,7 +16,7 @@ from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import read_profile, suite_titles
 from reports.pages.report import read_report
-from reports.questions.words import Ref, listed, plain
+from reports.questions import Ref, listed, plain
 
 GROUPS = {"q": (1.0, 2), "v": (1.0, 2), "a": (1.0, 2), "lam": (1.0, 2)}
 
@@ -152,7 +152,7 @@ def test_mine_is_run_reported_and_told(stepbench, monkeypatch, tmp_path):
 
     monkeypatch.setattr("bench.commands.suite.run_suite", run_suite)
     monkeypatch.setattr("bench.commands.suite.write_reports", lambda folder: None)
-    monkeypatch.setattr("reports.questions.method_card.method_card", card)
+    monkeypatch.setattr("reports.verdicts.method_card", card)
     result = stepbench("run", "--mine", "wbz", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert asked == ["wbz[rho_inf=0.8]"]

@@ -12,10 +12,9 @@ from bench.results.store import Store
 from reports.explanations import STIFF, UNDAMPED, wrong_runs
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
-from reports.questions.method_card import method_card
-from reports.questions.words import plain
-from reports.questions.wrong import silent_tables, wrong_on, wrong_sentences
+from reports.questions import plain
 from reports.series import series_of
+from reports.verdicts import method_card, silent_tables, wrong_on, wrong_sentences
 
 #: A vibration of 100 rad/s in an interval of 1 s.
 FAST = SceneRecord(problem="s", t_end=1.0, t0=0.0, rates={"oscillation": 100.0})

@@ -219,7 +219,7 @@ def versus_(o: Given) -> None:
       stepbench versus my_method ida stepbench-results --cost seconds
     """
     from bench.commands.terminal import show
-    from reports.questions.versus import side_by_side
+    from reports.versus import side_by_side
 
     asked = {"group": o.group, "targets": o.targets, "cost": o.cost, "norm": o.norm}
     found = side_by_side(o.first, o.second, o.folder, **asked)

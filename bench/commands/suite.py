@@ -168,7 +168,7 @@ def run_(o: Given) -> None:
         )
     outcome = run_suite(suite, registry, o.out, o.fresh, o.jobs, o.cluster)
     from bench.commands.terminal import say
-    from reports.questions.method_card import method_card
+    from reports.verdicts import method_card
 
     answer, *others = method_card(o.out, "")
     for line in method_card(o.out, suite.plan.mine) if suite.plan.mine else [answer]:

@@ -10,7 +10,7 @@ from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle, styles_of
 from reports.formatting import order_text
 from reports.names import scene_name
-from reports.questions.question import Question
+from reports.questions import Question
 from reports.series import Series, ok_runs, reference_error, step_or_tolerance, whole_order
 
 #: Titles of what errors are shown against.

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from reports.charts import vega_lite as vl
 from reports.formatting import number
 from reports.names import scene_name
-from reports.questions.method_card import state_on
 from reports.ranking import Answer
 from reports.series import Series
+from reports.verdicts import state_on
 
 #: Looks of an integrator's states on a scene: title and colour.
 _LOOKS = {

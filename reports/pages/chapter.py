@@ -11,7 +11,7 @@ from bench.results.table import Table
 from problems.base.cache import put
 from reports.charts.rendering import pictures
 from reports.pages.templating import html
-from reports.questions.words import Sentence
+from reports.questions import Sentence
 
 #: The front page, and the folder of all others.
 FRONT, FOLDER = "report.html", "report/"

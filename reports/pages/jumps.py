@@ -7,18 +7,13 @@ from itertools import count
 
 from bench.results.quantities import NORM, WRONG, quantity
 from bench.results.records import SceneRecord, counted
+from reports.explanations import POLICIES, policy
 from reports.formatting import file_name, number_range
 from reports.names import scene_name
 from reports.pages.chapter import Chapter, Section, Text
 from reports.scenes import StoredRuns
 from reports.series import Series, ok_runs
-from reports.tables.jump_tables import (
-    JUDGED,
-    POLICIES,
-    events_table,
-    policies_table,
-    policy,
-)
+from reports.tables.jump_tables import JUDGED, events_table, policies_table
 
 
 def jumps_chapter(stored: StoredRuns) -> Chapter:

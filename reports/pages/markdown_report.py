@@ -13,8 +13,8 @@ from reports.names import scene_name
 from reports.pages.chapter import FOLDER, Figure
 from reports.pages.report import Report, read_report
 from reports.pages.templating import markdown
-from reports.questions.verdict import DIFFER, headlines
 from reports.tables.ranking_tables import standings_table
+from reports.verdicts import DIFFER, headlines
 
 FILE = "report.md"
 _FIGURES = "report_figures"

@@ -14,13 +14,13 @@ from reports.charts.method_strip import method_strip
 from reports.formatting import file_name, milliseconds, number
 from reports.names import form_name
 from reports.pages.chapter import Figure, Section, Text
-from reports.questions.method_card import stored_card
 from reports.ranking import Answer
 from reports.scenes import StoredRuns
 from reports.series import Series, groups_of
 from reports.tables.order_table import order_table
 from reports.tables.ranking_tables import claims_text
 from reports.tables.run_tables import failures_table, notes_table, unsupported_table
+from reports.verdicts import stored_card
 
 #: An integrator that is not known to reach the accuracy.
 _STATES = {"far": "not reached", "failed": "no run reached the end"}

@@ -20,8 +20,6 @@ from reports.pages.drift import drift_chapter
 from reports.pages.jumps import jumps_chapter
 from reports.pages.method_chapter import MethodChapter
 from reports.pages.scene_chapter import SceneChapter
-from reports.questions.verdict import DIFFER
-from reports.questions.wrong import silent_tables, wrong_sentences
 from reports.ranking import Answer, answers
 from reports.scenes import StoredRuns
 from reports.series import label_of
@@ -34,6 +32,7 @@ from reports.tables.order_table import lost_orders_table, order_tables
 from reports.tables.ranking_tables import integrators_table, winners_table
 from reports.tables.run_tables import failures_table, notes_table, unsupported_table
 from reports.tables.scene_tables import references_table
+from reports.verdicts import DIFFER, silent_tables, wrong_by_scene, wrong_sentences
 
 
 class Report:
@@ -55,14 +54,14 @@ class Report:
         self.run_ids = {key: f"run-{i}" for i, key in enumerate(stored.records, 1)}
         self.names = stored.names
         self.failed = sum(r.status not in {"ok", *NOT_TRIED} for r in runs)
-        self.missing = missing_data(plan, stored.scenes_by_key, stored.records, [*stored.titles])
+        self.missing = missing_data(stored)
         first = stored.first
         asked = answers(series, [first.group])
         answered = {q: own for q, own in asked.items() if q.target == first.target}
         self.answered = dict(sorted(answered.items(), key=lambda pair: pair[0] != first))
         over = [own for question, own in asked.items() if question.cost == first.cost]
         self.answer = self.answered.get(first, Answer(first, {}, {}))
-        wrong = stored.wrong(first.group)
+        wrong = wrong_by_scene(stored, first.group)
         self.wrong = wrong_sentences(first.group, wrong, self.names)
         silent = sum(w.silent for own in wrong.values() for w in own)
         bad = f"{self.failed} · silent {silent}" if silent else self.failed

@@ -17,12 +17,10 @@ from reports.formatting import number, tie_text
 from reports.names import family_name, form_name, scene_name
 from reports.pages.report import Report
 from reports.pages.site import method_page, scene_page
-from reports.questions.question import BOTH, GRID, KINDS, Question, filters, kind_of, tag_name
-from reports.questions.verdict import HEADLINES, LATER, WRONG_A
-from reports.questions.words import Piece
-from reports.questions.wrong import wrong_sentences
+from reports.questions import BOTH, GRID, KINDS, Piece, Question, filters, kind_of, tag_name
 from reports.ranking import Answer, SceneAnswer, answers
 from reports.series import Series, groups_of, ok_runs, step_or_tolerance, trusted_error
+from reports.verdicts import HEADLINES, LATER, WRONG_A, wrong_by_scene, wrong_sentences
 
 #: Stands for a zero in a column.
 _LEAST = 1e-40
@@ -226,7 +224,7 @@ def _letters(label: str, answers: Sequence[SceneAnswer]) -> str:
 
 def _wrong(report: Report, group: str, chosen: Mapping[str, Iterable[str]]) -> dict[str, Any]:
     """Sentences on runs that are wrong without warning, per filter and per scene."""
-    wrong, ids = report.stored.wrong(group), report.run_ids
+    wrong, ids = wrong_by_scene(report.stored, group), report.run_ids
     scenes = {r.key: k for k, own in report.measured.items() for s in own for r in s.records}
     pages = {"method": method_page, "scene": scene_page, "atlas": "atlas.html#atlas-{}".format}
     pages["run"] = lambda key: f"{scene_page(scenes[key])}#{ids[key]}"

@@ -18,7 +18,7 @@ from bench.results.table import Table, whole
 from problems.base.text import clean
 from reports.charts.vega_lite import chart_json
 from reports.formatting import file_name, symbols
-from reports.questions.words import plain
+from reports.questions import plain
 from reports.tables.glossary import terms_in
 
 _DOI = re.compile(r"\bdoi:(10\.\d{4,9}/\S+)")

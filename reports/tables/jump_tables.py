@@ -5,22 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from bench.results.quantities import IMPACTS, NORM, NORMS, quantity
-from bench.results.records import Record, SceneRecord
+from bench.results.records import Record
 from bench.results.table import Table
 from reports.formatting import number
 from reports.series import Series
 
 #: The group by which policies are judged.
 JUDGED = "q"
-#: Policies at samples (`problems.hybrid.sampled.POLICIES`) in the order of the columns.
-POLICIES = ("hit", "interpolate", "ignore")
-
-
-def policy(scene: SceneRecord | None) -> str:
-    """The policy of a scene's runs at samples; nothing if no controller is sampled."""
-    own = scene.parameters if scene else ()
-    found = next((p["value"] for p in own if p["name"] == "sampling"), "")
-    return found if found in POLICIES else ""
 
 
 def miscounted(record: Record) -> bool:

@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 from bench.results.orders import SPREAD
 from bench.results.quantities import COST, COSTS
-from bench.results.records import (
-    TIMING_SECONDS,
-    Plan,
-    Record,
-    SceneRecord,
-    counted,
-    endings,
-)
+from bench.results.records import TIMING_SECONDS, Plan, counted
 from bench.results.timings import (
     FEWEST,
     LEAST_OF_FEW,
@@ -22,23 +13,12 @@ from bench.results.timings import (
     Repeatability,
 )
 from reports.formatting import number
+from reports.scenes import StoredRuns
 
 
-def state_sentence(plan: Plan | None, records: Sequence[Record]) -> str:
-    """Counts of runs: planned, measured, ended well."""
-    planned = _planned_keys(plan)
-    of_plan = f" of {len(planned | {r.key for r in records})} planned" if planned else ""
-    return f"{len(records)}{of_plan} runs measured: {endings(records)}."
-
-
-def missing_data(
-    plan: Plan | None,
-    scenes: Mapping[tuple[str, float], SceneRecord],
-    records: Mapping[str, Record],
-    keys: Sequence[tuple[str, float]],
-) -> list[str]:
+def missing_data(stored: StoredRuns) -> list[str]:
     """Sentences about missing plans, runs, scenes, errors and times."""
-    planned = _planned_keys(plan)
+    plan, records, planned = stored.plan, stored.records, stored.planned
     waiting = len(planned - set(records))
     ok = [r for r in records.values() if r.status == "ok"]
     samples = plan.samples if plan else 0
@@ -53,8 +33,8 @@ def missing_data(
         "The store holds no finished run.": not records,
         **{
             f"The scene {problem} (t_end={number(t_end)} s) has no description, picture and "
-            "reference curve.": (problem, t_end) not in scenes
-            for problem, t_end in keys
+            "reference curve.": title not in stored.scenes
+            for (problem, t_end), title in stored.titles.items()
         },
         "No run reached the end: there are no errors, orders and times.": records and not ok,
         f"{untimed} of {len(ok)} runs that reached the end have no timing samples.": untimed,
@@ -94,7 +74,3 @@ def method_of_measurement(plan: Plan | None) -> list[str]:
         "Errors are relative, per group of variables and per norm. Orders are fitted to the "
         f"finest steps, as many as have slopes within {SPREAD:g} of each other, three at least.",
     ]
-
-
-def _planned_keys(plan: Plan | None) -> set[str]:
-    return {key for study in (plan.studies if plan else ()) for key in study.cells}

@@ -10,11 +10,10 @@ from bench.results.quantities import COST, COSTS, NORM, NORMS, RANKED_COSTS
 from bench.results.records import IntegratorFacts
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, tie_text
-from reports.questions.question import TABLE_GROUPS, TABLE_TARGETS, Question
-from reports.questions.verdict import unjudged, verdict, violation_text
-from reports.questions.words import Names
+from reports.questions import TABLE_GROUPS, TABLE_TARGETS, Names, Question
 from reports.ranking import Answer, answers
 from reports.series import Series
+from reports.verdicts import unjudged, verdict, violation_text
 
 #: When costs tie.
 _TIES = (

@@ -8,7 +8,7 @@ from bench.results.quantities import TRUST
 from bench.results.records import SceneRecord
 from bench.results.table import Table
 from reports.formatting import number
-from reports.questions.question import TABLE_GROUPS
+from reports.questions import TABLE_GROUPS
 
 #: Sizes of a scene: what there is one of, and of several.
 _SIZES = {

@@ -29,7 +29,7 @@ from bench.results.timings import (
 from problems.base.spec import SpecError, one_of
 from reports.formatting import named, number
 from reports.names import named_labels, scene_name
-from reports.questions.question import FIRST, TABLE_TARGETS, Question
+from reports.questions import FIRST, TABLE_TARGETS, Question
 from reports.scenes import stored_runs
 from reports.series import Series, ok_runs, trusted_error
 

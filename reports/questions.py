@@ -1,10 +1,11 @@
-"""The questions that a report answers: a group, an accuracy, a cost and a norm; sets of scenes."""
+"""The questions that a report answers, and sentences as parts: plain text, and references."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Literal
 
 from bench.results.quantities import (
     ASKED,
@@ -16,7 +17,9 @@ from bench.results.quantities import (
     parts,
     quantity,
 )
+from bench.results.records import Record
 from bench.results.table import short_exponent
+from reports.names import scene_name
 
 #: Accuracies that can be asked for: relative errors, a decade apart, and three to a decade.
 TARGETS = tuple(float(f"1e-{k}") for k in range(1, 10))
@@ -120,3 +123,61 @@ def kind_of(tags: Sequence[str]) -> str:
 def tag_name(tag: str) -> str:
     """A tag in a reader's word."""
     return _TAG_NAMES.get(tag, tag)
+
+
+@dataclass(frozen=True)
+class Ref:
+    """Text that stands for something a page can lead to.
+
+    ``key`` is the label of a method, the name of a scene, the key of a run, the term of the
+    glossary, or the name of an experiment of the failure atlas.
+    """
+
+    kind: Literal["method", "scene", "run", "term", "atlas"]
+    key: str
+    text: str
+
+
+Piece = str | Ref
+Sentence = list[Piece]
+#: Short names of integrators by label.
+Names = Mapping[str, str]
+
+
+def plain(sentence: Sequence[Piece]) -> str:
+    """The sentence without its references."""
+    return "".join(p if isinstance(p, str) else p.text for p in sentence)
+
+
+def listed(items: Iterable[Sequence[Piece]], most: int = 3) -> Sentence:
+    """'a', 'a and b', 'a, b and c'; of more than ``most`` the first ones and a count."""
+    shown = [list(item) for item in items]
+    if len(shown) > most:
+        shown = [*shown[:most], [f"{len(shown) - most} more"]]
+    joined: Sentence = []
+    for k, item in enumerate(shown):
+        if k:
+            joined.append(" and " if k == len(shown) - 1 else ", ")
+        joined += item
+    return joined
+
+
+def method_ref(label: str, names: Names) -> Ref:
+    """A reference to an integrator."""
+    return Ref("method", label, names.get(label, label))
+
+
+def run_ref(record: Record, text: str) -> Ref:
+    """A reference to a run."""
+    return Ref("run", record.key, text)
+
+
+def scene_ref(scene: str) -> Ref:
+    """A reference to a scene."""
+    return Ref("scene", scene, scene_name(scene))
+
+
+def accuracy(question: Question) -> Sentence:
+    """'1e-4 in acceleration (largest over time)'."""
+    norm = Ref("term", "relative-error", NORMS[question.norm])
+    return [f"{question.accuracy} in {question.quantity} (", norm, ")"]
