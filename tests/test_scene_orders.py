@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from functools import partial
-
-import numpy as np
 import pytest
 from helpers import long, reference, slope
-from scipy.integrate import solve_ivp
 from test_wider_scenes import Rubbing, SleighOfRates, Turret
 
 from bench.plugins.registry import Registry
@@ -20,9 +16,6 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.half_explicit import PHEM56
 from integrators.methods.radau_iia import RadauIIA
 from integrators.methods.rodas5p import Rodas5P
-from problems import jax
-from problems.equations import formulations
-from problems.equations.initial_values import consistent_start
 
 PLAIN, ALPHA = GeneralizedAlpha(), GeneralizedAlpha(rho_inf=0.8)
 STABILISED = GeneralizedAlpha(rho_inf=0.8, formulation="stabilised_index2")
@@ -147,26 +140,3 @@ def test_tolerances_are_followed(methods, scene, t_end):
             found.append(max(errors[group]["max"] for group in ("q", "v")))
         assert found[0] < 1e-3, method.spec
         assert found[1] < min(1e-6, found[0] / 30), method.spec
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("scene", "t_end", "rtol"), [("quarter_car", 1.2, 3e-10), (CAR, 0.3, 1e-9)], ids=str
-)
-def test_an_implicit_method_of_scipy_finds_the_reference(scene, t_end, rtol):
-    """They have nothing in common but the scene; stiffness would show in an explicit method."""
-    scene = made(scene)
-    start, t = consistent_start(scene).z, np.linspace(0, t_end, 20)
-    rate = jax.jit(partial(formulations.ode_rate, scene))
-    slopes = jax.jit(jax.jacfwd(rate, 1))
-    solution = solve_ivp(
-        lambda t, s: np.asarray(rate(t, s)), (0, t_end),
-        np.concatenate([start.q, start.v, start.x]), method="Radau",
-        jac=lambda t, s: np.asarray(slopes(t, s)), t_eval=t, rtol=rtol, atol=1e-11,
-    )  # fmt: skip
-    known = reference(scene, t_end)(t)
-    cuts = np.cumsum([len(start.q), len(start.v), min(len(start.x), 8)])
-    parts = np.split(solution.y.T, cuts, axis=1)
-    wanted = np.split(np.hstack([known[group] for group in "qvx"]), cuts, axis=1)
-    for found, right in zip(parts, wanted, strict=True):
-        assert np.abs(found - right).max(initial=0) <= 1e-9 * np.abs(right).max(initial=0)

@@ -7,7 +7,7 @@ import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from helpers import long
-from sympy_scenes import M, T, scene_of
+from test_sympy_models import M, T, scene_of
 
 from problems.base.runtime import jax, jnp
 from problems.equations.constraints import constraint_velocity

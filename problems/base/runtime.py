@@ -152,7 +152,7 @@ def check_runtime() -> str:
         platform = jax.local_devices()[0].platform
     except Exception as error:  # of whatever kind: JAX has none for a platform that is missing
         reason = next(iter(str(error).splitlines()), "") or type(error).__name__
-        return f"JAX does not start ({reason}); unset {users_settings() or 'its variables'}."
+        return f"JAX does not start ({reason}); unset variables that begin with JAX_ or XLA_."
     if platform != "cpu":
         return f"JAX computes on {platform}, but runs are measured on cpu; unset JAX_PLATFORMS."
     if jnp.result_type(float).itemsize != 8:
@@ -161,17 +161,6 @@ def check_runtime() -> str:
             "JAX_ENABLE_X64, or take the change of jax_enable_x64 out of the plugin."
         )
     return ""
-
-
-def users_settings() -> str:
-    """Return what the user has set of how JAX starts, as "NAME=value, ..."."""
-    return ", ".join(
-        f"{name}={value}"
-        for name, value in sorted(os.environ.items())
-        if name.startswith(("JAX_", "XLA_"))
-        and value != _SETTINGS.get(name)
-        and "CACHE" not in name
-    )
 
 
 def _leave_out_unusable_cache() -> None:

@@ -29,8 +29,6 @@ from problems.models.mjcf_parts import load_mujoco
 SAME, STATES = 1e-11, 4
 #: Largest change of a coordinate, in m or rad, by which a start is moved onto the equalities.
 FAR = 0.1
-#: Endings of meshes that MuJoCo reads.
-_MESHES = (".stl", ".obj", ".msh")
 
 
 class Start(NamedTuple):
@@ -193,27 +191,22 @@ def compare(model: Model, q: Float[np.ndarray, " nq"], control: Float[np.ndarray
 
 
 def read(path: Path) -> tuple[Any, list[str]]:
-    """Return the compiled model of a file, and sentences on what is not as in the file.
+    """Return the compiled model of a file, and the warnings of MuJoCo.
 
-    A mesh shows and touches; the mass of its body is stated in the file, or the mesh is needed.
-    Where its file is not there, as behind ``package://``, it is left out. Textures are not read:
-    they move nothing.
+    Meshes that show and touch, and textures, move nothing: they are not read, and may be lost, as
+    behind ``package://``. A mesh that gives a body its mass is.
 
     Raises
     ------
     SpecError
-        If MuJoCo does not take the file, or a mesh is not there that gives a body its mass.
+        If MuJoCo does not take the file.
     """
     notes: list[str] = []
     try:
         with _remarks(notes):
             spec = load_mujoco().MjSpec.from_file(str(path))
-            if lost := [*_without_lost(spec, path)]:
-                names = ", ".join(dict.fromkeys(lost))
-                notes.append(f"Meshes are left out that are not there ({names}).")
+            _leave_looks_out(spec, path)
             return spec.compile(), notes
-    except SpecError:
-        raise
     except (ValueError, RuntimeError, OSError) as error:
         raise SpecError(f"MuJoCo cannot read {path}: {said(error)}") from None
 
@@ -240,26 +233,21 @@ def _remarks(notes: list[str]) -> Iterator[None]:
             notes += dict.fromkeys(f"MuJoCo warns: {text.rstrip('.')}." for text in texts)
 
 
-def _without_lost(spec: Any, path: Path) -> Iterator[str]:
-    """Leave meshes out whose files are not there, and give their names; leave out all textures."""
+def _leave_looks_out(spec: Any, path: Path) -> None:
+    """Put a ball without mass, which may touch, in the place of a mesh that weighs nothing."""
     mujoco = load_mujoco()
     always = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+
+    def weighs(geom: Any) -> bool:
+        stated = geom.parent.explicitinertial and not always
+        # The links of a URDF state their masses, or have none.
+        return not (stated or path.suffix == ".urdf" or geom.parent == spec.worldbody)
+
     for mesh in [*spec.meshes]:
-        is_there = mesh.file in spec.assets or (path.parent / spec.meshdir / mesh.file).is_file()
-        if not mesh.file or (is_there and mesh.file.lower().endswith(_MESHES)):
+        geoms = [geom for geom in spec.geoms if geom.meshname == mesh.name]
+        if any(map(weighs, geoms)):
             continue
-        yield mesh.file
-        for geom in spec.geoms:
-            if geom.meshname != mesh.name:
-                continue
-            stated = geom.parent.explicitinertial and not always
-            # The links of a URDF state their masses, or have none.
-            if not (stated or path.suffix == ".urdf" or geom.parent == spec.worldbody):
-                raise SpecError(
-                    f"{path}: the mesh {mesh.file} is not there, which gives the body "
-                    f"{geom.parent.name!r} its mass; put it there, or state the inertia."
-                )
-            # A small ball without mass stands in for it: it may touch.
+        for geom in geoms:
             geom.meshname, geom.mass = "", 0.0
             geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [0.01, 0.0, 0.0]
         spec.delete(mesh)
