@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import toy
+from helpers import long, toy
 
 from bench.running.errors import event_errors, relative_errors
 from integrators.adapters.cvode import CVODE
@@ -163,17 +163,23 @@ def flights(scene, t):
         impacts.append(land)
 
 
-def test_impacts_are_located_to_rounding():
+LOCATED = [
+    (GeneralizedAlpha(), Steps(0.3), 1e-12),  # steps longer than later flights
+    (IDA(), Tolerances(1e-8), 1e-8),
+]
+ALSO = [
+    (GeneralizedAlpha(), Steps(0.05), 1e-12),
+    (StormerVerlet(), Steps(0.05), 1e-12),
+    (BDF2(), Steps(0.02), 1e-11),
+    (PHEM56(), Tolerances(1e-4), 1e-10),
+]
+
+
+@pytest.mark.parametrize("cases", [LOCATED, *long(ALSO)])
+def test_impacts_are_located_to_rounding(cases):
     scene = BouncingBall()
     q, v, impacts = flights(scene, 3.5)
-    for method, resolution, most in [
-        (GeneralizedAlpha(), Steps(0.05), 1e-12),
-        (GeneralizedAlpha(), Steps(0.3), 1e-12),  # steps longer than later flights
-        (StormerVerlet(), Steps(0.05), 1e-12),
-        (BDF2(), Steps(0.02), 1e-11),
-        (IDA(), Tolerances(1e-8), 1e-8),
-        (PHEM56(), Tolerances(1e-4), 1e-10),
-    ]:
+    for method, resolution, most in cases:
         found = run(method, scene, resolution, 3.5)
         assert found.status == "ok"
         assert len(found.events) == len(impacts) == 9
@@ -181,8 +187,10 @@ def test_impacts_are_located_to_rounding():
         assert abs(found.q[-1, 0] - q) < 10 * most
         assert abs(found.v[-1, 0] - v) < 100 * most
         assert found.phase[-1] == 9
-    # A method of first order errs by its own times of impact.
-    errors = []
+
+
+def test_a_method_of_first_order_errs_by_its_own_times_of_impact():
+    scene, errors = BouncingBall(), []
     for h in (0.01, 0.0025):
         found = run(SemiImplicitEuler(), scene, Steps(h))
         errors.append(np.abs(found.events[:, 0] - flights(scene, 2.0)[2]).max())
@@ -222,7 +230,8 @@ def test_a_rocking_block_changes_sides_as_in_closed_form():
 Blind = toy("Blind", base=BouncingBall, events=lambda self, z: jnp.sqrt(z.q - 0.5))
 
 
-def test_events_that_do_not_end_or_are_no_numbers_end_the_run_with_a_sentence():
+@pytest.mark.parametrize("methods", [[IDA()], *long([CVODE()])])
+def test_events_that_do_not_end_or_are_no_numbers_end_the_run_with_a_sentence(methods):
     scene = BouncingBall(e=0.1)  # for it they accumulate after few flights
     end = np.sqrt(2 / scene.g) * (1 + scene.e) / (1 - scene.e)
     found = run(StormerVerlet(), scene, Steps(0.05), 1.0)
@@ -231,7 +240,7 @@ def test_events_that_do_not_end_or_are_no_numbers_end_the_run_with_a_sentence():
     assert found.t[-1] == pytest.approx(end, abs=1e-12)
     with pytest.raises(ReferenceFailed, match="Events do not end"):
         Reference(scene, 1.0).error  # noqa: B018
-    for method in [IDA(), CVODE()]:  # other steps to another end miss no event
+    for method in methods:  # other steps to another end miss no event
         found = run(method, scene, Tolerances(1e-3), 1.0)
         assert found.status == "step_too_small"
         assert found.message.startswith("Events do not end at t=")

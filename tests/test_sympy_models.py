@@ -255,7 +255,7 @@ def test_what_is_left_out_of_the_start_follows_from_the_constraints():
 
 # ---- the text ----------------------------------------------------------------------------
 def test_the_text_of_a_class_runs_without_sympy_and_computes_the_same(registry, monkeypatch):
-    scene, space = registry.problem("four_bar"), {"__name__": "written"}
+    scene, space = registry.problem("four_bar"), {"__name__": __name__}
     monkeypatch.setitem(sys.modules, "sympy", None)
     exec(scene.source_text, space)
     assert consistent_start(space["FourBar"]()).z.a.tolist() == consistent_start(scene).z.a.tolist()
