@@ -181,9 +181,10 @@ class Recommendation:
                 if len({c.place for c in self.candidates}) > 1:
                     self.tables = overviews(store.plan(), store.records())
         if not self.runs:
+            searched = self._ends[0] - self.began
             raise SpecError(
-                f"{self.budget:g} s were over before the first run had ended; give a larger "
-                "--budget."
+                f"No run ended within {searched:.3g} s, the search's part of {self.budget:g} s; "
+                "give a larger --budget."
             )
 
     def _next(self) -> list[Cell]:
