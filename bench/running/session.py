@@ -45,33 +45,21 @@ def runner_for(suite: Suite, jobs: int, progress: Progress, cluster: str | None 
 def missing_cells(suite: Suite, store: Store, registry: Inventory) -> list[Cell]:
     """List the cells to be run: those without a readable record of this source, and those that
     were interrupted or ran out of a smaller budget."""
-    stored = store.records()
-
-    def is_missing(cell: Cell) -> bool:
-        record = stored.get(cell.key)
-        return (
-            record is None
-            or record.fingerprint != cell.fingerprint(registry)
-            or record.status == INTERRUPTED
-            or allowed_more(suite, record)
-        )
-
-    return list(filter(is_missing, suite.cells.values()))
+    cells, stored = suite.cells.values(), store.records()
+    cut = {key for key, record in stored.items() if record.status == INTERRUPTED}
+    return [
+        cell
+        for cell in cells
+        if cell.key in cut or _is_due(suite, stored.get(cell.key), cell.fingerprint(registry))
+    ]
 
 
 def missing_scenes(suite: Suite, store: Store, registry: Inventory) -> list[tuple[str, float]]:
     """List the scenes, by name and end time in s, that have no record of this source, or whose
     reference ran out of a smaller budget."""
-    stored = store.scenes()
-
-    def is_missing(scene: tuple[str, float]) -> bool:
-        return (
-            scene not in stored
-            or stored[scene].fingerprint != registry.problem(scene[0]).fingerprint
-            or allowed_more(suite, stored[scene])
-        )
-
-    return sorted(filter(is_missing, {(s.problem, s.t_end) for s in suite.plan.studies}))
+    stored, asked = store.scenes(), {(s.problem, s.t_end) for s in suite.plan.studies}
+    made = {scene: registry.problem(scene[0]).fingerprint for scene in asked}
+    return sorted(s for s in asked if _is_due(suite, stored.get(s), made[s]))
 
 
 def measure_suite(
@@ -194,14 +182,16 @@ def result_of(
     return answer
 
 
-def allowed_more(suite: Suite, record: Record | SceneRecord) -> bool:
-    """Return whether a budget ran out, and the suite has more time or memory."""
+# ---- parts -----------------------------------------------------------------------------
+def _is_due(suite: Suite, record: Record | SceneRecord | None, fingerprint: str) -> bool:
+    """Whether there is no record of this source, or it ran out of a smaller budget."""
+    if record is None or record.fingerprint != fingerprint:
+        return True
     budgets = (suite.plan.budget_s, record.budget_s), (suite.memory_gib, record.memory_gib)
     more = any(before is not None and now > before for now, before in budgets)
     return record.stopped != "" and more
 
 
-# ---- parts -----------------------------------------------------------------------------
 def _described(
     task: Task, answer: SceneRecord | NoAnswer, progress: Progress
 ) -> SceneRecord | None:

@@ -116,7 +116,7 @@ class Worker:
 
     def _compare(self, cell: Cell, record: Record, run: Trajectory, errors: bool) -> None:
         """Find all that is known of a good run; a failure costs a part, and is not the run's."""
-        scene = self.problem(cell.problem)
+        scene, method = self.problem(cell.problem), self.registry.integrator(cell.integrator)
 
         def part(fault: str, find: Callable[[], Any], otherwise: Any) -> Any:
             try:
@@ -124,13 +124,6 @@ class Worker:
             except BaseException as error:
                 _add(record, f"{fault}: {why(error)}")
                 return otherwise
-
-        def motion() -> Reference | None:
-            reference = self.reference(scene, record.t_end)
-            if reference.missing:
-                _add(record, f"No errors are known. {reference.missing}")
-                return None
-            return reference
 
         def histories(reference: Reference) -> dict[str, Any]:
             found = relative_errors(run, reference)
@@ -159,7 +152,12 @@ class Worker:
         residuals = "No residual of the constraints is known"
         no_points = "No named points or published digits are known"
         no_errors, blocks = "No errors are known, the reference failed", ["energy"]
-        reference = part(no_errors, motion, None) if errors else None
+        reference = None
+        if errors:
+            reference = part(no_errors, lambda: self.reference(scene, record.t_end), None)
+        if reference and reference.missing:
+            _add(record, f"No errors are known. {reference.missing}")
+            reference = None
         fault = "No energy drift is known"
         change = part(fault, lambda: measure.invariant_changes(scene, run, reference, blocks), {})
         if reference:
@@ -176,33 +174,33 @@ class Worker:
         record.constraint = largest
         run.notes |= noted | drift | part(no_points, points, {})
 
-        def operations() -> dict[str, float]:
-            return checks.checked_bill(self.prepared[record.key].bill(run), PARTS)
-
         def cautions() -> str:
-            method = self.registry.integrator(record.integrator)
             caution = checks.caution(method, scene) or ""
             overlap = measure.end_at_overlap(run, scene, bool(method.passes_impacts))
             return f"{caution} {overlap} {uncontrolled(scene, run, record.rtol)}"
 
-        def claims() -> dict[str, int]:
-            stated = self.registry.integrator(record.integrator).claims(scene)
-            return checks.checked_orders(stated, "claims()")
-
-        record.operations = part("Its operations are not known", operations, {})
+        prepared = self.prepared[record.key]
+        record.operations = part(
+            "Its operations are not known",
+            lambda: checks.checked_bill(prepared.bill(run), PARTS),
+            {},
+        )
+        record.claims = part(
+            "Its claimed orders are not known",
+            lambda: checks.checked_orders(method.claims(scene), "claims()"),
+            None,
+        )
         # A run that takes longer than its preparation would double the time of the suite.
         if (
             reference
             and record.errors
             and self._seconds[record.key] < max(record.compile_s or 0.0, 1.0)
         ):
-            integrator = self.registry.integrator(record.integrator)
             with suppress(BaseException):  # a plugin's; `check` asks it for starts at any time
                 record.later, failed = measure.errors_from_later_starts(
-                    integrator, cell.resolution, reference
+                    method, cell.resolution, reference
                 )
                 _add(record, " ".join(failed))
-        record.claims = part("Its claimed orders are not known", claims, None)
         _add(record, part("Its cautions are not known", cautions, ""))
 
     def run(self, cell: Cell) -> tuple[Trajectory, float | None]:
