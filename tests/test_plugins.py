@@ -34,7 +34,7 @@ def listed(stepbench, tmp_path):
     def call(code: str) -> dict:
         file = tmp_path / "plugin.py"
         file.write_text(HEAD + code)
-        result = stepbench("list", "problems", "--plugins", file, "--json")
+        result = stepbench("list", "scenes", "--plugins", file, "--json")
         assert result.exit_code == 0, result.output
         return {row["name"]: row for row in json.loads(result.stdout)["problems"]}
 
