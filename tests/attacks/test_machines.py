@@ -151,24 +151,6 @@ def test_a_folder_that_is_read_only_is_named_by_every_command(disk, profile):
     assert len(stored(disk / "out")) == 2
 
 
-@pytest.mark.parametrize(
-    ("most", "sentence"),
-    [
-        pytest.param(0, "cannot be opened (disk I/O error)", marks=pytest.mark.long),
-        pytest.param(700_000, "The results are stored.", marks=attack),
-    ],
-)
-def test_a_limit_of_the_size_of_files_is_like_a_full_disk(tmp_path, profile, most, sentence):
-    out = tmp_path / "out"
-    small = limit(resource.RLIMIT_FSIZE, most)
-    code, text = ask("run", profile, "--out", out, "--jobs", 1, limits=small)
-    assert code == 1, text
-    assert sentence in text
-    if most:
-        assert ask("run", profile, "--out", out, "--jobs", 1)[0] == 0
-        assert len(stored(out)) == 2
-
-
 @attack
 @pytest.mark.parametrize("command", [["list"], ["run"]])
 def test_a_working_directory_that_is_gone_is_a_sentence(tmp_path, command):
