@@ -115,7 +115,7 @@ def comes(condition: Callable[[], bool]) -> bool:
 
 def test_all_that_a_process_started_ends_with_it(guarded):
     process = guarded()
-    children = process.ask(jobs.starts_children)  # one in a session of its own
+    children = process.ask(jobs.starts_children)
     assert all(map(psutil.pid_exists, children))
     process.end()
     assert comes(lambda: not any(map(psutil.pid_exists, [process.pid, *children])))

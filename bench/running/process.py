@@ -1,8 +1,8 @@
 """Guarded processes: foreign code runs in them, one job at a time, within budgets.
 
 A crash, a hang or a run that takes all memory costs the job in work and nothing else. A process
-leads a group of its own, which is killed with all that it started when it is no longer wanted, and
-which kills itself when this program is gone.
+leads a group of its own, which is killed when it is no longer wanted, and which kills itself when
+this program is gone.
 """
 
 from __future__ import annotations
@@ -248,11 +248,12 @@ class GuardedProcess:
         return shortened(f"... {text}" if beyond else text)
 
     def end(self) -> None:
-        """Kill the process and all that it started; nothing is lost that is not elsewhere."""
+        """Kill the process and its group; nothing is lost that is not elsewhere."""
         if self.alive:
             self.alive = False
             _running.discard(self._process)
-            _kill(self._process)
+            with suppress(OSError):
+                os.killpg(self.pid, signal.SIGKILL)
             self._process.wait()
             self._pipe.close()
 
@@ -337,8 +338,8 @@ def start_ahead(module: str) -> None:
 def end_all() -> None:
     """Kill all processes, as this program ends."""
     for process in [*_running]:
-        with suppress(Exception):
-            _kill(process)
+        with suppress(OSError):
+            os.killpg(process.pid, signal.SIGKILL)
 
 
 def _started() -> _Started:
@@ -355,17 +356,3 @@ def _started() -> _Started:
     theirs.close()
     _running.add(process)
     return process, ours, output
-
-
-def _kill(process: subprocess.Popen) -> None:
-    """Kill a process, its group, and those that it started in other groups."""
-    import psutil
-
-    left = []
-    with suppress(psutil.Error):
-        left = psutil.Process(process.pid).children(recursive=True)
-    with suppress(OSError):
-        os.killpg(process.pid, signal.SIGKILL)
-    for child in left:
-        with suppress(psutil.Error):
-            child.kill()
