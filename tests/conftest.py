@@ -125,10 +125,14 @@ def refused(stepbench):
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run folder of one of everything with its pages, to be read alone."""
     from planted import everything, plant
+    from small_stores import A_SHOWN_EXPERIMENT
 
+    from bench.results.store import Store
     from reports.pages.html_report import write_html_report
 
     folder = plant(tmp_path_factory.mktemp("site"), everything())
+    with Store(folder, create=True) as store:
+        store.keep(A_SHOWN_EXPERIMENT)
     write_html_report(folder)
     return folder
 

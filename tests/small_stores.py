@@ -16,12 +16,32 @@ from bench.results.records import (
     SceneRecord,
 )
 from bench.results.store import FILE, Store
-from bench.results.studies import CaseResult, Drift, ExperimentResult, LongRun, PartResult
+from bench.results.studies import CaseResult, Drift, Expected, ExperimentResult, LongRun, PartResult
 
 NO_ROWS = Rows(t=[])
 AN_EXPERIMENT = ExperimentResult(
     name="e", number=1, title="", claim="", remedy="", source="", parts=[]
 )
+#: One with a chart, as pages show it.
+A_SHOWN_EXPERIMENT = msgspec.structs.replace(
+    AN_EXPERIMENT,
+    **dict.fromkeys(("title", "claim", "remedy", "source"), "A word."),
+    parts=[
+        PartResult(
+            text="a part",
+            quantity="error",
+            take="slope",
+            healthy=(1.8, None),
+            cases=[
+                CaseResult(
+                    label="mine", integrator="mine", family="other", axis="h", x=[0.1, 0.05],
+                    y=[0.2, 0.1], number=1.0, expected=Expected((0.9, 1.1), "theory", "", "reason"),
+                    as_expected=True, healthy=False,
+                )
+            ],
+        )
+    ],
+)  # fmt: skip
 
 
 def atlas_with(method, *names):

@@ -8,15 +8,11 @@ from html.parser import HTMLParser
 from importlib import resources
 from itertools import pairwise
 
-import msgspec
 import pytest
 from chromium import waited
 from helpers import long
 from planted import everything, plant
-from small_stores import AN_EXPERIMENT
 
-from bench.results.store import Store
-from bench.results.studies import CaseResult, Expected, PartResult
 from reports.pages.html_report import write_html_report
 
 PAGES = {
@@ -29,27 +25,10 @@ PAGES = {
     "report/measured.html",
     "report/glossary.html",
 }
-CASE = CaseResult(
-    label="mine", integrator="mine", family="other", axis="h", x=[0.1, 0.05], y=[0.2, 0.1],
-    number=1.0, expected=Expected((0.9, 1.1), "theory", "", "reason"), as_expected=True,
-    healthy=False,
-)  # fmt: skip
 DRAWN = """
 return [...document.querySelectorAll("script[data-chart]")].every(
   (node) => document.getElementById(node.dataset.chart).view);
 """
-PART = PartResult(text="a part", quantity="error", take="slope", healthy=(1.8, None), cases=[CASE])
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A report that has a chapter of the atlas, too."""
-    path = plant(tmp_path_factory.mktemp("planted"), everything())
-    words = dict.fromkeys(("title", "claim", "remedy", "source"), "A word.")
-    with Store(path, create=True) as store:
-        store.keep(msgspec.structs.replace(AN_EXPERIMENT, **words, parts=[PART]))
-    write_html_report(path)
-    return path
 
 
 def show(browser, page, scheme="light"):
@@ -78,10 +57,10 @@ def grave(browser):
 
 
 @pytest.mark.parametrize("names", [["report.html"], *long(sorted(PAGES - {"report.html"}))])
-def test_axe_finds_no_grave_fault(browser, folder, names):
+def test_axe_finds_no_grave_fault(browser, site, names):
     for name in names:
         for scheme in ("light", "dark"):
-            show(browser, folder / name, scheme)
+            show(browser, site / name, scheme)
             assert grave(browser) == [], (name, scheme)
 
 
@@ -93,15 +72,15 @@ def test_axe_finds_no_grave_fault_in_a_single_file(browser, tmp_path):
         assert grave(browser) == [], scheme
 
 
-def test_axe_finds_a_planted_fault(browser, folder):
-    show(browser, folder / "report.html")
+def test_axe_finds_a_planted_fault(browser, site):
+    show(browser, site / "report.html")
     browser.execute_script("document.querySelector('#answer').style.color = '#aaa5'")
     assert [fault[0] for fault in grave(browser)] == ["color-contrast"]
 
 
-def test_every_shade_of_the_heat_table_can_be_read(browser, folder):
+def test_every_shade_of_the_heat_table_can_be_read(browser, site):
     for scheme in ("light", "dark"):
-        show(browser, folder / "report.html", scheme)
+        show(browser, site / "report.html", scheme)
         browser.execute_script(
             """
             const table = document.getElementById("heat"), cell = table.querySelector(".reached");
@@ -114,8 +93,8 @@ def test_every_shade_of_the_heat_table_can_be_read(browser, folder):
         assert grave(browser) == [], scheme
 
 
-def test_paper_has_the_question_and_the_answer_and_nothing_to_operate(browser, folder):
-    show(browser, folder / "report.html")
+def test_paper_has_the_question_and_the_answer_and_nothing_to_operate(browser, site):
+    show(browser, site / "report.html")
     printed = browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})["data"]
     assert 1 <= base64.b64decode(printed).count(b"/Type /Page\n") <= 4
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
@@ -141,18 +120,18 @@ class Outline(HTMLParser):
             self.levels.append(int(tag[1]))
 
 
-def test_headings_follow_each_other_on_every_page(folder):
-    for page in [folder / "report.html", *folder.glob("report/*.html")]:
+def test_headings_follow_each_other_on_every_page(site):
+    for page in [site / "report.html", *site.glob("report/*.html")]:
         levels = Outline(page.read_text(encoding="utf-8")).levels
         assert levels[0] == levels.count(1) == 1, page.name
         for above, below in pairwise(levels):
             assert below <= above + 1, (page.name, levels)
 
 
-def test_without_scripts_every_page_says_so_and_shows_its_tables(browser, folder):
+def test_without_scripts_every_page_says_so_and_shows_its_tables(browser, site):
     browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
     for name in sorted(PAGES):
-        browser.get((folder / name).as_uri())
+        browser.get((site / name).as_uri())
         words = browser.find_element("tag name", "main").text
         assert "need JavaScript" in words, name
         tables = browser.find_elements("css selector", "main table.sortable")
@@ -161,9 +140,9 @@ def test_without_scripts_every_page_says_so_and_shows_its_tables(browser, folder
         assert all(t.is_displayed() for t in tables if t not in folded), name
 
 
-def test_no_page_is_wider_than_a_phone(browser, folder):
+def test_no_page_is_wider_than_a_phone(browser, site):
     phone = {"width": 420, "height": 900, "deviceScaleFactor": 1, "mobile": True}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
     for name in sorted(PAGES):
-        show(browser, folder / name)
+        show(browser, site / name)
         assert browser.execute_script("return document.documentElement.scrollWidth") <= 420, name

@@ -43,7 +43,8 @@ def chart(browser, name):
     """Scroll to a chart, in its tab, and wait until it is drawn."""
     browser.execute_script(
         """
-        const tab = document.getElementById(arguments[0]).closest(".tab");
+        const tab = document.getElementById(arguments[0]).closest(".tab, details");
+        if (tab?.matches("details")) return tab.open = true;
         if (tab) document.getElementById(tab.id + "-tab").click();
         """,
         name,
@@ -197,11 +198,16 @@ def test_tabs_follow_the_arrow_keys_and_links_open_them(browser, site):
     browser.switch_to.active_element.send_keys(Keys.ARROW_RIGHT)
     assert browser.execute_script(shown) == ["scene-2-cost"]
     assert browser.switch_to.active_element.get_attribute("aria-selected") == "true"
-    # A link to a run opens its tab and the folded table.
+    # A link to a run opens its tab and the folded table, one to a chart the fold around it.
     run = browser.execute_script("return document.querySelector('tr[id^=run-]').id")
     browser.execute_script("location.hash = arguments[0]", run)
     waited(lambda: browser.find_element(By.ID, run).is_displayed())
     assert browser.execute_script(shown) == ["scene-2-runs"]
+    browser.get((site / "report" / "atlas.html").as_uri())
+    place = browser.find_element(By.ID, "atlas-e-1")
+    assert not place.is_displayed()
+    browser.execute_script("location.hash = 'atlas-e-1'")
+    waited(lambda: browser.execute_script("return Boolean(arguments[0].view)", place))
 
 
 def test_tabs_stand_under_the_verdict_and_the_legend_beside_the_lines(browser, site):

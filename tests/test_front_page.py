@@ -181,38 +181,6 @@ def test_keys_walk_through_the_runs_and_say_the_numbers_of_the_store(browser, si
     assert browser.get_log("browser") == []
 
 
-def test_a_run_of_cost_zero_is_drawn_and_told(browser, tmp_path):
-    records = [r for r in everything() if r.problem == "spring_mass"]
-    for record in records:
-        record.work["residuals"] *= record.integrator == "poor"
-    write_html_report(plant(tmp_path, records))
-    fragment = "#group=q&target=1e-2&cost=residuals"
-    open_front(browser, tmp_path, fragment)
-    cells = {label: shown for (label, _), (_, shown) in heat_cells(browser).items()}
-    assert cells == {"good[rho_inf=0.8]": "1.0", "poor": "∞"}
-    told = browser.execute_script(WALK, browser.find_element("css selector", CHARTS), 6)
-    assert {lines[3] for lines in told} == {"0 evaluations"}
-    # The axis holds the others.
-    assert "0" not in each(
-        browser, f"{CHARTS} .axis text", "node.textContent"
-    )  # that of the others
-    visit(browser, tmp_path / "report" / "scene-spring_mass.html", fragment)
-    cells = "[...node.cells].slice(1, 3).map((cell) => cell.textContent)"
-    assert each(browser, "[data-methods] tbody tr", cells) == [["0", "1 ×"], ["480", "∞ ×"]]  # noqa: RUF001
-
-
-@pytest.mark.long
-def test_a_chosen_set_of_scenes_is_shown_alone(browser, site):
-    open_front(browser, site)
-    browser.execute_script(
-        "stepbench.data.filters.push({ id: 'one', name: 'one', scenes: [1] });"
-        "document.getElementById('question').elements.scenes.add(new Option('one', 'one'));"
-    )
-    choose(browser, "scenes", "one")
-    assert len(each(browser, CHARTS, "1")) == 1
-    assert {scene for _, scene in heat_cells(browser)} == {"pendulum"}
-
-
 def test_tables_sort_and_filter(browser, site):
     visit(browser, site / "report" / "scene-pendulum.html")
     (number,) = [k for k, n in enumerate(each(browser, ".sortable", "node.tBodies[0].rows.length"))

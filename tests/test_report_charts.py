@@ -233,17 +233,3 @@ def test_a_chart_shows_few_rows_and_the_last_among_them():
     few = Rows(t=t[:5], values={"q": [[0.0]] * 5})
     assert thinned(few) == few
     assert thinned(Rows(t=[])) == Rows(t=[])
-
-
-def test_no_chart_has_a_number_in_the_place_of_a_name(series, styles):
-    rows = [(label, curves(1.0, {"q": 2})) for label in styles]
-    rows[0][1].notes["h"] = [0.01 * k for k in range(61)]
-    for chart in (
-        error_charts(series, ["q", "a"], ["seconds", "residuals", "q"], styles),
-        convergence_chart(series, ["q", "a"], styles),
-        error_against_cost({"pendulum": series}, styles, Question("a", 1e-4, "operations")),
-        trajectory_chart(rows, curves(1.0, {"q": 2}), ["q"], styles),
-        histories(rows, styles),
-    ):
-        for name in chart["datasets"]:
-            assert {row["series"] for row in table(chart, name)} <= {*styles, "reference"}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from importlib import resources
 from pathlib import Path
@@ -24,12 +22,9 @@ from planted import (
     whole_report,
 )
 
-from bench.results.orders import fit_order
-from bench.results.quantities import NORMS
 from bench.results.records import Record, median
 from bench.results.store import Store
 from reports.formatting import cost_text, milliseconds, number, symbols
-from reports.names import short_names
 from reports.pages import html_report
 from reports.pages.chapter import Text
 from reports.pages.html_report import write_html_report
@@ -37,7 +32,6 @@ from reports.pages.markdown_report import _FIGURES as FIGURES
 from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
 from reports.series import series_of
-from reports.tables.ranking_tables import targets_table
 from reports.tables.run_tables import summary_table
 
 
@@ -85,65 +79,6 @@ def test_every_number_of_the_summary_is_one_of_the_store(folder: Path, page: Doc
                 assert row["most accurate run"] == best.resolution
 
 
-def test_the_orders_shown_are_the_fitted_ones(folder: Path, page: Document) -> None:
-    rows = page.rows("Orders", 1)
-    names = short_names(r.integrator for r in stored(folder))
-    assert [row["order"] for row in rows] == ["claimed", "settled", "with start"] * 3
-    for place, norm in ((1, "settled"), (2, "max")):
-        for row in rows[place::3]:
-            own = [r for r in stored(folder) if r.problem == "pendulum"]
-            own = [r for r in own if names[r.integrator] == row["integrator"]]
-            for group, shown in {"q": "q", "v": "v", "a": "a", "lam": "λ"}.items():
-                fit = fit_order([r.h for r in own], [r.errors[group][norm] for r in own], 1e-15)
-                stuck = fit.verdict == "does not converge"
-                assert row[shown] == ("0" if stuck else f"{fit.order:.2f}")
-    assert rows[7]["λ"] == "0"
-
-
-def test_the_cheapest_of_those_that_reached_a_target_wins(folder: Path, page: Document) -> None:
-    rows = {row["relative error"]: row for row in page.rows("Cheapest way to an accuracy", 1)}
-    records = [r for r in stored(folder) if r.problem == "pendulum" and r.status == "ok"]
-    names = short_names(r.integrator for r in stored(folder))
-    for target in ("1e-2", "1e-4", "1e-6"):
-        reached = [r for r in records if r.errors["a"]["max"] <= float(target)]
-        fewest = min(reached, key=lambda r: r.work["residuals"])
-        fastest = min(reached, key=lambda r: median(r.run_s))
-        row = rows[f"a to {target}"]
-        cell = row["fewest residual evaluations"]
-        assert cell.startswith(names[fewest.integrator])
-        ties = sum(r.work["residuals"] == fewest.work["residuals"] for r in reached)
-        assert f"{fewest.work['residuals']} at {fewest.resolution.partition(',')[0]}" in cell
-        assert (" tie" in cell) == (ties > 1)
-        if "more tie" not in row["least time"]:
-            assert names[fastest.integrator] in row["least time"]
-            assert f"({milliseconds(median(fastest.run_s))} ms" in row["least time"]
-
-
-def test_a_target_below_the_trust_in_the_reference_is_not_judged() -> None:
-    records = [planted("pendulum", n, {"q": (1.0, 2)}, h=1e-4) for n in ("one", "two")]
-    for record in records:
-        record.reference_error = {"q": dict.fromkeys(NORMS, 1e-7)}
-    rows = targets_table(series_of(records), {}).rows
-    assert rows[2][1].startswith("cannot be judged: the reference's own error there is 1e-7, ")
-    assert rows[1][1].endswith(" tie")
-
-
-def test_rivals_that_tie_are_named_or_counted() -> None:
-    seconds = {"one": 1.0, "two": 1.05, "three": 1.2, "four": 1.0, "far": 1e-3}
-    records = [
-        planted("pendulum", name, {"q": (1.0 - k / 100, 2)}, h=1e-2, run_s=[seconds[name]] * 7)
-        for k, name in enumerate(seconds)
-    ]
-    records[3].operations = {}
-    records[4].errors["q"]["max"] = 0.1
-    at = "at h=0.01)"
-    assert targets_table(series_of(records), {}).rows[0][1:] == [
-        f"one (3000 {at}, two (3000 {at} and three (3000 {at} tie; not measured: four",
-        f"one (1 s {at}, two (1.05 s {at} and four (1 s {at} tie; next: three, 1.2 times",
-        f"one (300 {at}, two (300 {at}, three (300 {at} and 1 more tie",
-    ]
-
-
 def test_exponents_have_neither_plus_nor_zeros():
     values = {1.234e-5: "1.23e-5", -2e-10: "-2e-10", 3.67e7: "3.67e7", 1e10: "1e10", 1e100: "1e100"}
     assert [number(value) for value in values] == [*values.values()]
@@ -167,6 +102,9 @@ def test_runs_that_a_method_does_not_support_are_no_failures(tmp_path: Path) -> 
     report = read_report(plant(tmp_path, [good, *refused]))
     (chapter,) = [c for c in report.chapters if c.file == "failures.html"]
     failed, unsupported = chapter.sections
+    assert "1 ok, 2 not supported, 0 failed with a reason." in report.stored.state
+    _, summary, *_ = report.scenes[0].tabs[0].parts
+    assert {row[0]: row[-2] for row in summary.rows}["odd"] == "refused: It takes no rods."
     assert (report.failed, failed.parts[0].words) == (
         0,
         "Every run that its method supports reached the end.",
@@ -203,7 +141,7 @@ def test_the_pages_ask_nothing_of_any_network_and_their_links_lead_somewhere(
     files = [folder / "report.html", *(folder / "report").glob("*.html")]
     texts = {file.resolve(): file.read_text(encoding="utf-8") for file in files}
     labels = {method["label"] for method in page_data(folder)["methods"]}
-    assert len(files) == 13  # 2 scenes, 6 methods, and what all have in common
+    assert len(files) == 14  # 2 scenes, 6 methods, and what all have in common
     for file, text in texts.items():
         for tag, place in Document(text).places:
             if place.startswith("data:") or (tag == "a" and place.startswith("https://doi.org/")):
@@ -223,32 +161,15 @@ def test_the_pages_ask_nothing_of_any_network_and_their_links_lead_somewhere(
             return set(node).union(*(keys(v) for v in node.values()))
         return set().union(*(keys(v) for v in node)) if isinstance(node, list) else set()
 
-    assert len(page.charts) == 15
+    assert len(page.charts) == 16
     assert "url" not in keys(list(page.charts.values()))
-
-
-def test_the_charts_carry_the_numbers_of_the_store(folder: Path, page: Document) -> None:
-    text = page.charts["scene-2-1-convergence-max"]["datasets"]["runs"]
-    found = {
-        (row["series"], row["run"], name, float(row[name]))
-        for row in csv.DictReader(io.StringIO(text))
-        for name in row
-        if name.endswith("_max")
-    }
-    expected = {
-        (r.integrator, r.resolution, f"{group}_max", float(f"{norms['max']:.5g}"))
-        for r in stored(folder)
-        if r.problem == "pendulum" and r.status == "ok" and r.controls == "step"
-        for group, norms in r.errors.items()
-    }
-    assert found == expected
 
 
 def test_pictures_of_the_paper_page_exist_and_are_svg(folder: Path, paper: str) -> None:
     pictures = re.findall(r"!\[[^]]*\]\(([^)]+)\)", paper)
-    # One over all scenes; per scene one picture of it, motion, convergence, cost, accuracy and
+    # One over all scenes, one of the atlas; per scene one picture of it, motion, convergence, cost, accuracy and
     # bills; a held scene shows errors at the end, too.
-    assert len(pictures) == len(set(pictures)) == 14
+    assert len(pictures) == len(set(pictures)) == 15
     for picture in pictures:
         assert ElementTree.parse(folder / picture).getroot().tag.endswith("svg")
 
