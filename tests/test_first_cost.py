@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from chromium import waited
 from planted import STEPS, page_data, plant, planted
 from small_stores import a_record
 
@@ -133,16 +132,3 @@ def test_the_front_page_says_how_well_times_repeat(folders):
     none = times_sentence(Repeatability(None, 0, 1))
     assert none.startswith("No run has the 6 timing samples")
     assert none.endswith("so this report ranks by operations first.")
-
-
-def test_an_address_that_names_a_cost_wins_over_the_first_question(browser, folders):
-    for fragment, cost in (("", "seconds"), ("#cost=operations", "operations")):
-        browser.get("about:blank")
-        browser.get((folders["quiet"] / "report.html").as_uri() + fragment)
-        assert browser.execute_script("return document.forms.question.cost.value") == cost
-        said = browser.execute_script("return document.getElementById('answer').textContent")
-        beside = {"seconds": "Fewest operations: lean", "operations": "Least time: swift"}
-        assert f"{beside[cost]} is cheapest on the scene (" in said
-    # The same page, by a link in it.
-    browser.execute_script("location.hash = '#cost=seconds'")
-    waited(lambda: browser.execute_script("return document.forms.question.cost.value") == "seconds")

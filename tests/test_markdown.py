@@ -5,11 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import msgspec
 import pytest
-from planted import STEPS, edited, everything, plant
+from planted import STEPS, everything, plant
 
-from bench.results.store import Store
 from reports.pages.markdown_report import _FIGURES as FIGURES
 from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
@@ -75,20 +73,6 @@ def test_each_chart_has_a_name_of_its_own_that_fits_a_link(tmp_path):
     assert len(found.scenes) == 2
     assert len(names) == len(set(names))
     assert [name for name in names if not re.fullmatch(r"[\w-]+", name)] == []
-
-
-@pytest.mark.long
-def test_a_report_of_studies_without_titles_has_no_faults(folder, tmp_path):
-    bare = edited(folder, tmp_path / "bare", lambda record: None)
-    with Store(bare, create=True) as store:
-        plan = store.plan()
-        studies = [msgspec.structs.replace(s, title=s.problem) for s in plan.studies]
-        store.keep(msgspec.structs.replace(plan, studies=studies))
-    path = write_markdown_report(bare)
-    assert faults(path) == []
-    scene = bare / "report" / "scene-pendulum.md"
-    assert faults(scene) == []
-    assert "## Accuracy and cost" in scene.read_text(encoding="utf-8")
 
 
 def test_a_report_of_nothing_has_no_faults(tmp_path):

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
 
 import pytest
-from planted import Document, plant, planted, whole_markdown, whole_report
+from planted import plant, planted, whole_markdown
 
 from reports.charts import rendering
-from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import _FIGURES as FIGURES
 from reports.pages.markdown_report import write_markdown_report
 
@@ -70,14 +67,3 @@ def test_a_still_picture_shows_the_most_accurate_of_a_crowd_and_says_so(crowd):
         chart = (figures / f"scene-1-1-{name}.svg").read_text()
         assert labels(chart) == set(best[:most]), name
         assert f"Of 30 integrators those {most} are shown that err least in q." in text
-
-
-def test_a_page_shows_the_same_charts(crowd):
-    write_html_report(crowd)
-    page = Document(whole_report(crowd))
-    for name, most in (("convergence-max", 24), ("accuracy", 24), ("trajectory", 12)):
-        rows = csv.DictReader(
-            io.StringIO(max(page.charts[f"scene-1-1-{name}"]["datasets"].values(), key=len))
-        )
-        assert len({row["series"].partition(",")[0] for row in rows}) == most, name
-        assert f"Of 30 integrators those {most} are shown" in page.words

@@ -167,8 +167,8 @@ def test_the_pages_ask_nothing_of_any_network_and_their_links_lead_somewhere(
 
 def test_pictures_of_the_paper_page_exist_and_are_svg(folder: Path, paper: str) -> None:
     pictures = re.findall(r"!\[[^]]*\]\(([^)]+)\)", paper)
-    # One over all scenes, one of the atlas; per scene one picture of it, motion, convergence, cost, accuracy and
-    # bills; a held scene shows errors at the end, too.
+    # One over all scenes, one of the atlas; per scene one picture of it, motion, convergence, cost,
+    # accuracy and bills; a held scene shows errors at the end, too.
     assert len(pictures) == len(set(pictures)) == 15
     for picture in pictures:
         assert ElementTree.parse(folder / picture).getroot().tag.endswith("svg")

@@ -59,17 +59,7 @@ def _chart(kind: str, rows: list[dict[str, Any]], styles: Mapping[str, LineStyle
     panels = []
     for field, title in _PANELS.items():
         y_axis = vl.log_axis([row[field] for row in rows], ".0e")
-        encoding = {
-            "x": vl.log_quantity("unknowns", axis=x_axis),
-            "y": vl.log_quantity(field, title=title, axis=y_axis),
-            "color": lines.colors(),
-            "strokeDash": lines.dashes(),
-            "tooltip": [
-                vl.category("series"),
-                vl.quantity("unknowns"),
-                vl.quantity(field, title=title, format=".3g"),
-            ],
-        }
-        mark = {"type": "line", "strokeWidth": 1.8, "point": {"size": 45}}
-        panels.append({"data": data.source, "mark": mark, "encoding": encoding})
+        x = vl.log_quantity("unknowns", axis=x_axis)
+        y = vl.log_quantity(field, title=title, axis=y_axis)
+        panels.append(vl.line_panel(data, x, y, lines, point={"size": 45}, tooltip=True))
     return vl.arrange(panels, [data], 3) or {}

@@ -182,6 +182,15 @@ def moves(name: str, first: bool) -> list[Spec]:
 
 
 # ---- charts ------------------------------------------------------------------------------
+def line_panel(data: Dataset, x: Spec, y: Spec, lines: Lines, **mark: Any) -> Spec:
+    """A line per series, with a legend of colours and dashes."""
+    return {
+        "data": data.source,
+        "mark": {"type": "line", "strokeWidth": 1.8, "clip": True} | mark,
+        "encoding": {"x": x, "y": y, "color": lines.colors(), "strokeDash": lines.dashes()},
+    }
+
+
 def arrange(
     panels: Sequence[Spec],
     data: Sequence[Dataset],

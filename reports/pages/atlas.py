@@ -75,9 +75,7 @@ def experiment_chart(part: PartResult) -> vl.Spec | None:
 
     def draw(name: str, rows: Sequence[vl.Spec], x: vl.Spec, y: vl.Spec, **points: Any) -> None:
         data.append(vl.Dataset(name, rows))
-        encoding = {"x": x, "y": y, "color": lines.colors(), "strokeDash": lines.dashes()}
-        mark = {"type": "line", "strokeWidth": 1.6, "clip": True} | points
-        panels.append({"data": data[-1].source, "mark": mark, "encoding": encoding})
+        panels.append(vl.line_panel(data[-1], x, y, lines, **points))
 
     if sweep:
         axis = next(case.axis for case in part.cases if len(case.x) > 1)

@@ -16,7 +16,7 @@ from reports.pages.chapter import FOLDER, FRONT, Link, Page, Section, chapter_pa
 from reports.pages.report import Report
 from reports.pages.scene_chapter import SceneChapter
 from reports.tables.glossary import TERMS
-from reports.tables.mathml import equations
+from reports.tables.mathml import mathml
 from reports.tables.scene_tables import unknowns
 
 #: Pages beside a report that commands write into its folder, with their titles in the contents.
@@ -131,7 +131,7 @@ def _scene(report: Report, chapter: SceneChapter) -> Page:
         "scene": chapter,
         "place": list(report.measured).index(chapter.name) if runs else None,
         "motion": motion(scene.drawings) if scene else None,
-        "equations": equations(scene) if scene else [],
+        "equations": [*map(mathml, scene.equations)] if scene else [],
         "unknowns": unknowns(scene) if scene else "",
         "end": f"{runs[0].t_end:g}" if runs and all(map(_usual, runs)) else "",
         "plugins": {label: option for label, option in plugins.items() if option},

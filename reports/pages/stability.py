@@ -99,15 +99,7 @@ def _curve(
     y = vl.quantity("value", title=title, scale={"zero": True})
     if logarithmic:
         y |= {"scale": vl.log_scale(), "axis": vl.log_axis([r["value"] for r in rows], ".0e")}
-    line: vl.Spec = {
-        "mark": {"type": "line", "strokeWidth": 1.8, "clip": True},
-        "encoding": {
-            "x": vl.log_quantity("omega_h", title=name, axis=x_axis),
-            "y": y,
-            "color": lines.colors(),
-            "strokeDash": lines.dashes(),
-        },
-    }
+    line = vl.line_panel(data, vl.log_quantity("omega_h", title=name, axis=x_axis), y, lines)
     one: vl.Spec = {
         "data": {"values": [{"one": 1}]},
         "mark": {"type": "rule", "strokeDash": [3, 3], "opacity": 0.6},

@@ -6,8 +6,6 @@ import re
 
 from markupsafe import Markup
 
-from bench.results.records import SceneRecord
-
 #: Words of the contract that have a symbol; a dot or an arrow above is an accent.
 _SYMBOLS = {"Phi": "Φ", "lam": "λ", "gamma": "γ", "omega": "ω"}
 _TOKEN = re.compile(r"[A-Za-z]+|\d+(?:\.\d+)?|\S")
@@ -49,8 +47,3 @@ def _token(word: str) -> Markup:
     if word[0].isalpha():
         return Markup("<mi>{}</mi>").format(_SYMBOLS.get(word, word))
     return Markup("<mo>{}</mo>").format({"-": "−", "*": "·"}.get(word, word))  # noqa: RUF001
-
-
-def equations(scene: SceneRecord) -> list[Markup]:
-    """The equations that a scene states, one below the other."""
-    return [mathml(text) for text in scene.equations]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bench.results.orders import SPREAD
 from bench.results.quantities import COST, COSTS
-from bench.results.records import TIMING_SECONDS, Plan, counted
+from bench.results.records import Plan, counted
 from bench.results.timings import (
     FEWEST,
     LEAST_OF_FEW,
@@ -21,10 +21,7 @@ def missing_data(stored: StoredRuns) -> list[str]:
     plan, records, planned = stored.plan, stored.records, stored.planned
     waiting = len(planned - set(records))
     ok = [r for r in records.values() if r.status == "ok"]
-    samples = plan.samples if plan else 0
     untimed = sum(not r.run_s for r in ok)
-    # Long runs are timed less often on purpose.
-    short = sum(0 < len(r.run_s) < samples and sum(r.run_s) <= TIMING_SECONDS for r in ok)
     not_finite = any(e is None for r in ok for norms in r.errors.values() for e in norms.values())
     sentences = {
         "The store holds no plan: all runs of a scene are shown together.": plan is None,
@@ -38,7 +35,6 @@ def missing_data(stored: StoredRuns) -> list[str]:
         },
         "No run reached the end: there are no errors, orders and times.": records and not ok,
         f"{untimed} of {len(ok)} runs that reached the end have no timing samples.": untimed,
-        f"{short} runs have fewer than the {samples} timing samples planned.": short,
         "Some errors of runs that reached the end are not finite; they are not drawn.": not_finite,
     }
     return [sentence for sentence, holds in sentences.items() if holds]
