@@ -7,7 +7,6 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from bench.running.errors import relative_errors
-from bench.running.scene_records import recorded_sizes
 from integrators import Steps, Tolerances
 from integrators.adapters.ida import IDA
 from integrators.methods.bdf2 import BDF2, BLieDF
@@ -239,8 +238,3 @@ def test_methods_with_tolerances_reach_the_digits(method, scene):
     assert run.status == "ok", run.message
     found = named_points(scene, run.q)["C"][-1]
     assert found == pytest.approx(scene.published[0].values, abs=1e-5)
-
-
-def test_records_of_scenes_count_velocities_only_where_they_are_others():
-    assert recorded_sizes(R3_SO3) == {"nq": 7, "nv": 6, "nl": 3, "nx": 0, "ny": 0}
-    assert recorded_sizes(HeavyTop()) == {"nq": 7, "nl": 4, "nx": 0, "ny": 0}

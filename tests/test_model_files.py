@@ -10,10 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 from helpers import long
-from model_details import FILES, URDF, joint, link, urdf
+from model_details import FILES, URDF
 from model_files import LOOPS, chain, four_bar, mjcf
 from model_files import body as rod
-from scipy.spatial.transform import Rotation
 
 from bench.check.checker import is_file
 from bench.plugins.fingerprint import fingerprint
@@ -172,17 +171,6 @@ def test_bodies_that_an_exclusion_names_do_not_touch(tmp_path):
         excluded = "".join(f'<exclude body1="{a}" body2="{b}"/>' for a, b in pairs)
         text = mjcf(balls, f"<contact>{excluded}</contact>", default="")
         assert [*lacking(read(saved(tmp_path, text))[0])] == parts
-
-
-def test_a_urdf_has_turned_inertias(tmp_path):
-    text = urdf(link("base", mass=0), link("arm"), joint("a", "continuous", "base", "arm"))
-    scene = from_mjcf(saved(tmp_path, text, ".urdf"))()
-    turn = Rotation.from_euler("x", 0.1).as_matrix()
-    own = turn @ [[0.02, 0.0, 0.001], [0.0, 0.02, 0.0], [0.001, 0.0, 0.01]] @ turn.T
-    # About the hinge along y, which is tilted by 0.1; the centre is at (0, .01, .1).
-    assert float(scene.mass(STILL[0])[0, 0]) == pytest.approx(0.1**2 + own[1, 1], rel=1e-6)
-    moment = float(scene.force(jnp.array([0.5]), *STILL[1:])[0])
-    assert moment == pytest.approx(9.81 * 0.1 * np.sin(0.6), rel=1e-9)
 
 
 def test_a_model_that_is_no_scene_is_one_sentence(tmp_path):
