@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from problems.hybrid.phases import (
     Fall,
     Samples,
     crossing,
+    events_at_start,
     falls,
     march,
     on_constraints,
@@ -223,10 +225,8 @@ class PhasedRun(PreparedRun):
         values, rates = _watched(phase, rows)
         if rows.status == "ok" and not np.isfinite(values).all():
             t = rows.t[np.argmin(np.isfinite(values).all(axis=1))]
-            rows.status, rows.message = (
-                "diverged",
-                (f"A function of `events` is not finite at t={t:.6g} s."),
-            )
+            rows.status = "diverged"
+            rows.message = f"A function of `events` is not finite at t={t:.6g} s."
         first: tuple[Trajectory | None, MechatronicSystem, int, float] | None = None
         row, kept, before = 1, None, phase
         for fall in falls(rows.t, values, rates):
@@ -236,11 +236,11 @@ class PhasedRun(PreparedRun):
                 # The same steps, up to that in which the function falls: where a method takes
                 # others up to another end, the event is that of the rows that are kept.
                 row, kept = fall.row, self._measured(phase, float(rows.t[fall.row - 1]))
-                before = _from_row(phase, kept, -1)
+                before = _from_end(phase, kept)
 
             def value(t: float, before: Any = before, event: int = fall.event) -> float:
                 if t <= before.interval[0]:
-                    return float(_watched(before, before.start(), t)[0][0, event])
+                    return float(events_at_start(before)[0][event])
                 return float(_watched(phase, self._measured(before, t))[0][-1, event])
 
             ends = _ends(fall, rows.t, values)
@@ -252,19 +252,15 @@ class PhasedRun(PreparedRun):
 
     def _joined(self, status: str, message: str) -> Trajectory:
         """One trajectory of all pieces; each begins with the last row of the one before."""
-        parts = {name: [] for name in _GROUPS}
-        notes: dict[str, list[np.ndarray]] = {name: [] for name in self._pieces[0].rows.notes}
-        phase, held = [], []
-        for k, piece in enumerate(self._pieces):
-            rows = slice(0 if k == 0 else 1, None)
-            for name, found in parts.items():
-                found.append(getattr(piece.rows, name)[rows])
-            for name, found in notes.items():
-                found.append(piece.rows.notes[name][rows])
-            count = len(parts["t"][-1])
-            phase.append(np.full(count, piece.phase))
-            held.append(np.tile(piece.held, (count, 1)))
-        every = {name: np.concatenate(found) for name, found in parts.items()}
+        pieces = self._pieces
+
+        def joined(values: Callable[[Trajectory], np.ndarray]) -> np.ndarray:
+            rows = [values(piece.rows) for piece in pieces]
+            return np.concatenate([rows[0], *(own[1:] for own in rows[1:])])
+
+        every = {name: joined(attrgetter(name)) for name in _GROUPS}
+        counts = [len(piece.rows.t) - int(k > 0) for k, piece in enumerate(pieces)]
+        phase = np.repeat([piece.phase for piece in pieces], counts)
         # A step over a sample ends in the next phase of the motion.
         over = self._samples.phases(every["t"]) if self._samples and self._over else None
         return Trajectory(
@@ -272,9 +268,9 @@ class PhasedRun(PreparedRun):
             status=status,
             message=message,
             work=self._work(),
-            notes={name: np.concatenate(found) for name, found in notes.items()},
-            xd=np.concatenate(held),
-            phase=np.concatenate(phase) if over is None else over,
+            notes={n: joined(lambda rows, n=n: rows.notes[n]) for n in pieces[0].rows.notes},
+            xd=np.repeat([piece.held for piece in pieces], counts, axis=0),
+            phase=phase if over is None else over,
             events=np.array(self._events).reshape(-1, 2),
         )
 
@@ -326,9 +322,9 @@ def _row(rows: Trajectory, k: int) -> Variables:
     return Variables(*z)
 
 
-def _from_row(phase: MechatronicSystem, rows: Trajectory, k: int) -> MechatronicSystem:
-    """The phase from a row of a run on."""
-    z = _row(rows, k)
+def _from_end(phase: MechatronicSystem, rows: Trajectory) -> MechatronicSystem:
+    """The phase from the end of a run on."""
+    z = _row(rows, -1)
     state = State(np.asarray(z.q), np.asarray(z.v), np.asarray(z.x))
     return on_constraints(phase.phase(float(z.t), state, {}))
 
@@ -343,11 +339,6 @@ def _ends(fall: Fall, t: np.ndarray, values: np.ndarray) -> Iterator[float]:
         yield float(t[row])
 
 
-def _watched(
-    phase: MechatronicSystem, rows: Trajectory | State, t: float | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Functions of the events and their rates in each row, or at a state."""
-    q, v, x, times = rows.q, rows.v, rows.x, t if isinstance(rows, State) else rows.t
-    if isinstance(rows, State):
-        q, v, x, times = q[None], v[None], x[None], np.array([t])
-    return compiled(phase).events(phase.parameters(), q, v, x, times)
+def _watched(phase: MechatronicSystem, rows: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Functions of the events and their rates in each row."""
+    return compiled(phase).events(phase.parameters(), rows.q, rows.v, rows.x, rows.t)

@@ -116,12 +116,11 @@ def test_a_refusal_is_no_crash():
             assert drift_job(worker, scene, method, None, 10).status == "unsupported"
 
 
-def test_refusals_are_known_before_any_run_and_check_names_the_scenes_that_a_method_takes():
+def test_refusals_are_known_before_any_run_and_check_counts_the_scenes_that_a_method_takes():
     few = Registry()
     few.problems = {name: few.problems[name] for name in ("pendulum", "heavy_top_so3")}
     told, _, refused = check_scenes(few, REGISTRY.integrator("rattle")).partition("; refuses")
-    assert "pendulum" in told
-    assert "heavy_top_so3" not in told
+    assert told == "takes 1 scene"
     (reason,) = (part for part in refused.split("; refuses ") if "heavy_top_so3" in part)
     assert "the scene states kinematics" in reason
     found = Inventory().refusals("chaplygin_sleigh", ["rattle", "generalized_alpha", "no_method"])

@@ -188,13 +188,18 @@ def _falling_at_start(phase: MechatronicSystem) -> Cut | None:
     """The end of a phase at its start, if a function has fallen there already."""
     if not phase.has("events"):
         return None
-    start = phase.start()
-    one = [np.asarray(part)[None] for part in (*start, phase.interval[0])]
-    values, rates = (part[0] for part in compiled(phase).events(phase.parameters(), *one))
+    values, rates = events_at_start(phase)
     fallen = np.flatnonzero((values <= 0) & (rates <= 0))
     if not len(fallen):
         return None
     return Cut(jax.tree.map(np.asarray, consistent_start(phase).z), int(fallen[0]))
+
+
+def events_at_start(phase: MechatronicSystem) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the functions of events and their rates at the start of a phase, ``(n,)`` each."""
+    one = [np.asarray(part)[None] for part in (*phase.start(), phase.interval[0])]
+    values, rates = compiled(phase).events(phase.parameters(), *one)
+    return values[0], rates[0]
 
 
 class Fall(NamedTuple):

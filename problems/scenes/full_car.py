@@ -14,6 +14,7 @@ from problems.scenes.damper import SemiActiveDamper
 #: Waves of the road: cycles per m, with phases on the left and on the right that were drawn once.
 _WAVES = np.array([0.07, 0.11, 0.16, 0.25, 0.41])
 _PHASES = np.array([[2.4, 1.8, 5.8, 1.5, 4.2], [3.1, 0.9, 5.1, 2.5, 3.0]])
+_WHEELS = ("front left", "front right", "rear left", "rear right")
 _LEFT = np.array([1.0, -1.0, 1.0, -1.0])
 _FRONT = np.array([1.0, 1.0, 0.0, 0.0])
 
@@ -32,10 +33,10 @@ class _Car(OfEnergies):
     interval = (0.0, 12.0)
     nominal_step = 0.01
     coordinates = (
-        "x [m]", "y [m]", "heave [m]", "roll [rad]", "pitch [rad]", "yaw [rad]",
-        "wheel front left [m]", "wheel front right [m]", "wheel rear left [m]",
-        "wheel rear right [m]", "steer left [rad]", "steer right [rad]",
-    )  # fmt: skip
+        *("x [m]", "y [m]", "heave [m]", "roll [rad]", "pitch [rad]", "yaw [rad]"),
+        *(f"wheel {wheel} [m]" for wheel in _WHEELS),
+        *("steer left [rad]", "steer right [rad]"),
+    )
     multipliers = ("tie rod left [N]", "tie rod right [N]")
     source = (
         "Scenario of Bruels & Arnold (2008), section 7, Figs 12-15; data of the BMW 320i in "
@@ -290,17 +291,14 @@ class FullCar(SemiActiveDamper, _Car):
     )
 
     states = (
-        "rebound pressure front left [MPa]", "rebound pressure front right [MPa]",
-        "rebound pressure rear left [MPa]", "rebound pressure rear right [MPa]",
-        "compression pressure front left [MPa]", "compression pressure front right [MPa]",
-        "compression pressure rear left [MPa]", "compression pressure rear right [MPa]",
-        "heave velocity [m/s]", "roll velocity [rad/s]", "pitch velocity [rad/s]",
-    )  # fmt: skip
+        *(f"rebound pressure {wheel} [MPa]" for wheel in _WHEELS),
+        *(f"compression pressure {wheel} [MPa]" for wheel in _WHEELS),
+        *("heave velocity [m/s]", "roll velocity [rad/s]", "pitch velocity [rad/s]"),
+    )
     outputs = (
-        "current front left [A]", "current front right [A]", "current rear left [A]",
-        "current rear right [A]", "damper front left [N]", "damper front right [N]",
-        "damper rear left [N]", "damper rear right [N]",
-    )  # fmt: skip
+        *(f"current {wheel} [A]" for wheel in _WHEELS),
+        *(f"damper {wheel} [N]" for wheel in _WHEELS),
+    )
 
     # Softer than for one wheel, as with bushings, so that an explicit reference takes little time.
     bulk: float = parameter(60.0, "MPa", "bulk modulus of oil, bubbles and walls", low=1e-9)

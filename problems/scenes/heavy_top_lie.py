@@ -12,6 +12,7 @@ from problems.mechanics.rotations import conjugate, quaternion_rate, rotated, sc
 from problems.scenes.heavy_top import HeavyTop
 
 _AXIS = np.array([0.0, 1.0, 0.0])
+_OMEGA = ("Omega 1 [rad/s]", "Omega 2 [rad/s]", "Omega 3 [rad/s]")
 #: Computed from the equations of Euler parameters by an explicit method at two tolerances.
 _CENTRE = (
     Published("C", 0.1, (0.4212966589254, 0.8945719743456, -0.1491647005620), 2e-12),
@@ -35,10 +36,7 @@ class HeavyTopR3SO3(HeavyTop):
         "q has one entry more than v: methods that add velocities to coordinates cannot take it",
         "lam loses an order on index 3 with the plain start",
     )
-    velocities = (
-        "x [m/s]", "y [m/s]", "z [m/s]",
-        "Omega 1 [rad/s]", "Omega 2 [rad/s]", "Omega 3 [rad/s]",
-    )  # fmt: skip
+    velocities = ("x [m/s]", "y [m/s]", "z [m/s]", *_OMEGA)
     multipliers = ("x [N]", "y [N]", "z [N]")
     source = (
         "Geradin & Cardona (2001); Bruels, Cardona & Arnold (2012), "
@@ -108,10 +106,7 @@ class HeavyTopSE3(HeavyTopR3SO3):
 
     name = "heavy_top_se3"
     difficulties = HeavyTopR3SO3.difficulties[:1]
-    velocities = (
-        "U 1 [m/s]", "U 2 [m/s]", "U 3 [m/s]",
-        "Omega 1 [rad/s]", "Omega 2 [rad/s]", "Omega 3 [rad/s]",
-    )  # fmt: skip
+    velocities = ("U 1 [m/s]", "U 2 [m/s]", "U 3 [m/s]", *_OMEGA)
     published = _CENTRE
 
     def _speed(self, q: jax.Array, v: jax.Array) -> jax.Array:
