@@ -1,4 +1,4 @@
-"""Make README's picture and the times of docs/iftomm.md; `make pictures`.
+"""Draw the gallery, README's picture and the times of docs/iftomm.md; `make pictures`.
 
 Runs that an earlier attempt has measured are kept in the folders of results.
 """
@@ -7,19 +7,34 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from chromium import chromium
 
+from bench.plugins.registry import Registry
 from bench.results.demands import overviews
 from bench.results.store import Store
+from bench.running.scene_records import GHOSTS, drawings
+from problems.truth.reference import Reference
+from reports.charts.mechanism import motion
 from reports.pages.templating import markdown_table
 
 DOCS = Path(__file__).parents[1] / "docs"
 MEASURED = "stepbench-pictures-full", "stepbench-pictures-iftomm"
 #: The line of docs/iftomm.md from which on it is written here.
 TIMES = "## Times"
+#: Pictures in a row of the gallery, the longer side of one in pixels, and places for points in one.
+COLUMNS, SIDE, FINE = 4, 240, 4
+GALLERY = """\
+# Gallery
+
+One picture of each scene: its motion at seven times, from pale to solid. `stepbench list NAME` says
+all about a scene, `stepbench show NAME --animate` plays it. `make pictures` draws them again.
+
+"""
 
 
 def stepbench(*arguments: object, **more: Any) -> Any:
@@ -27,22 +42,70 @@ def stepbench(*arguments: object, **more: Any) -> Any:
     return subprocess.run(command, check=True, **more)
 
 
-def main() -> None:
-    """Measure the suites if they are not, then write and draw."""
-    full, iftomm = map(Path, MEASURED)
-    stepbench("run", "full", "--out", full)
-    stepbench("recommend", "iftomm", "--rule", "iftomm", "--out", iftomm)
-    with Store(iftomm) as store:
+def small_picture(drawn: Sequence[Any]) -> str:
+    """A scene at several times as a small SVG, whose points are whole numbers."""
+    shown = motion(drawn)
+    assert shown is not None, "the scene draws nothing"
+    left, top, *sides = map(float, shown.view.split())
+    scale = SIDE * FINE / max(sides)
+    paths = []
+    for k, frame in enumerate(shown.frames, 1):
+        lines = [
+            [f"{scale * (x - left):.0f} {scale * (y - top):.0f}" for x, y in line]
+            for line in frame["lines"]
+        ]
+        moves = "".join("M" + "L".join(p for p, _ in groupby(line)) for line in lines if line)
+        pale = "" if k == len(shown.frames) else f' opacity="{k / 20 + 0.05:.2f}"'
+        paths.append(f'<path d="{moves}"{pale}/>')
+    wide, high = (round(side * scale) for side in sides)
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide // FINE}" height="{high // FINE}" '
+        f'viewBox="0 0 {wide} {high}" fill="none" stroke="#3b82c4" stroke-width="8" '
+        f'stroke-linecap="round" stroke-linejoin="round">{"".join(paths)}</svg>\n'
+    )
+
+
+def gallery() -> None:
+    """Draw every scene, and write the page of all."""
+    registry, folder = Registry(), DOCS / "gallery"
+    folder.mkdir(exist_ok=True)
+    for old in folder.glob("*.svg"):
+        old.unlink()
+    for name in registry.problems:
+        scene = registry.problem(name)
+        drawn = drawings(scene, Reference(scene, scene.interval[1]), GHOSTS)
+        (folder / f"{name}.svg").write_text(small_picture(drawn), encoding="utf-8")
+    names = list(registry.problems)
+    rows = []
+    for k in range(0, len(names), COLUMNS):
+        row = names[k : k + COLUMNS]
+        rows += [row, [f"![{name}](gallery/{name}.svg)" for name in row]]
+    rows.insert(1, ["---"] * COLUMNS)
+    lines = [f"| {' | '.join([*row, *[''] * (COLUMNS - len(row))])} |" for row in rows]
+    (DOCS / "gallery.md").write_text(GALLERY + "\n".join(lines) + "\n", encoding="utf-8")
+
+
+def times() -> None:
+    """Measure the suite of the IFToMM library if it is not, and write times at high precision."""
+    folder = Path(MEASURED[1])
+    stepbench("recommend", "iftomm", "--rule", "iftomm", "--out", folder)
+    with Store(folder) as store:
         machines = store.environments().values()
         made = [f"- {e.name}, stepbench {e.versions['stepbench']}: `{e.command}`" for e in machines]
-        tables = map(markdown_table, overviews(store.plan(), store.records()))
-    times = "\n\n".join(["\n".join(["Measured with:", "", *made]), *tables])
+        *_, table = overviews(store.plan(), store.records())
+    told = "\n\n".join(["\n".join(["Measured with:", "", *made]), markdown_table(table)])
     page = DOCS / "iftomm.md"
-    page.write_text(f"{page.read_text().partition(TIMES)[0]}{TIMES}\n\n{times}\n")
+    page.write_text(f"{page.read_text().partition(TIMES)[0]}{TIMES}\n\n{told}\n")
+
+
+def front_page() -> None:
+    """Measure the full suite if it is not, and photograph its page."""
+    stepbench("run", "full", "--out", MEASURED[0])
     with chromium("window-size=1400,1120") as page:
-        page.get((full.absolute() / "report.html").as_uri())
+        page.get((Path(MEASURED[0]).absolute() / "report.html").as_uri())
         page.save_screenshot(str(DOCS / "report.png"))
 
 
 if __name__ == "__main__":
-    main()
+    for make in (gallery, times, front_page):
+        make()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -11,12 +12,28 @@ import pytest
 from helpers import long
 from planted import Document
 
+from bench.plugins.registry import Registry
 from bench.running.linearisation import rates
 from bench.running.scene_records import drawings, equations, scene_record
 from problems.scenes.car_axis import CarAxis
 from problems.scenes.pendulum import Pendulum
 from problems.scenes.spring_mass import SpringMass
 from problems.truth.reference import Reference
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+def test_the_gallery_has_a_small_picture_of_every_scene():
+    shown = re.findall(r"!\[(\w+)\]\(gallery/(\w+).svg\)", (DOCS / "gallery.md").read_text("utf-8"))
+    names = [*Registry().problems]
+    assert shown == [(name, name) for name in names]
+    files = {path.stem: path for path in (DOCS / "gallery").iterdir()}
+    assert set(files) == set(names)
+    assert sum(path.stat().st_size for path in files.values()) < 400_000
+    for name, path in files.items():
+        drawn = [line.get("d") for line in ElementTree.parse(path).getroot()]
+        assert len(drawn) == 7, name
+        assert len(set(drawn)) > 4, f"{name} does not move"
 
 
 def test_rates_are_the_eigenvalues_of_the_motion():
