@@ -13,28 +13,20 @@ from xml.etree import ElementTree
 import numpy as np
 import pandas
 import pytest
-from planted import curves, everything, plant, planted
+from planted import everything, plant
 
 from bench import load, order, run, solve
 from bench.results.store import Store
-from bench.running.inventory import Inventory
-from bench.running.plan import Cell
-from integrators import Steps
 from problems.base.spec import SpecError
 
-HELD = {"q": (1.0, 2), "a": (3.0, 2), "lam": (4.0, 2)}
 ALPHA = "generalized_alpha[rho_inf=0.8]"
 
 
-@pytest.fixture(scope="module")
-def found():
-    return solve("spring_mass", ALPHA, step=0.1, t_end=5.0, samples=3)
-
-
-@pytest.mark.long
-def test_a_solution_has_the_numbers_of_the_command_line(found, stepbench):
-    result = stepbench("solve", "spring_mass", ALPHA, "--step", 0.1, "--t-end", 5, "--json")
-    answer = json.loads(result.stdout)
+@pytest.mark.usefixtures("without_processes")
+def test_a_solution_has_the_numbers_of_the_command_line(stepbench):
+    found = solve("spring_mass", ALPHA, step=0.1, t_end=5.0, parameters={"k": 1.5})
+    line = "solve", "spring_mass", ALPHA, "--step", 0.1, "--t-end", 5, "--set", "k=1.5", "--json"
+    answer = json.loads(stepbench(*line).stdout)
     for group in ("q", "v", "a", "x", "y"):
         values = getattr(found, group)
         assert values.shape == (51, 2 if group == "y" else 1)
@@ -46,25 +38,30 @@ def test_a_solution_has_the_numbers_of_the_command_line(found, stepbench):
     assert found.work == answer["work"]
     assert found.components["q"] == ["position [m]"]
     assert found.operations > 0
-    assert 0 < found.seconds < 1
-    assert repr(found) == f"<{ALPHA} on spring_mass, h=0.1: ok; 51 rows>"
-
+    assert found.seconds is None  # no process takes times here
+    assert repr(found) == f"<{ALPHA} on spring_mass[k=1.5], h=0.1: ok; 51 rows>"
     words = " ".join(ElementTree.fromstring(found._repr_svg_()).itertext())
     for title in ("position", "a[position] in m/s^2", "time in s"):
         assert title in words
-    # A run that fails is an answer.
-    shy = solve("pendulum", "dopri8", pattern=None, rtol=1e-6, budget=1e-3, samples=0)
+
+
+@pytest.mark.long
+def test_a_run_is_timed_and_one_that_fails_is_an_answer():
+    found = solve("spring_mass", ALPHA, step=0.1, t_end=5.0, samples=3)
+    assert 0 < found.seconds < 1
+    shy = solve("pendulum", "dopri8", rtol=1e-6, budget=1e-3, samples=0)
     assert shy.status == "budget_exceeded"
     assert "budget" in shy.message
     assert shy.q.shape[0] == len(shy.t)
 
 
-@pytest.mark.long
+@pytest.mark.usefixtures("without_processes")
 def test_orders_are_a_frame_and_a_chart():
     fitted = order("spring_mass", ALPHA, [0.1, 0.05, 0.025], t_end=2.0)
     frame = fitted.frame.set_index(["group", "norm"])
     assert frame.loc[("q", "max"), "order"] == fitted.orders["q"]["max"]
     assert fitted.orders["q"]["max"] == pytest.approx(2.0, abs=0.2)
+    assert frame.loc[("q", "max"), "window"] == pytest.approx((0.1, 0.025))
     assert len(frame) == 5 * 4
     assert fitted.status == ["ok"] * 3
     words = " ".join(ElementTree.fromstring(fitted._repr_svg_()).itertext())
@@ -86,47 +83,6 @@ def test_names_and_numbers_that_are_not_allowed_are_refused():
     ):
         with pytest.raises(SpecError, match=sentence):
             function(*names, **refused)
-
-
-@pytest.fixture
-def answered(monkeypatch):
-    """The answers of runs without the runs: their errors fall with the square of the step."""
-    asked = []
-
-    def solve_cells(cells, *_, samples=0, **more):
-        asked.extend(cells)
-        runs = [planted("pendulum", cell.integrator, HELD, h=cell.resolution.h) for cell in cells]
-        for record in runs:
-            record.run_s = [0.3, 0.1, 0.2][:samples]
-        return [(record, curves(1.0, {"q": 2, "lam": 1})) for record in runs]
-
-    def run_one(request, plugins, budget, progress):
-        registry = Inventory()
-        scene = registry.problem(request.problem, **request.parameters)
-        method = registry.integrator(request.integrator)
-        steps = Steps(request.step or scene.nominal_step, request.pattern or (1.0,))
-        cell = Cell(scene.spec, method.spec, scene.interval[1], steps)
-        (result,) = solve_cells([cell], samples=request.samples)
-        return result, {"q": ["X [m]", "Y [m]"]}
-
-    monkeypatch.setattr("bench.notebook.run_one", run_one)
-    monkeypatch.setattr("bench.running.session.solve_cells", solve_cells)
-    return asked
-
-
-def test_an_answer_becomes_arrays(answered):
-    found = solve("pendulum", "newmark", step=0.1, parameters={"th0": 1.0}, samples=3)
-    (cell,) = answered
-    assert (cell.problem, cell.resolution.h) == ("pendulum[th0=1.0]", 0.1)
-    assert (found.t.shape, found.q.shape, found.lam.shape) == ((61,), (61, 2), (61, 1))
-    assert found.x.shape == (61, 0)
-    assert found.q[0].tolist() == pytest.approx([1.0, np.cos(1.0)])
-    assert (found.seconds, found.operations, found.work["steps"]) == (0.2, 300.0, 10)
-    assert found.errors["a"]["max"] == pytest.approx(0.03)
-    fitted = order("pendulum", "newmark", [0.1, 0.05, 0.025])
-    frame = fitted.frame.set_index(["group", "norm"])
-    assert frame.loc[("a", "max"), "order"] == pytest.approx(2.0)
-    assert frame.loc[("lam", "end"), "window"] == pytest.approx((0.1, 0.025))
 
 
 def test_load_gives_frames_with_real_lists(tmp_path):
