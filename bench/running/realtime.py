@@ -84,15 +84,9 @@ class RealTimeRun(msgspec.Struct, kw_only=True):
         return max((math.inf if e is None else e for e in known), default=math.inf)
 
     @property
-    def holds(self) -> bool:
-        """Return whether the run reached its end with no more late steps than `LATE`."""
-        return self.status == "ok" and self.missed <= LATE * self.steps
-
-    @property
     def name(self) -> str:
         """Return the method with its limit, for a sentence."""
-        one = "iteration" if self.iterations == "1" else "iterations"
-        limit = "" if self.iterations == "none" else f" ({self.iterations} {one})"
+        limit = "" if self.iterations == "none" else f" (iterations: {self.iterations})"
         return self.integrator + limit
 
 
@@ -151,7 +145,8 @@ def realtime_tables(runs: Sequence[RealTimeRun]) -> list[Table]:
 
 def realtime_sentence(runs: Sequence[RealTimeRun]) -> str:
     """Say which run holds the rate with the least error; of equal errors it is the fastest."""
-    rate, able = f"{runs[0].rate:g} Hz on {runs[0].problem}", [run for run in runs if run.holds]
+    rate = f"{runs[0].rate:g} Hz on {runs[0].problem}"
+    able = [r for r in runs if r.status == "ok" and r.missed <= LATE * r.steps]
     if not able:
         return f"None holds {rate} to the end with at most {LATE:.1%} late steps."
     near = [run for run in able if run.error <= _EQUAL * min(run.error for run in able)]
