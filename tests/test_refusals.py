@@ -30,7 +30,7 @@ rtol=0 is not allowed                      | solve pendulum ida --rtol 0
 not a list of numbers                      | solve pendulum newmark --pattern 0.3,x
 sum to 1                                   | solve pendulum newmark --pattern 0.3,0.3
 constraints act like infinite frequencies  | solve pendulum newmark[beta=0]
-no plugin file or folder                   | solve pendulum newmark --plugins no_such.py
+not a Python file, nor a folder with one   | solve pendulum newmark --plugins no_such.py
 
 --vary is for an ensemble                  | solve spring_mass newmark --vary k:1..2
 --seed is for an ensemble                  | solve spring_mass newmark --seed 1
