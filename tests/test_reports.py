@@ -8,7 +8,6 @@ from pathlib import Path
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
-import msgspec
 import pytest
 from planted import (
     ATTACK,
@@ -27,7 +26,6 @@ from bench.results.store import Store
 from reports.formatting import cost_text, milliseconds, number, symbols
 from reports.pages import html_report
 from reports.pages.chapter import Text
-from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import _FIGURES as FIGURES
 from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
@@ -184,18 +182,6 @@ def test_pictures_of_an_earlier_page_go_and_other_files_stay(tmp_path: Path) -> 
     shown = {Path(name).name for name in re.findall(r"\]\(([^)]+\.svg)\)", text)}
     assert shown
     assert {file.name for file in figures.iterdir()} == shown | {"mine.txt"}
-
-
-def test_a_scene_over_two_intervals_is_described_once(tmp_path: Path) -> None:
-    plant(tmp_path, some())
-    with Store(tmp_path, create=True) as store:
-        scene = next(s for s in store.scenes().values() if s.problem == "spring_mass")
-        store.keep(msgspec.structs.replace(scene, t_end=2.0))
-    write_html_report(tmp_path)
-    page = Document(whole_report(tmp_path))
-    assert page.words.count("A second paragraph.") == 2
-    assert "The same scene as spring_mass, t_end=1 s, over another interval." in page.words
-    assert whole_report(tmp_path).count('<div class="motion">') == 3
 
 
 def test_the_drawing_code_is_bundled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from bench.results.demands import overviews
 from bench.results.records import NOT_TRIED, Record
@@ -66,7 +65,11 @@ class Report:
         silent = sum(w.silent for own in wrong.values() for w in own)
         bad = f"{self.failed} · silent {silent}" if silent else self.failed
         self.winners = winners_table(self.answered, self.names)
-        self.scenes = list(self._scenes(store))
+        looks = self.styles, self.run_ids
+        self.scenes = [
+            SceneChapter(f"scene-{i}", title, stored, store.rows, *looks)
+            for i, title in enumerate(stored.titles.values(), 1)
+        ]
         self.times, self.differ = times_sentence(stored.times), DIFFER
         tables = silent_tables(first.group, wrong, stored.scenes)
         self.methods = [MethodChapter(label, stored, self.answer, over) for label in self.names]
@@ -163,18 +166,6 @@ class Report:
                 Section("Environments", machines or [Text("No environment is stored.")]),
             ],
         )
-
-    def _scenes(self, store: Store) -> Iterator[SceneChapter]:
-        stored = self.stored
-        told: dict[tuple[Any, ...], str] = {}
-        for i, title in enumerate(stored.titles.values(), 1):
-            scene = stored.scenes.get(title)
-            # The same scene over another interval is described once.
-            about = (scene.problem, str(scene.parameters), scene.description) if scene else (i,)
-            first = told.setdefault(about, title)
-            same_as = "" if first == title else first
-            look = store.rows, self.styles, self.run_ids
-            yield SceneChapter(f"scene-{i}", title, stored, *look, same_as)
 
     @property
     def overview(self) -> Figure:

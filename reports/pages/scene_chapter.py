@@ -101,8 +101,6 @@ class SceneChapter:
         Reads the sampled values of a record by key.
     styles, ids
         Line styles by label, anchors of records by key.
-    same_as
-        The chapter that describes the same scene over another interval.
     """
 
     def __init__(
@@ -113,29 +111,26 @@ class SceneChapter:
         read_rows: Callable[[str], Rows],
         styles: Mapping[str, LineStyle],
         ids: Mapping[str, str],
-        same_as: str = "",
     ) -> None:
-        self.anchor, self.name, self.scene = anchor, name, stored.scenes.get(name)
+        self.anchor, self.name = anchor, name
+        self.scene = scene = stored.scenes.get(name)
         self._read_rows, self._styles = read_rows, styles
-        self._components = self.scene.components if self.scene else {}
+        self._components = scene.components if scene else {}
         series = stored.series[name]
         self._records = {r.key: r for s in series for r in s.records}
-        new = None if same_as else self.scene
-        self.title = new.title.rstrip(".") if new else ""
-        self.about = paragraphs(new.description) if new else []
-        if same_as:
-            self.about = [f"The same scene as {same_as}, over another interval."]
-        self.facts = dict(scene_facts(self.scene)) if self.scene else {}
+        self.title = scene.title.rstrip(".") if scene else ""
+        self.about = paragraphs(scene.description) if scene else []
+        self.facts = dict(scene_facts(scene)) if scene else {}
         self.picture = None
-        if new and new.drawings:
-            ends = [number(drawing["t"]) for drawing in (new.drawings[0], new.drawings[-1])]
+        if scene and scene.drawings:
+            ends = [number(drawing["t"]) for drawing in (scene.drawings[0], scene.drawings[-1])]
             caption = f"The scene from t={ends[0]} s to {ends[1]} s (solid)."
-            self.picture = Figure(caption, {f"{anchor}-scene": mechanism(new.drawings)})
-        digits = published_table(self.scene.published) if self.scene else None
+            self.picture = Figure(caption, {f"{anchor}-scene": mechanism(scene.drawings)})
+        digits = published_table(scene.published) if scene else None
         self.cards = [
             Section("Events", [events_table(series)]),
             Section("Published digits", [digits]),
-            Section("Parameters", [parameters_table(new) if new else None]),
+            Section("Parameters", [parameters_table(scene) if scene else None]),
         ]
         runs = runs_table(series, ids, self._components)
         names = {label: style.name for label, style in styles.items()}
