@@ -103,6 +103,18 @@ def test_paper_has_the_question_and_the_answer_and_nothing_to_operate(browser, s
         "document.querySelector(name).checkVisibility()]));",
         ["nav.side", "#question button", "#question", "#answer", "#panels .plot", "#heat"],
     )
+    # A heat table of twenty scenes is no wider than paper.
+    paper = {"width": 718, "height": 1000, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", paper)
+    right = browser.execute_script(
+        """
+        const table = document.getElementById("heat");
+        for (const row of table.rows)
+          for (let k = 0; k < 18; k++) row.append(row.lastElementChild.cloneNode(true));
+        return table.getBoundingClientRect().right;
+        """
+    )
+    assert 0 < right <= 718
     hidden = {name for name, is_seen in seen.items() if not is_seen}
     assert hidden == {"nav.side", "#question button"}
 

@@ -237,7 +237,12 @@ def test_contents_are_filtered(browser, site):
     before = browser.execute_script(links)
     field = browser.find_element("css selector", "nav.side input.filter")
     status = browser.find_element("css selector", "nav.side [role=status]")
-    for asked, found in (("PEND", ["pendulum"]), ("ringing", ["ringing 1"]), ("zzz", [])):
+    for asked, found in (
+        ("PEND", ["pendulum"]),
+        ("ringing", ["ringing 1"]),
+        ("spared", ["Hit (spared)"]),
+        ("zzz", []),
+    ):
         field.send_keys(asked)  # scenes, methods by name, words of the glossary
         assert browser.execute_script(links) == found
         assert status.text == ("" if found else "Nothing is called “zzz”.")

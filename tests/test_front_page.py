@@ -263,6 +263,8 @@ def test_on_a_phone_the_bar_stays_in_sight_and_nothing_is_cut(browser, site):
         wide = browser.execute_script("return document.documentElement.scrollWidth")
         (bar,) = each(browser, "#question", BOX)
         fields = each(browser, "#question :is(select, input)", f"[node.name, {BOX}, {beside}]")
+        labels = each(browser, "#question label", "parseFloat(getComputedStyle(node).fontSize)")
+    assert min(labels) >= 10
     assert (bar[1], wide) == (0, 420)
     assert 30 < bar[3] < 100
     assert [own[0] for own in fields] == ["group", "target", "norm", "cost", "scenes", "highlight"]

@@ -12,7 +12,7 @@ from planted import everything, planted
 from test_ranking import worded
 
 from bench.results.records import UNSUPPORTED
-from reports.questions import ALL, FIRST, GRID, TARGETS, Question, filters, plain
+from reports.questions import ALL, FIRST, GRID, TARGETS, Question, filters, kind_of, plain
 from reports.ranking import answer, answers
 from reports.series import series_of
 from reports.verdicts import LATER, WRONG_A, headline, headlines
@@ -55,6 +55,9 @@ def test_filters_are_sets_of_scenes_that_differ():
         "mechatronic": ("controlled", ("a", "c")),
     }
     assert [f.key for f in filters({"a": ["stiff"], "b": ["stiff"]})] == [ALL]
+    # Each scene is of one kind, whatever else it has.
+    kinds = [kind_of(own) for own in (*tags.values(), ("smooth", "constrained"))]
+    assert kinds == ["controlled", "stiff", "controlled", "others", "constrained"]
 
 
 # ---- answers on a scene ------------------------------------------------------------------
