@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -13,21 +14,23 @@ from problems.base.runtime import Array, Float
 #: Groups of variables, and of errors: "xd" are values that are held between samples or events.
 VARIABLES = ("q", "v", "a", "lam", "x", "y")
 GROUPS = (*VARIABLES, "xd")
-_Number = TypeVar("_Number", int, float)
+_Value = TypeVar("_Value", int, float, str)
 
 
 def parameter(
-    default: _Number,
+    default: _Value,
     unit: str,
     doc: str,
     *,
     low: float | None = None,
     high: float | None = None,
-) -> _Number:
+    choices: Iterable[str] = (),
+    always: bool = False,
+) -> _Value:
     """Declare a parameter of a scene, a field of its dataclass.
 
-    A float is traced: it can vary without recompiling. An int is structural (a number of
-    links, say): another value is another compiled system.
+    A float is traced: it can vary without recompiling. An int (a number of links, say) and a word
+    are structural: another value is another compiled system.
 
     Parameters
     ----------
@@ -35,10 +38,15 @@ def parameter(
         Unit and meaning, as reports show them.
     low, high
         Limits of the values that are allowed, included.
+    choices
+        Allowed words.
+    always
+        Show the parameter in the printed name even at its default.
     """
     # The type has to be float, not np.float64.
     value: Any = default.item() if isinstance(default, np.generic) else default
     meta = {"type": type(value), "unit": unit, "doc": doc, "low": low, "high": high}
+    meta |= {"choices": tuple(choices), "always": always}
     return dataclasses.field(default=value, metadata=meta)
 
 

@@ -23,12 +23,6 @@ POLICIES = {
 }
 
 
-def _policy() -> Any:
-    doc = "; ".join(f"{word}: {meaning}" for word, meaning in POLICIES.items())
-    meta = {"type": str, "unit": "", "doc": doc, "choices": tuple(POLICIES)}
-    return dataclasses.field(default="hit", metadata=meta)
-
-
 @dataclass(frozen=True)
 class SampledSystem(MechatronicSystem):
     """Base of scenes with a sampled controller, whose sample time is a parameter.
@@ -37,7 +31,9 @@ class SampledSystem(MechatronicSystem):
     """
 
     sample_time: float = parameter(0.1, "s", "time between two samples", low=1e-9)
-    sampling: str = _policy()
+    sampling: str = parameter(
+        "hit", "", "; ".join(map(": ".join, POLICIES.items())), choices=POLICIES
+    )
 
 
 def followed(scene: MechatronicSystem) -> MechatronicSystem:

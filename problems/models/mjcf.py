@@ -30,7 +30,7 @@ from problems.system import MechatronicSystem
 from problems.variables import State, parameter
 
 #: What a parameter says of a part that the equations do not have.
-REFUSED, LEFT_OUT = "refused", "left_out"
+CHOICES = REFUSED, LEFT_OUT = "refused", "left_out"
 
 
 class MujocoScene(MechatronicSystem):
@@ -187,8 +187,8 @@ def from_mjcf(
     if is_new and not caller.startswith("problems."):  # every process loads it; one tells
         for note in notes:
             print(f"{name}: {note}", file=sys.stderr)
-    fields = {
-        key: _word(REFUSED, f"{part}: {LEFT_OUT} leaves this out", (REFUSED, LEFT_OUT))
+    fields: dict[str, Any] = {
+        key: parameter(REFUSED, "", f"{part}: {LEFT_OUT} leaves this out", choices=CHOICES)
         for key, part in left_out.items()
     }
     controls = _controls(m)
@@ -201,7 +201,9 @@ def from_mjcf(
         fields[key].default = convert(name, fields[key], value)
     if keys:
         text = "keyframe at which it starts"
-        fields["keyframe"] = _word(keys[at_key or 0], text, tuple(keys), keyframe is not None)
+        fields["keyframe"] = parameter(
+            keys[at_key or 0], "", text, choices=keys, always=keyframe is not None
+        )
     coordinates = _names(m, "[rad]", "[m]", [f"p{i}" for i in range(4)])
     rates = _names(m, "[rad/s]", "[m/s]", [f"Omega {i} [rad/s]" for i in (1, 2, 3)])
     if vectors := [key for key, value in (start or {}).items() if np.ndim(value)]:
@@ -259,12 +261,6 @@ def _digest(m: Any) -> str:
     data = np.empty(load_mujoco().mj_sizeModel(m), dtype=np.uint8)
     load_mujoco().mj_saveModel(m, None, data)
     return hashlib.sha256(data.tobytes()).hexdigest()
-
-
-def _word(default: str, doc: str, choices: tuple[str, ...], always: bool = False) -> Any:
-    """A parameter that is one of some words."""
-    meta = {"type": str, "unit": "", "doc": doc, "choices": choices, "always": always}
-    return dataclasses.field(default=default, metadata=meta)
 
 
 def _place_goals(m: Any, keyframe: int | None) -> None:
