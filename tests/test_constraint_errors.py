@@ -7,7 +7,6 @@ import pytest
 from helpers import reference, toy
 from planted import plant, planted
 
-from bench.results.flat_rows import flatten
 from bench.results.quantities import NORMS, RANKED_COSTS, VIOLATIONS
 from bench.running.errors import ROUNDING, constraint_errors, constraint_sizes, relative_errors
 from bench.running.measure import constraint_unit
@@ -133,14 +132,6 @@ def test_questions_ask_for_the_constraints():
     assert plain(headline(found, {})) == (
         "exact and projects are each cheapest on the scene, always tied."
     )
-
-
-def test_violations_are_columns_of_flat_rows():
-    row = flatten(held("held", "exact", [1e-3])[0], {})
-    assert row["error_constraint_max"] == 1e-3
-    assert row["reference_error_constraint_max"] == ROUNDING
-    assert row["error_constraint_velocity_max"] is None
-    assert "error_constraint_components_max" not in row
 
 
 # ---- violations in words -----------------------------------------------------------------
