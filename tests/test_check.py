@@ -54,14 +54,8 @@ RUNS = [
     ("wrong[how=late_sample]", "runs", "No row on sampled_pd is at the sample t=0.1 s"),
     ("wrong[how=without_start]", "runs", "The first row of q on forced_oscillator"),
     ("wrong[how=uncounted]", "runs", "steps on forced_oscillator: None at h=0.1 s, None at"),
-    ("wrong[how=steps_alone]", "runs", "residuals on forced_oscillator: None at h=0.1 s, None"),
     ("wrong[how=always_seven]", "runs", "residuals on forced_oscillator: 7 at h=0.1 s, 7 at"),
     ("wrong[how=twice]", "runs", "100 steps are counted on forced_oscillator, 50 were asked"),
-    (
-        "wrong[how=stateful]",
-        "runs",
-        "Two runs on forced_oscillator, the second after execute(), differ in v",
-    ),
     ("wrong[how=idle]", "runs", "but execute() does not return this value"),
     ("deaf", "runs", "steps on forced_oscillator: 50 at rtol=0.0001, 50 at rtol=1e-06"),
 ]

@@ -26,7 +26,7 @@ class Run(PreparedRun):
     """A run of Newmark's method that goes wrong as it is told."""
 
     def __init__(self, how, scene, t_end, steps):
-        self.how, self.t0, self.executed = how, scene.interval[0], 0
+        self.how, self.t0 = how, scene.interval[0]
         self.sampled = bool(scene.held_values())
         self.explosive = isinstance(scene, FiniteTimeBlowUp)
         method = Newmark(beta=0.3025, gamma=0.6) if how == "order" else Newmark()
@@ -46,14 +46,10 @@ class Run(PreparedRun):
             run.q[0] = run.q[1]
         if how == "uncounted":
             run.work = Work()
-        if how == "steps_alone":
-            run.work = Work(steps=run.work.steps)
         if how == "always_seven":
             run.work.residuals = 7
         if how == "twice":
             run.work.steps *= 2
-        if how == "stateful":
-            run.v[-1] += self.executed
         if how == "from_zero":
             run.q[1:] += 0.01 * self.t0
         if how == "heavy":  # as if gravity were larger
@@ -72,7 +68,6 @@ class Run(PreparedRun):
         return run
 
     def execute(self):
-        self.executed += 1
         return np.zeros(3) if self.how == "idle" else self.inner.execute()
 
 
