@@ -72,7 +72,7 @@ OTHERS = [
     ("deaf", "tolerance", "Errors in q on forced_oscillator are 1."),
 ]
 ORDER = [
-    ("wrong[how=order]", "order", "claims order 2 in q on forced_oscillator, is 1.05"),
+    ("wrong[how=order]", "order", "claims order 2 in q on forced_oscillator, is 1.01"),
     ("wrong[how=from_zero]", "order", "claims order 2 in q on forced_oscillator, shows none"),
 ]
 

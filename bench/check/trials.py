@@ -260,7 +260,7 @@ def check_order(trials: list[Trial]) -> str:
                 continue  # exact, or too accurate to show an order
             if order is None or order < claimed - _allowed(claimed):
                 errors = ", ".join(f"{error:.1e} at {h:.2g} s" for h, error in levels[group][-4:])
-                found = "shows none" if order is None else f"is {order:.2f}"
+                found = f"is {order:.2f}" if order and order > _SPREAD else "shows none"
                 told = f"claims order {claimed} in {group} on {scene.spec}, {found}"
                 faults.append(f"{told} (errors {errors})")
             else:
