@@ -82,7 +82,7 @@ _DEFINITIONS = {
     "Stiff, stiffness": "A system is stiff if it has parts that decay or oscillate much faster "
     "than the motion that is of interest.",
     "Tie, tied": "Two methods tie if their costs cannot be told apart: times by the quotients "
-    "within rounds of samples, operations within 10 %. One that is the cheapest if the runs start "
+    "within rounds of samples, operations within 10 %; one that is the cheapest if the runs start "
     "later on the same motion ties, too.",
     "Tolerance, rtol": "The local error that a method with steps of its own choice allows itself "
     "in a step: rtol, relative to the value, and atol, which is rtol/100 unless another is named.",
