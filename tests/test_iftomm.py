@@ -11,6 +11,9 @@ import pytest
 from helpers import slope
 
 from bench.plugins.registry import Registry
+from bench.running.inventory import Inventory
+from bench.running.plan import make_suite
+from bench.running.profiles import read_profile
 from integrators import Steps, Tolerances
 from problems.scenes.n_four_bar import NFourBar
 
@@ -30,6 +33,14 @@ def spread(scene: NFourBar, run) -> np.ndarray:
     pivots = np.column_stack([np.arange(scene.loops + 1.0), np.zeros(scene.loops + 1)])
     uprights = run.q.reshape(len(run.t), -1, 2) - pivots
     return np.abs(uprights - uprights[:, :1]).max(axis=(1, 2))
+
+
+def test_the_times_of_the_document_are_of_the_suite_s_methods_and_scenes():
+    times = PAGE.read_text("utf-8").partition("## Times")[2].replace("\\", "")
+    cells = make_suite(*read_profile("iftomm"), Inventory()).cells.values()
+    assert set(re.findall(r"^\| `(.+?)` \|", times, re.MULTILINE)) == {c.integrator for c in cells}
+    (head,) = re.findall(r"^\| integrator \| (.*) \|$", times, re.MULTILINE)
+    assert head.split(" | ") == [*dict.fromkeys(c.problem for c in cells)]
 
 
 @pytest.mark.long
