@@ -305,6 +305,8 @@ def side_by_side(
 
 def _one_label(text: str, names: Mapping[str, str]) -> str:
     found = [text] if text in names else named_labels(text, names)
+    # A name alone is that of the variant that is called so in short: ida is IDA, not IDA · index 1.
+    found = [label for label in found if names[label].lower() == text.lower()] or found
     if len(found) > 1:
         raise SpecError(f"{text!r} are several; name one of {', '.join(found)}.")
     return found[0]

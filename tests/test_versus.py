@@ -216,3 +216,12 @@ def test_the_command_prints_what_is_in_its_json_and_refuses_in_a_sentence(
         first, second, *more = given.split()
         assert reason in refused("versus", first, second, folder, *more)
     assert "holds no stepbench results" in refused("versus", "a", "b", tmp_path)
+
+
+def test_a_name_alone_is_the_variant_that_is_called_so_in_short(stepbench, tmp_path):
+    names = "ida[formulation=index1]", "ida[formulation=stabilised_index2]", "poor"
+    records = [planted("pendulum", k, {"a": (1.0, 2)}, h=h) for k in names for h in STEPS]
+    folder = plant(tmp_path / "forms", records)
+    asked = "versus", "poor", "ida", folder, "--target", "0.05", "--cost", "residuals", "--json"
+    (found,) = json.loads(stepbench(*asked).output)
+    assert found["second"] == names[1]
