@@ -25,6 +25,7 @@ from problems.scenes.friction import Friction
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.oscillator import Oscillator
 from problems.scenes.pendulum import Pendulum
+from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrankDriven
 from problems.scenes.slider_crank_flexible import SliderCrankFlexible
 from problems.scenes.stiff_bar import StiffBar
@@ -188,6 +189,12 @@ def test_dry_friction_takes_the_same_amplitude_at_every_turn():
     # 2 mu/k per half period, less what the smoothed sign does not take (of the order of eps).
     assert amplitudes == pytest.approx([8.0, 6.0, 4.0][: len(amplitudes)], abs=0.01)
     assert len(amplitudes) == 3
+
+
+def test_a_bump_with_corners_is_two_planes():
+    scene = QuarterCar(corner=1.0, rough=0.0)
+    height = [float(scene._road(x / scene.speed)) for x in (10.4, 11.25, 12.0, 12.75, 13.6)]
+    assert height == pytest.approx([0.0, 0.025, 0.05, 0.025, 0.0], abs=1e-12)
 
 
 def test_a_spoilt_pendulum_shares_its_multiplier_or_is_refused():

@@ -57,6 +57,9 @@ class QuarterCar(SemiActiveDamper):
     bump: float = parameter(0.05, "m", "height of the bump")
     bump_length: float = parameter(1.5, "m", "half length of the bump, where 1/e is left", low=1e-9)
     bump_place: float = parameter(12.0, "m", "way to the middle of the bump")
+    corner: float = parameter(
+        0.0, "1", "0: a smooth bump; 1: two planes that meet in corners", low=0.0, high=1.0
+    )
     rough: float = parameter(2e-3, "m", "amplitude of the road's longest wave")
     leak: float = parameter(0.5, "1/s", "leak of the controller's integrator", low=0.0)
     gain: float = parameter(3.0, "A s/m", "current asked for per velocity of the body")
@@ -70,7 +73,9 @@ class QuarterCar(SemiActiveDamper):
         waves = jnp.sin(2 * np.pi * _WAVES * way + _PHASES) @ (_WAVES[0] / _WAVES)
         fade_in = jnp.tanh(way / 5.0)
         far = (way - self.bump_place) / self.bump_length
-        return self.rough * fade_in * waves + self.bump * jnp.exp(-(far**2))
+        smooth, planes = jnp.exp(-(far**2)), jnp.maximum(1 - jnp.abs(far), 0.0)
+        shape = smooth + self.corner * (planes - smooth)
+        return self.rough * fade_in * waves + self.bump * shape
 
     def mass(self, q: jax.Array) -> jax.Array:
         return jnp.diag(jnp.stack([self.m_body, self.m_wheel]))
