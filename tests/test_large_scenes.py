@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import tracemalloc
@@ -12,6 +13,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_banded
 
+from bench.plugins.registry import why
 from integrators import Steps, Tolerances
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
@@ -27,6 +29,7 @@ from integrators.output_rows import (
     row_times,
     width_of,
 )
+from problems import jnp
 from problems.equations import compiled, start_equations
 from problems.scenes.chain import Chain
 
@@ -142,6 +145,17 @@ def test_rows_of_large_scenes_are_taken_in_blocks_that_fit(monkeypatch):
     monkeypatch.setattr(compiled, "_MOST_NUMBERS", 5)  # less than a row
     np.testing.assert_array_equal(sums({}, q), q.sum(axis=1))
     assert shapes == [(256, 8), *[(3, 8)] * 4, *[(1, 8)] * 10]
+
+
+# ---- what does not fit -----------------------------------------------------------------
+def test_memory_that_is_not_there_is_a_sentence():
+    for make in [np.zeros, jnp.zeros]:
+        with pytest.raises((MemoryError, RuntimeError)) as found:
+            make((10**7, 10**7))
+        sentence = why(found.value)
+        assert re.match(r"It asks for [\d.]+ (TiB|bytes) of memory at once.*sparse", sentence)
+    assert why(ValueError("no memory of it")) == "ValueError: no memory of it."
+    assert "MemoryError" in why(MemoryError())
 
 
 # ---- memory ----------------------------------------------------------------------------

@@ -78,7 +78,7 @@ METHODS = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("cases", [METHODS[:1], *long([METHODS[1:]])])
+@pytest.mark.parametrize("cases", [METHODS[:1], *long([*METHODS[1:]])])
 def test_a_mass_comes_to_rest(cases):
     for method in cases:
         for scene in (Settling(), Settling(k=1e4, c=200.0), Settling(length=0.0, q0=0.1)):
@@ -98,7 +98,7 @@ ON_THE_ROD = [
 ]
 
 
-@pytest.mark.parametrize("cases", [ON_THE_ROD[:1], *long([ON_THE_ROD[1:]])])
+@pytest.mark.parametrize("cases", [ON_THE_ROD[:1], *long(ON_THE_ROD[1:])])
 def test_a_pendulum_rests_in_every_formulation(cases):
     for method, scene in cases:
         run = ended(method, scene)

@@ -203,8 +203,7 @@ def test_a_worker_is_ended_with_the_status_that_python_would_give(method, callba
     for name in ("ceasing_search", "ceasing_force"):
         assert records[name].rows == records[name].work["steps"] > 20
     # The cells after those that hang, in a new process, are not disturbed.
-    good = results[-1].record
-    assert (good.status, len(good.run_s)) == ("ok", 1)
+    assert results[-1].record.status == "ok"
 
 
 @every_method

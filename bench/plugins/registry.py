@@ -11,6 +11,7 @@ import dataclasses
 import hashlib
 import importlib.util
 import inspect
+import re
 import sys
 import sysconfig
 import traceback
@@ -27,11 +28,15 @@ from integrators.contract import Integrator
 from problems.base import spec
 from problems.base.checks import tidy
 from problems.base.spec import SpecError
-from problems.base.text import described, said
+from problems.base.text import described, said, shortened
 from problems.system import MechatronicSystem
 
 #: Folders of code that is not to blame for an exception.
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
+#: A frame in what JAX says of an exception in a function of Python that a program calls.
+_FRAME = re.compile(r'^ *File "(.+)", line (\d+), in .+$', re.MULTILINE)
+#: XLA and NumPy say how much memory they did not get.
+_LACKING = re.compile(r"RESOURCE_EXHAUSTED\D*(\d+ bytes)|Unable to allocate ([\d.]+ \w+)")
 #: Name of the package of this project.
 PROJECT = "stepbench"
 #: Modules of plugin files have names that begin with this.
@@ -54,6 +59,17 @@ class Unavailable(PluginError):
 
 def explain(error: BaseException) -> str:
     """Return one sentence on an exception, with the innermost line of code that is no library's."""
+    text = str(error).strip()
+    if lacking := _LACKING.search(text):
+        return (
+            f"It asks for {lacking[1] or lacking[2]} of memory at once, which the machine does not "
+            "have. Full matrices grow with the square of the number of unknowns: take a smaller "
+            "scene, or a method with sparse tangents (linear_solver=sparse or auto)."
+        )
+    if "CpuCallback" in text and (told := _FRAME.findall(text)):
+        file, line = ([f for f in told if not f[0].startswith(_LIBRARIES)] or told)[-1]
+        reason = shortened(text.splitlines()[-1]).rstrip(".")
+        return f"{reason} ({shortened(Path(file).name)}, line {line})."
     # A syntax error says its own line; it came from the importer's.
     frames = () if isinstance(error, SyntaxError) else traceback.extract_tb(error.__traceback__)
     frames = [f for f in frames if not f.filename.startswith(_LIBRARIES)] or frames
