@@ -194,15 +194,17 @@ def test_a_model_that_is_no_scene_is_one_sentence(tmp_path):
 
 # ---- meshes, remarks and names
 def test_a_mesh_is_read_where_it_gives_a_body_its_mass(tmp_path):
-    with pytest.raises(SpecError, match=r"MuJoCo cannot read .*arm\.stl"):
+    with pytest.raises(SpecError, match=r"arm\.stl is not there, .* --meshes FOLDER"):
         read(saved(tmp_path, "meshes that weigh"))
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype="<f4")
     faces = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]].reshape(4, 9)
     triangles = (bytes(12) + face.tobytes() + bytes(2) for face in faces)
     content = bytes(80) + (4).to_bytes(4, "little") + b"".join(triangles)
-    (tmp_path / "arm.stl").write_bytes(content)
-    found, _ = read(saved(tmp_path, "meshes that weigh"))
-    assert found.body_mass[1] == pytest.approx(1000 / 6)
+    (tmp_path / "root").mkdir()
+    for folder, root in ((tmp_path / "root", tmp_path / "root"), (tmp_path, None)):
+        (folder / "arm.stl").write_bytes(content)
+        found, _ = read(saved(tmp_path, "meshes that weigh"), root)
+        assert found.body_mass[1] == pytest.approx(1000 / 6)
     assert read(saved(tmp_path, "meshes for looks"))[0].nmesh == 0
 
 

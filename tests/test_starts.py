@@ -190,13 +190,18 @@ def test_a_keyframe_gives_start_and_controls(keyed):
 
 
 def test_a_model_starts_with_values_of_its_joints(keyed):
-    cls = from_mjcf(keyed, keyframe="home", start={"root z": 3, "shoulder.v": -1.0, "root x.v": 2})
+    cls = from_mjcf(
+        keyed, keyframe="home",
+        start={"root": [0, 0, 3, 2, 0, 0, 0], "shoulder.v": -1.0, "root.v": [1, 2, 3, 4, 5, 6]},
+    )  # fmt: skip
     assert cls().spec == "keyed[keyframe=home]"
     q, v, _ = cls().start()
-    assert q.tolist() == [0.4, 2, 0, 3, 0, 1, 0, 0]
-    assert v.tolist() == [-1, 2, 0, 0, 0, 0, 2]
-    with pytest.raises(SpecError, match=r"start\['root'\] is no number; give one for each"):
-        from_mjcf(keyed, start={"root": [1.0]})
+    assert q.tolist() == [0.4, 0, 0, 3, 1, 0, 0, 0]
+    assert v.tolist() == [-1, 1, 2, 3, 4, 5, 6]
+    q, v, _ = from_mjcf(keyed, start={"qpos": [0.2, *q[1:]], "qvel": [0, *v[1:]]})().start()
+    assert (q[0], v[0], q[3], v[6]) == (0.2, 0, 3, 6)
+    with pytest.raises(SpecError, match=r"start\['root'\] has 1 values; give 7"):
+        from_mjcf(keyed, start={"root": 1.0})
     with pytest.raises(SpecError, match="no coordinate to start from 'elbow'"):
         from_mjcf(keyed, start={"elbow": 1.0})().start()
 

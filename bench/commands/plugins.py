@@ -105,6 +105,10 @@ def _line(result: CheckResult) -> Text:
         "--from model", "Model of MuJoCo or URDF that the scene is made of.",
         type=click.Path(exists=True, dir_okay=False, path_type=Path),
     ),
+    options.option(
+        "--meshes", "Folder in which meshes of the model are looked for, too.",
+        type=click.Path(exists=True, file_okay=False, path_type=Path),
+    ),
     *options.SET,
 )  # fmt: skip
 def new(o: Given) -> None:
@@ -119,8 +123,8 @@ def new(o: Given) -> None:
     """
     if o.model is not None and (o.kind != "problem" or o.model.suffix not in SUFFIXES):
         raise SpecError(f"--from takes a model ({', '.join(SUFFIXES)}) for a new problem.")
-    if o.model is None and o.settings:
-        raise SpecError("--set belongs to a model: name it by --from.")
+    if o.model is None and (o.meshes or o.settings):
+        raise SpecError("--set and --meshes belong to a model: name it by --from.")
     _require_free(o.name)
     path = o.out or Path(f"{o.name}.py")
     if path.suffix != ".py":
@@ -131,6 +135,7 @@ def new(o: Given) -> None:
         starts = {key: value for key, value in o.settings.items() if key.startswith(START)}
         given: dict[str, Any] = {
             "keyframe": o.settings.pop("keyframe", None),
+            "meshes": o.meshes and str(o.meshes.resolve()),
             "start": {k.removeprefix(START): _number(k, text) for k, text in starts.items()},
             "defaults": {key: value for key, value in o.settings.items() if key not in starts},
         }

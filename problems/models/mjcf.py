@@ -12,7 +12,7 @@ import dataclasses
 import hashlib
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
@@ -27,7 +27,7 @@ from problems.models.mjcf_load import Start, checked_start, read, reset
 from problems.models.mjcf_model import Model
 from problems.models.mjcf_parts import called, lacking, load_mujoco, numbers
 from problems.system import MechatronicSystem
-from problems.variables import State, parameter
+from problems.variables import Component, State, parameter
 
 #: What a parameter says of a part that the equations do not have.
 CHOICES = REFUSED, LEFT_OUT = "refused", "left_out"
@@ -132,7 +132,8 @@ def from_mjcf(
     nominal_step: float | None = None,
     defaults: Mapping[str, Any] | None = None,
     keyframe: str | None = None,
-    start: Mapping[str, float] | None = None,
+    meshes: str | Path | None = None,
+    start: Mapping[str, float | Sequence[float]] | None = None,
 ) -> type[MechatronicSystem]:
     """Return the scene class of a model of MuJoCo or a URDF.
 
@@ -154,9 +155,12 @@ def from_mjcf(
         Defaults of parameters of the scene, such as ``{"contacts": "left_out"}``.
     keyframe
         Name of the keyframe at which it starts, or its number if it has none; by default the first.
+    meshes
+        Folder in which meshes that give a body its mass are looked for, too.
     start
-        Values at the start in place of those, by names of coordinates, or of velocities with ".v"
-        behind, such as ``{"hip": 0.3, "hip.v": 1}``. The others follow from the equalities.
+        Values at the start in place of those, in m, rad, m/s and rad/s: of a joint by its name, of
+        its velocities by "name.v", of all by "qpos" and "qvel", such as ``{"hip": 0.3}``. The
+        others follow from the equalities.
 
     Raises
     ------
@@ -169,7 +173,7 @@ def from_mjcf(
     cls = "".join(part[:1].upper() + part[1:] for part in name.split("_"))
     if not (is_name(name) and cls.isidentifier()):
         raise SpecError(f"{name!r} is no name of a scene, such as 'robot'; give another one.")
-    m, notes = read(path)
+    m, notes = read(path, Path(meshes) if meshes else None)
     try:
         digest, keys = _digest(m), [called(m, "KEY", k).removeprefix("key ") for k in range(m.nkey)]
         if keyframe is not None:
@@ -206,9 +210,7 @@ def from_mjcf(
         )
     coordinates = _names(m, "[rad]", "[m]", [f"p{i}" for i in range(4)])
     rates = _names(m, "[rad/s]", "[m/s]", [f"Omega {i} [rad/s]" for i in (1, 2, 3)])
-    if vectors := [key for key, value in (start or {}).items() if np.ndim(value)]:
-        raise SpecError(f"start[{vectors[0]!r}] is no number; give one for each coordinate.")
-    given = tuple(sorted((key, float(value)) for key, value in (start or {}).items()))
+    given = _given(start or {}, coordinates, rates)
     fields["given"] = dataclasses.field(default=given, kw_only=True, repr=False)
     absent = {
         "kinematics": not model.balls,
@@ -254,6 +256,23 @@ def scene_name(path: Path) -> str:
     """Return the name of a scene that is made of a file: letters, digits and '_'."""
     word = re.sub(r"\W+", "_", path.stem, flags=re.ASCII).strip("_")
     return word if word[:1].isalpha() else f"model_{word}".rstrip("_")
+
+
+def _given(
+    start: Mapping[str, float | Sequence[float]], coordinates: Sequence[str], rates: Sequence[str]
+) -> tuple[tuple[str, float], ...]:
+    """Values at the start by names of single coordinates and velocities."""
+    found: dict[str, float] = {}
+    for key, value in start.items():
+        joint, end = key.removesuffix(".v"), ".v" if key.endswith(".v") or key == "qvel" else ""
+        names = [Component.read(text).name for text in (rates if end else coordinates)]
+        if key not in ("qpos", "qvel"):
+            names = [n for n in names if n == joint or n.startswith(f"{joint} ")] or [joint]
+        values = np.atleast_1d(np.asarray(value, dtype=float))
+        if values.shape != (len(names),):
+            raise SpecError(f"start[{key!r}] has {values.size} values; give {len(names)}.")
+        found |= {f"{n}{end}": float(v) for n, v in zip(names, values, strict=True)}
+    return tuple(sorted(found.items()))
 
 
 def _digest(m: Any) -> str:

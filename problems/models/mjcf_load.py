@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import tempfile
 import warnings
 from collections.abc import Iterator
@@ -190,7 +191,7 @@ def compare(model: Model, q: Float[np.ndarray, " nq"], control: Float[np.ndarray
 # ---- reading --------------------------------------------------------------------------
 
 
-def read(path: Path) -> tuple[Any, list[str]]:
+def read(path: Path, meshes: Path | None = None) -> tuple[Any, list[str]]:
     """Return the compiled model of a file, and the warnings of MuJoCo.
 
     Meshes that show and touch, and textures, move nothing: they are not read, and may be lost, as
@@ -205,8 +206,10 @@ def read(path: Path) -> tuple[Any, list[str]]:
     try:
         with _remarks(notes):
             spec = load_mujoco().MjSpec.from_file(str(path))
-            _leave_looks_out(spec, path)
+            _leave_looks_out(spec, path, meshes)
             return spec.compile(), notes
+    except SpecError:
+        raise
     except (ValueError, RuntimeError, OSError) as error:
         raise SpecError(f"MuJoCo cannot read {path}: {said(error)}") from None
 
@@ -233,8 +236,9 @@ def _remarks(notes: list[str]) -> Iterator[None]:
             notes += dict.fromkeys(f"MuJoCo warns: {text.rstrip('.')}." for text in texts)
 
 
-def _leave_looks_out(spec: Any, path: Path) -> None:
-    """Put a ball without mass, which may touch, in the place of a mesh that weighs nothing."""
+def _leave_looks_out(spec: Any, path: Path, root: Path | None) -> None:
+    """Put a ball without mass, which may touch, in the place of a mesh that weighs nothing; look
+    for the others in the root, too."""
     mujoco = load_mujoco()
     always = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
 
@@ -246,6 +250,8 @@ def _leave_looks_out(spec: Any, path: Path) -> None:
     for mesh in [*spec.meshes]:
         geoms = [geom for geom in spec.geoms if geom.meshname == mesh.name]
         if any(map(weighs, geoms)):
+            if mesh.file:
+                mesh.file = _found(mesh.file, path.parent / spec.meshdir, root)
             continue
         for geom in geoms:
             geom.meshname, geom.mass = "", 0.0
@@ -254,3 +260,17 @@ def _leave_looks_out(spec: Any, path: Path) -> None:
     for texture in spec.textures:
         texture.file, texture.builtin = "", mujoco.mjtBuiltin.mjBUILTIN_FLAT
         texture.width = texture.height = 1
+
+
+def _found(file: str, folder: Path, root: Path | None) -> str:
+    """The name of a mesh that lies in its folder, or in the root: ``package://robot/arm.stl`` as
+    robot/arm.stl or arm.stl."""
+    parts = Path(re.sub(r"^\w+://", "", file)).parts
+    places = [root.resolve().joinpath(*parts[k:]) for k in range(len(parts))] if root else []
+    for place in (folder / file, *places):
+        if place.is_file():
+            return file if place == folder / file else str(place)
+    raise SpecError(
+        f"The mesh {file} is not there, which gives a body its mass; put it there, or name its "
+        f"folder: stepbench new problem NAME --from FILE --meshes FOLDER."
+    )
