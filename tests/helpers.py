@@ -45,6 +45,7 @@ def scene_or_skip(name: str) -> MechatronicSystem:
 
 def toy(
     name: str = "Toy",
+    /,
     q: Sequence[float] = (1.0,),
     v: Sequence[float] | None = None,
     x: Sequence[float] = (),

@@ -93,6 +93,10 @@ def report(o: Given) -> None:
         file = write_figure(o.kind, o.folder, o.out or Path(f"{o.kind}.svg"), **asked)
         click.echo(f"Figure: {file}")
     elif form:
+        if ending in {*_FORMS} - {form}:
+            raise SpecError(
+                f"{o.out} ends in .{ending} and --{form} was given; leave one of them out."
+            )
         _write_rows(o.folder, form, o.out)
     elif o.out:
         raise SpecError(f"{o.out} is a file of rows or of a figure; say --csv, --json or --figure.")
