@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import re
 from pathlib import Path
 
+import altair
 import msgspec
 import pytest
+import vl_convert
 from planted import Document, edited, everything, page_data, plant
 from test_questions import costing as run
 from test_questions import scenes_of
@@ -14,12 +18,12 @@ from test_questions import scenes_of
 from bench.results.records import IntegratorFacts, Plan
 from bench.results.store import Store
 from problems.base.spec import SpecError
+from reports.charts.method_strip import method_strip
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 from reports.ranking import answers
 from reports.scenes import StoredRuns
 from reports.tables.glossary import TERMS
-from reports.tables.ranking_tables import states_table
 from reports.verdicts import method_card
 
 LONG = "generalized_alpha[rho_inf=0.8,formulation=stabilised_index2,newton=modified]"
@@ -77,11 +81,13 @@ def test_pages_have_commands_code_symbols_terms_and_dois(folder):
         assert said == definitions[anchor].replace("'", "&#39;")
 
 
-def test_a_page_of_a_method_has_its_states_and_the_front_page_knows_the_own_one(folder):
+def test_a_page_of_a_method_has_its_chart_and_the_front_page_knows_the_own_one(folder):
     text = page(folder, "method-generalized_alpha*.html")
+    ((name, chart),) = Document(text).charts.items()
+    assert f'id="{name}"' in text
     assert f'data-highlight="{LONG}"' in text
-    rows = Document(text).rows("Its wins, ties and losses, scene by scene")
-    assert [row["scene"] for row in rows] == ["spring_mass"]
+    rows = csv.DictReader(io.StringIO(chart["datasets"]["strip"]))
+    assert {r["scene"] for r in rows} == {"spring mass"}
     assert page_data(folder)["first"]["highlight"] == LONG
     plan = Plan(name="", title="", samples=1, budget_s=1.0, studies=[], mine="never_run")
     assert StoredRuns("", {}, {}, {}, plan=plan).mine == ""
@@ -99,20 +105,21 @@ def test_markdown_has_short_names_code_and_what_cannot_be_judged(folder):
     assert "| spring mass |" in index
 
 
-def states(label, records):
-    """{(scene, column): cell} of the table of an integrator's states."""
+def strip(label, records):
+    """{(scene, column): (state, text)} of the strip of an integrator."""
     scenes = scenes_of(records)
     found = [a for q, a in answers(scenes, ["a"]).items() if q.cost == "residuals"]
     own = {k: s for k, series in scenes.items() for s in series if s.label == label}
-    table = states_table(label, found, own)
-    if table is None:
-        return {}
-    assert {table.rows[i][j] for i, j in table.best} <= {"cheapest", "tied"}
-    head = table.head[1:]
-    return {(row[0], at): c for row in table.rows for at, c in zip(head, row[1:], strict=True) if c}
+    chart = method_strip(label, found, own)
+    if chart is None:
+        return None
+    altair.LayerChart.from_dict(chart, validate=True)
+    assert vl_convert.vegalite_to_svg(chart).count('fill="#1a7f5a"') > 1  # in cells, too
+    rows = csv.DictReader(io.StringIO(chart["datasets"]["strip"]))
+    return {(r["scene"], r["target"]): (r["state"], r["text"]) for r in rows}
 
 
-def test_an_integrator_has_a_state_for_each_scene_and_accuracy():
+def test_the_strip_has_a_state_for_each_scene_and_accuracy():
     records = [
         *(run("won", n, c) for n, c in (("me", 10), ("other", 25))),
         *(run("tied", n, 10) for n in ("me", "other")),
@@ -124,16 +131,20 @@ def test_an_integrator_has_a_state_for_each_scene_and_accuracy():
         run("single_one", "me", 7),
         run("foreign", "other", 7),
     ]
-    found = states("me", records)
-    assert {k: cell for (k, at), cell in found.items() if at == "1e-4"} == {
-        "won": "cheapest", "tied": "tied", "lost": "2.5", "died": "✕", "single_one": "reached",
-    }  # fmt: skip
-    assert found["won", "1e-6"] == "–"  # noqa: RUF001
-    assert {k: cell for k, cell in found.items() if k[1] == "wrong"} == {
-        ("lost", "wrong"): "1 of 3"
+    found = strip("me", records)
+    assert {k: state for (k, t), state in found.items() if t == "1e-4"} == {
+        "won": ("cheapest alone", ""),
+        "tied": ("tied for the cheapest", ""),
+        "lost": ("dearer, by this factor", "2.5"),
+        "died": ("no run reaches the end", ""),
+        "single one": ("reached, with none to compare", ""),
+    }
+    assert found["won", "1e-6"] == ("not reached", "")
+    assert {k: v for k, v in found.items() if k[1] == "wrong"} == {
+        ("lost", "wrong"): ("runs wrong without a note", "1 of 3")
     }
     assert len(found) == 5 * 9 + 1
-    assert states("nobody", records) == {}
+    assert strip("nobody", records) is None
 
 
 def test_the_card_of_a_method_says_where_it_wins_loses_and_fails(tmp_path):

@@ -159,7 +159,7 @@ def test_the_pages_ask_nothing_of_any_network_and_their_links_lead_somewhere(
             return set(node).union(*(keys(v) for v in node.values()))
         return set().union(*(keys(v) for v in node)) if isinstance(node, list) else set()
 
-    assert len(page.charts) == 10
+    assert len(page.charts) == 16
     assert "url" not in keys(list(page.charts.values()))
 
 

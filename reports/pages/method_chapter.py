@@ -6,18 +6,19 @@ import re
 import shlex
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import COSTS, GROUPS, NORM, NORMS
+from bench.results.quantities import COSTS, GROUPS, NORM, NORMS, WRONG
 from bench.results.records import NOT_TRIED, IntegratorFacts
 from bench.results.studies import ExperimentResult, spared
 from bench.results.table import Table
-from reports.formatting import milliseconds, number
+from reports.charts.method_strip import method_strip
+from reports.formatting import file_name, milliseconds, number
 from reports.names import form_name
-from reports.pages.chapter import Section, Text
+from reports.pages.chapter import Figure, Section, Text
 from reports.ranking import Answer
 from reports.scenes import StoredRuns
 from reports.series import Series, groups_of
 from reports.tables.order_table import order_table
-from reports.tables.ranking_tables import claims_text, states_table
+from reports.tables.ranking_tables import claims_text
 from reports.tables.run_tables import failures_table, notes_table, unsupported_table
 from reports.verdicts import stored_card
 
@@ -70,8 +71,14 @@ class MethodChapter:
             Section("Its stability", stability if first.controls == "step" else []),
         ]
         self.facts = Section("What it is", [_facts(name, first, facts)])
-        tables = [states_table(label, over, by_scene), _scenes_table(label, by_scene, answer)]
-        self.scenes = Section("On all scenes", tables)
+        by = COSTS[answer.question.cost].words
+        strip = Figure(
+            f"Error in {answer.question.quantity} ({NORMS[NORM]}) at most so large, by {by}; "
+            "numbers are multiples of the least cost. A column 'wrong' counts runs that reach the "
+            f"end with an error above {WRONG:g} and say nothing.",
+            {f"chart-{file_name(label)}-strip": method_strip(label, over, by_scene)},
+        )
+        self.scenes = Section("On all scenes", [strip, _scenes_table(label, by_scene, answer)])
         atlas = atlas_table(name, list(stored.atlas.values()))
         unsupported = unsupported_table(runs)
         wrong = "; some are wrong" * any(r.wrong(group) for r in runs for group in GROUPS)

@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from bench.results.quantities import COST, COSTS, NORM, NORMS, RANKED_COSTS, WRONG
+from bench.results.quantities import COST, COSTS, NORM, NORMS, RANKED_COSTS
 from bench.results.records import IntegratorFacts
 from bench.results.table import Table
-from reports.formatting import NO_VALUE, number, tie_text
+from reports.formatting import NO_VALUE, tie_text
 from reports.questions import TABLE_GROUPS, TABLE_TARGETS, Names, Question
 from reports.ranking import Answer, answers
 from reports.series import Series
-from reports.verdicts import state_on, unjudged, verdict, violation_text
+from reports.verdicts import unjudged, verdict, violation_text
 
 #: When costs tie.
 _TIES = (
@@ -98,50 +98,6 @@ def standings_table(found: Answer) -> Table | None:
         note=f"Numbers of scenes. Relative error: {NORMS[NORM]}. First places count on scenes "
         "on which several integrators are compared.",
     )
-
-
-#: Cells of an integrator's states on a scene, but for a multiple of the least cost.
-_STATES = {
-    "alone": "cheapest",
-    "tied": "tied",
-    "single": "reached",
-    "unknown": "?",
-    "far": NO_VALUE,
-    "failed": "✕",
-}
-
-
-def states_table(label: str, over: Sequence[Answer], series: Mapping[str, Series]) -> Table | None:
-    """Where an integrator wins, ties, loses and fails: a row per scene, a column per accuracy.
-
-    ``over`` are the answers to a question for all accuracies, ``series`` its runs by scene. None
-    for an integrator without any.
-    """
-    rows, best = [], set()
-    for scene, s in series.items() if over else ():
-        cells = []
-        for own in (found.scenes.get(scene) for found in over):
-            state = state_on(label, own) if own and label in own.series else ""
-            if state in ("alone", "tied"):
-                best.add((len(rows), len(cells) + 1))
-            if own and state == "dearer":
-                cells.append(number(float(f"{own.entries[label].ratio or 0.0:.2g}")))
-            else:
-                cells.append(_STATES.get(state, ""))
-        wrong = [r for r in s.ok if r.wrong(over[0].question.group) and not r.message]
-        if any(cells):
-            rows.append([scene, *cells, f"{len(wrong)} of {len(s.records)}" if wrong else ""])
-    if not rows:
-        return None
-    question = over[0].question
-    note = (
-        f"Error in {question.quantity} ({NORMS[NORM]}) at most so large, by "
-        f"{COSTS[question.cost].words}; numbers are multiples of the least cost. Reached: with "
-        f"none to compare. ?: at a cost that is not measured. {NO_VALUE}: not reached. ✕: no run "
-        f"reaches the end. Wrong: runs that reach it with an error above {WRONG:g} and say nothing."
-    )
-    head = ["scene", *(found.question.accuracy for found in over), "wrong"]
-    return Table("Its wins, ties and losses, scene by scene", head, rows, best=best, note=note)
 
 
 def claims_text(facts: IntegratorFacts | None) -> str:
