@@ -36,7 +36,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from integrators.contract import option
-from integrators.native.algebra.linear_solvers import StageTangents
+from integrators.native.algebra.linear_solvers import StageTangents, full_tangent
 from integrators.native.algebra.step_records import Errors, Reading, Scalar, Time, largest
 from integrators.native.step.method_options import (
     Formulated,
@@ -211,12 +211,15 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
             stages, rates = at(u)
             mean = jax.tree.map(lambda *parts: sum(parts) / s, *stages)
 
-            def rows(q: Any, v: Any, a: Any, lam: Any, x: Any, y: Any, xdot: Any) -> Array:
-                z = Variables(q, v, a, lam, x, y, mean.t)
-                return jnp.concatenate(self._rows(scene, z, xdot, h))
-
             parts = *mean[:-1], rates.x.mean(axis=0)
-            q, v, a, lam, x, y, xdot = jax.jacfwd(rows, argnums=tuple(range(7)))(*parts)
+            cuts = np.cumsum([len(part) for part in parts])[:-1]
+
+            def rows(w: Array) -> Array:
+                *z, xdot = jnp.split(w, cuts)
+                return jnp.concatenate(self._rows(scene, Variables(*z, mean.t), xdot, h))
+
+            whole = full_tangent(rows, jnp.concatenate(parts))
+            q, v, a, lam, x, y, xdot = jnp.split(whole, cuts, axis=1)
             # Of index 3 and 2 there is no mu; its directions are those of lam.
             towards = lam[layout.a, : layout.mu.stop - layout.mu.start]
 

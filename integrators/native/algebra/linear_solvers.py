@@ -167,13 +167,8 @@ class DenseSolver(LinearSolver):
         return jnp.full((size, size), jnp.nan)
 
     def renewed(self, residual: Residual, u: Float[Array, " n"], kept: Array) -> Array:
-        program = jax.make_jaxpr(residual)(u)
-        residual = partial(with_constants, program, program.consts)
         with part("Jacobians"):
-            if _is_dear(program, len(u)):
-                tangent = jnp.stack(tangent_along(residual, u, np.eye(len(u))), axis=1)
-            else:
-                tangent = jax.jacfwd(residual)(u)
+            tangent = full_tangent(residual, u)
         return small_matrices.inverse(tangent)
 
     def update(self, kept: Array, r: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -210,6 +205,15 @@ def _linearised(
         r, product = small_matrices.linearised(residual, u)
     with part("Jacobians"):
         return r, [product(jnp.asarray(seed)) for seed in seeds]
+
+
+def full_tangent(residual: Residual, u: Float[Array, " n"]) -> Float[Array, "m n"]:
+    """The tangent of a residual at u: all columns side by side, or in loops where that is dear."""
+    program = jax.make_jaxpr(residual)(u)
+    residual = partial(with_constants, program, program.consts)
+    if _is_dear(program, len(u)):
+        return jnp.stack(tangent_along(residual, u, np.eye(len(u))), axis=1)
+    return jax.jacfwd(residual)(u)
 
 
 def _is_dear(program: ClosedJaxpr, products: int) -> bool:
