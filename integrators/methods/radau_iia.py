@@ -215,8 +215,9 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
             cuts = np.cumsum([len(part) for part in parts])[:-1]
 
             def rows(w: Array) -> Array:
-                *z, xdot = jnp.split(w, cuts)
-                return jnp.concatenate(self._rows(scene, Variables(*z, mean.t), xdot, h))
+                q, v, a, lam, x, y, xdot = jnp.split(w, cuts)
+                z = Variables(q, v, a, lam, x, y, mean.t)
+                return jnp.concatenate(self._rows(scene, z, xdot, h))
 
             whole = full_tangent(rows, jnp.concatenate(parts))
             q, v, a, lam, x, y, xdot = jnp.split(whole, cuts, axis=1)
