@@ -22,6 +22,7 @@ from bench.running.profiles import ProfileFile, StudyFile, read_profile
 from bench.running.recommend import PARTS, RULES, Recommendation
 from problems.base.cache import put
 from problems.base.spec import SpecError
+from problems.base.text import said
 
 #: What a report shows of runs that were made for their orders.
 _FIGURES = ("orders", "convergence")
@@ -101,18 +102,19 @@ def write_reports(folder: Path, single_file: bool = False) -> None:
     Raises
     ------
     click.ClickException
-        If the disk does not take them.
+        If the disk does not take them, or a library cannot be loaded.
     """
-    from reports.pages.html_report import write_html_report
-    from reports.pages.markdown_report import write_markdown_report
-
     try:
+        from reports.pages.html_report import write_html_report
+        from reports.pages.markdown_report import write_markdown_report
+
         page = write_html_report(folder, single_file)
         paper = write_markdown_report(folder)
         click.echo(f"Report: {page}; {paper.name} beside it is the same in Markdown.")
-    except OSError as error:
+    except (OSError, ImportError, MemoryError) as error:
+        reason = getattr(error, "strerror", None) or said(error)
         raise click.ClickException(
-            f"The report could not be written: {error.strerror}. The results are stored."
+            f"The report could not be written: {reason}. The results are stored."
         ) from None
 
 
