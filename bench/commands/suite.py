@@ -175,11 +175,13 @@ def run_(o: Given) -> None:
     answer, *others = method_card(o.out, "")
     for line in method_card(o.out, suite.plan.mine) if suite.plan.mine else [answer]:
         say(line)
-    write_reports(o.out)
     mine = "" if suite.plan.mine else "; stepbench run --mine METHOD puts yours beside these"
-    say(f"Next: stepbench report {o.out} --open shows it{mine}.")
-    for line in (*[answer] * bool(suite.plan.mine), *others, *outcome.sentences):
-        say(line)
+    try:
+        write_reports(o.out)
+        say(f"Next: stepbench report {o.out} --open shows it{mine}.")
+    finally:
+        for line in (*[answer] * bool(suite.plan.mine), *others, *outcome.sentences):
+            say(line)
     if not any(record.status == "ok" for record in outcome.records):
         raise click.ClickException(f"No cell succeeded. {in_common(outcome.records)}")
     if cut := outcome.interrupted:
