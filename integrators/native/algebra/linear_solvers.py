@@ -40,7 +40,7 @@ Residual: TypeAlias = Callable[[Float[Array, " n"]], Float[Array, " n"]]
 
 
 #: Most operations on arrays of all products with a tangent that are written out one by one, which
-#: is faster than side by side, but takes longer to compile.
+#: is faster than in a loop, but takes longer to compile.
 _MOST_WRITTEN_OUT = 1000
 
 
