@@ -71,7 +71,7 @@ def _trajectory(chosen: Selection, component: str = "q:1") -> Spec:
     place = group_and_place(component, runs[0][1].values, names)
     reference = chosen.scene.reference if chosen.scene else None
     styles = line_styles(s.label for s in chosen.series)
-    chart = trajectory_chart(runs, reference, place[:1], styles, names, components=[place])
+    chart = trajectory_chart(runs, reference, place[:1], styles, names, [[place]])
     return chart or {}
 
 
@@ -196,7 +196,7 @@ def _file_content(figure: Spec, suffix: str) -> bytes:
         return f"{chart_json(figure, indent=1)}\n".encode()
     options = {"ppi": _PNG_PER_INCH} if suffix == ".png" else {}
     drawn = picture(figure, suffix[1:], **options)
-    if drawn.reason:
+    if drawn.sentence:
         raise SpecError(drawn.sentence)
     if suffix != ".svg":
         return drawn.content

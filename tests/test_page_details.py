@@ -18,7 +18,7 @@ from test_questions import scenes_of
 from bench.results.records import IntegratorFacts, Plan
 from bench.results.store import Store
 from problems.base.spec import SpecError
-from reports.charts.method_strip import method_strip
+from reports.charts.maps import method_strip
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 from reports.ranking import answers

@@ -8,8 +8,8 @@ from planted import planted
 
 from bench.results.flat_rows import flatten
 from bench.results.quantities import PARTS
-from reports.charts.bills import MOST_BARS, bills
 from reports.charts.line_styles import line_styles
+from reports.charts.work import MOST_BARS, bills
 from reports.series import series_of
 from reports.tables.run_tables import runs_table, summary_table
 

@@ -16,8 +16,8 @@ from bench.running.measure import MOST_COMPONENTS, stored_rows
 from bench.running.scene_records import scene_record
 from problems.scenes.chain import Chain
 from problems.truth.reference import Reference
-from reports.charts.cost_by_size import size_charts
 from reports.charts.line_styles import line_styles
+from reports.charts.work import size_charts
 
 
 def scene(problem, t_end, nq, nl):

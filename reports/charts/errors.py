@@ -7,7 +7,7 @@ from typing import Any
 
 from bench.results.quantities import COST, COSTS, ERROR_NAMES, NORM, NORMS
 from reports.charts import vega_lite as vl
-from reports.charts.line_styles import LineStyle, styles_of
+from reports.charts.line_styles import LineStyle
 from reports.formatting import order_text
 from reports.names import scene_name
 from reports.questions import Question
@@ -34,17 +34,12 @@ def convergence_chart(
     norm: str = NORM,
 ) -> vl.Spec | None:
     """Error against step size, a panel per group; the legend names the fitted orders."""
-    own = [s for s in series if s.controls == "step" and s.ok]
-    return error_charts(
-        own, groups, ["h"], styles, norm, {s.label: _orders(s, groups, norm) for s in own}
-    )
-
-
-def _orders(series: Series, groups: Sequence[str], norm: str) -> str:
-    """Text of the legend: the fitted orders of the groups in which they are determined."""
-    fits = {group: series.fit(group, norm) for group in groups}
-    known = [f"{g} {order_text(f.order)}" for g, f in fits.items() if f.order is not None]
-    return f": order {', '.join(known)}" if known else ": order not determined"
+    own, notes = [s for s in series if s.controls == "step" and s.ok], {}
+    for s in own:
+        fits = {group: s.fit(group, norm) for group in groups}
+        known = [f"{g} {order_text(f.order)}" for g, f in fits.items() if f.order is not None]
+        notes[s.label] = f": order {', '.join(known)}" if known else ": order not determined"
+    return error_charts(own, groups, ["h"], styles, norm, notes)
 
 
 def error_against_cost(
@@ -57,7 +52,7 @@ def error_against_cost(
     group, cost, norm = question.group, question.cost, question.norm
     ended = {name: [s for s in series if s.ok] for name, series in scenes.items()}
     own = {name: series for name, series in ended.items() if len(series) > 1}
-    lines = vl.Lines(styles_of((s for runs in own.values() for s in runs), styles))
+    lines = vl.Lines({s.label: styles[s.label] for runs in own.values() for s in runs})
     panels, data = [], []
     for name, series in own.items():
         data.append(vl.Dataset(f"runs on {name}", run_rows(series, [group], norm, [cost])))
@@ -80,7 +75,7 @@ def error_charts(
     ``notes`` stand after the names of integrators in the legend.
     """
     series = [s for s in series if s.ok]
-    lines = vl.Lines(styles_of(series, styles), notes or {})
+    lines = vl.Lines({s.label: styles[s.label] for s in series}, notes or {})
     data = vl.Dataset("runs", run_rows(series, groups, norm, across))
     panels: list[vl.Spec] = []
     for name in across:
@@ -101,13 +96,13 @@ def run_rows(
     """
     rows = []
     shown = [*dict.fromkeys([*(g for g in across if g in ERROR_NAMES), *groups])]
+    places = [k for k in dict.fromkeys([*across, "seconds", COST]) if k not in ERROR_NAMES]
     for s in series:
         for r in s.ok:
             row: dict[str, Any] = {"series": s.label, "run": r.resolution}
-            for name in dict.fromkeys([*across, "seconds", COST]):
-                if name not in ERROR_NAMES:
-                    value = getattr(r, name) if name in ("h", "rtol") else r.cost(name)
-                    row[name] = value if isinstance(value, int) else vl.short(value)
+            for name in places:
+                value = getattr(r, name) if name in ("h", "rtol") else r.cost(name)
+                row[name] = value if isinstance(value, int) else vl.short(value)
             errors = {f"{g}_{norm}": e for g in shown if (e := vl.short(r.error(g, norm)))}
             rows += [row | errors] if errors else []
     return rows
@@ -122,12 +117,16 @@ def _panel(
     norm: str,
     first: bool,
 ) -> vl.Spec | None:
-    """Error of a group against one of `ACROSS`, log-log; None if there is nothing to draw."""
+    """Error of a group against one of `ACROSS`, log-log; None if there is nothing to draw.
+
+    Guides to the eye are behind: the reference's own error unless it lies far below, the slopes of
+    whole orders, or where both errors are the same.
+    """
     x, y = (f"{name}_{norm}" if name in ERROR_NAMES else name for name in (across, group))
     rows = [row for row in data.rows if row.get(x) and row.get(y)]
     if not rows:
         return None
-    errors, zoom = [row[y] for row in rows], f"zoom_{across}_{group.strip('|')}"
+    zoom = f"zoom_{across}_{group.strip('|')}"
 
     def place(field: str, name: str, **more: Any) -> vl.Spec:
         values = [row[field] for row in rows]
@@ -135,78 +134,53 @@ def _panel(
         told = f", {NORMS[norm]}" if name in ERROR_NAMES and norm != NORM else ""
         return vl.log_quantity(field, title=ACROSS[name] + told, axis=axis)
 
+    behind = []
+    floor, lowest = reference_error(ok_runs(series), group, norm), min(row[y] for row in rows)
+    if floor > 0 and lowest <= floor * _DEEP:
+        told = vl.quantity("floor", title="reference's own error", format=".2g")
+        rule = {"y": vl.log_quantity("floor"), "tooltip": told}
+        behind += _guide([{"floor": vl.short(floor)}], rule, strokeDash=[5, 5])
+    if slopes := [*_slopes(series, group, norm)] if across == "h" else []:
+        at = {"x": vl.log_quantity("h"), "y": vl.log_quantity("error")}
+        ends = {"x2": {"field": "h2"}, "y2": {"field": "error2"}}
+        behind += _guide(slopes, at | ends, strokeWidth=1)
+        named = at | {"text": {"field": "name"}}
+        behind += _guide(slopes, named, type="text", align="right", dx=-6, dy=-5)
+    if across in ERROR_NAMES:
+        both = [row[field] for row in rows for field in (x, y)]
+        ends = [{"x": error, "y": error} for error in (min(both), max(both))]
+        at = {name: vl.log_quantity(name) for name in "xy"}
+        behind += _guide(ends, at, type="line", strokeWidth=1, strokeDash=[5, 5])
+    tooltip = [vl.category("series", title="integrator"), vl.category("run", title="resolution")]
     titles = {y: f"error in {group}"} | {n: ACROSS[n] for n in ("seconds", COST)}
     titles |= {x: f"error in {across}"} if across in ERROR_NAMES else {}
-    tooltip = [vl.quantity(name, title=text, format=".3g") for name, text in titles.items()]
-    places = {"x": place(x, across), "y": place(y, group, minExtent=38)}
-    layers = _lines(lines, places, tooltip, vl.moves(zoom, first))
-    behind = _floor(reference_error(ok_runs(series), group, norm), min(errors))
-    if across == "h":
-        behind += _slopes(series, group, norm)
-    if across in ERROR_NAMES:
-        behind.append(_diagonal([*errors, *(row[x] for row in rows)]))
-    filtered = {"filter": f"datum['{y}'] > 0 && datum['{x}'] > 0"}
-    return {"data": data.source, "transform": [filtered], "layer": [*behind, *layers]}
-
-
-def _lines(
-    lines: vl.Lines, places: vl.Spec, tooltip: list[vl.Spec], params: list[vl.Spec]
-) -> list[vl.Spec]:
-    """The layers of lines and points at ``places`` (the channels x, y), from coarse to fine."""
-    names = [vl.category("series", title="integrator"), vl.category("run", title="resolution")]
-    bright = places | {"color": lines.colors(), "opacity": lines.opacity()}
-    return [
-        {
-            "params": params,
-            "transform": [vl.COPIED],
-            "mark": {"type": "line", "strokeWidth": 1.8, "order": False},  # that of the rows
-            "encoding": bright | {"strokeDash": lines.dashes_without_legend()},
-        },
-        {
-            "mark": {"type": "point", "filled": True, "size": 55},
-            "encoding": bright | {"shape": lines.shapes(), "tooltip": [*names, *tooltip]},
-        },
-    ]
-
-
-# ---- guides to the eye -------------------------------------------------------------------
-def _floor(floor: float, lowest: float) -> list[vl.Spec]:
-    """A dashed line at the reference's own error, unless it lies far below all errors."""
-    if floor <= 0 or floor * _DEEP < lowest:
-        return []
-    tooltip = vl.quantity("floor", title="reference's own error", format=".2g")
-    return [
-        {
-            "data": {"values": [{"floor": vl.short(floor)}]},
-            "mark": {"type": "rule", "color": vl.GREY, "strokeDash": [5, 5]},
-            "encoding": {"y": vl.log_quantity("floor"), "tooltip": tooltip},
-        }
-    ]
-
-
-def _diagonal(errors: Sequence[float]) -> vl.Spec:
-    """The line on which both errors are the same."""
-    return {
-        "data": {"values": [{"x": error, "y": error} for error in (min(errors), max(errors))]},
-        "mark": {"type": "line", "color": vl.GREY, "strokeWidth": 1, "strokeDash": [5, 5]},
-        "encoding": {name: vl.log_quantity(name) for name in "xy"},
+    tooltip += [vl.quantity(name, title=text, format=".3g") for name, text in titles.items()]
+    bright = {"x": place(x, across), "y": place(y, group, minExtent=38)}
+    bright |= {"color": lines.channel("color"), "opacity": vl.PICKED}
+    dashes, copied = lines.hidden_dashes()
+    line = {
+        "params": vl.moves(zoom, first),
+        "transform": [copied],
+        "mark": {"type": "line", "strokeWidth": 1.8, "order": False},  # that of the rows
+        "encoding": bright | {"strokeDash": dashes},
     }
+    points = {
+        "mark": {"type": "point", "filled": True, "size": 55},
+        "encoding": bright | {"shape": lines.channel("shape"), "tooltip": tooltip},
+    }
+    filtered = {"filter": f"datum['{y}'] > 0 && datum['{x}'] > 0"}
+    layers = [*behind, line, points]
+    return {"data": data.source, "transform": [filtered], "layer": layers}
 
 
-def _slopes(series: Sequence[Series], group: str, norm: str) -> list[vl.Spec]:
-    """A thin line for each whole order found, above the errors that were fitted by it."""
-    if not (rows := list(_guides(series, group, norm))):
-        return []
-    place = {"x": vl.log_quantity("h"), "y": vl.log_quantity("error")}
-    ends = place | {"x2": {"field": "h2"}, "y2": {"field": "error2"}}
-    rule = {"type": "rule", "color": vl.GREY, "strokeWidth": 1}
-    text = {"type": "text", "color": vl.GREY, "align": "right", "dx": -6, "dy": -5}
-    layer: vl.Spec = {"data": {"values": rows}}
-    named = place | {"text": {"field": "name"}}
-    return [layer | {"mark": rule, "encoding": ends}, layer | {"mark": text, "encoding": named}]
+def _guide(rows: Sequence[vl.Spec], places: vl.Spec, **mark: Any) -> list[vl.Spec]:
+    """A layer of a guide to the eye, with data of its own."""
+    look = {"type": "rule", "color": vl.GREY} | mark
+    return [{"data": {"values": rows}, "mark": look, "encoding": places}]
 
 
-def _guides(series: Sequence[Series], group: str, norm: str) -> Iterator[dict[str, Any]]:
+def _slopes(series: Sequence[Series], group: str, norm: str) -> Iterator[dict[str, Any]]:
+    """A line for each whole order found, above the errors that were fitted by it."""
     fits = [(s, fit) for s in series if (fit := s.fit(group, norm)).window]
     for order in sorted({whole for _, fit in fits if (whole := whole_order(fit))}):
         ends = []
@@ -216,10 +190,6 @@ def _guides(series: Sequence[Series], group: str, norm: str) -> Iterator[dict[st
                 last = min(s.ok, key=lambda r, h=fine: abs(step_or_tolerance(r) - h))
                 ends.append((_CLEAR * (last.error(group, norm) or 0.0), fine, coarse))
         error, fine, coarse = max(ends)
-        yield {
-            "name": f"order {order}",
-            "h": vl.short(coarse),
-            "error": vl.short(error * (coarse / fine) ** order),
-            "h2": vl.short(fine),
-            "error2": vl.short(error),
-        }
+        top = vl.short(error * (coarse / fine) ** order)
+        start = {"name": f"order {order}", "h": vl.short(coarse), "error": top}
+        yield start | {"h2": vl.short(fine), "error2": vl.short(error)}

@@ -9,12 +9,11 @@ from __future__ import annotations
 import colorsys
 import hashlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cache
 
 from reports.names import BUILT_IN, BuiltIn, label_parts, short_names
-from reports.series import Series
 
 #: What an option adds: to the number of the dash, and of the mark. Others add by their digest.
 _STEPS = {
@@ -114,11 +113,6 @@ def style_of(label: str) -> LineStyle:
 def line_styles(labels: Iterable[str]) -> dict[str, LineStyle]:
     """The styles of these integrators, in their order."""
     return {label: replace(style_of(label), name=n) for label, n in short_names(labels).items()}
-
-
-def styles_of(series: Iterable[Series], styles: Mapping[str, LineStyle]) -> dict[str, LineStyle]:
-    """The styles of these series only, in their order."""
-    return {s.label: styles[s.label] for s in series}
 
 
 def _digest(text: str) -> int:

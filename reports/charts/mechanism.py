@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from bench.results.records import Drawing
-from reports.charts.vega_lite import Dataset, Spec, category, config, datasets, quantity, short
+from reports.charts.vega_lite import Dataset, Spec, category, quantity, short, view
 
 #: Most times at which a still picture shows a scene.
 _GHOSTS = 7
@@ -17,8 +16,7 @@ _LINES, _POINTS = 40, 60
 Line = list[tuple[float, float]]
 
 
-@dataclass(frozen=True)
-class _Plane:
+class _Plane(NamedTuple):
     """The part of the plane that lines need: its middle, its sides, and the extent of the lines.
 
     A side is at least a third of the other, so that a mass on a line still has a picture.
@@ -71,32 +69,23 @@ def mechanism(drawings: Sequence[Drawing]) -> Spec | None:
         scale = {"domain": [middle - span / 2, middle + span / 2], "nice": False, "zero": False}
         return quantity(name, title=f"{name} in m", scale=scale, axis={"tickCount": 5})
 
-    data = Dataset("drawings", rows)
-    return {
-        "datasets": datasets([data]),
-        "data": data.source,
-        "mark": {
-            "type": "line",
-            "color": "#3b82c4",
-            "strokeWidth": 2.5,
-            "strokeJoin": "round",
-            "strokeCap": "round",
-        },
-        "encoding": {
+    return view(
+        Dataset("drawings", rows),
+        mark={"type": "line", "color": "#3b82c4", "strokeWidth": 2.5}
+        | dict.fromkeys(("strokeJoin", "strokeCap"), "round"),
+        encoding={
             "x": axis("x", plane.x, plane.wide),
             "y": axis("y", plane.y, plane.high),
             "detail": category("line"),
             "order": quantity("k"),
             "opacity": quantity("fade", scale=None, legend=None),
         },
-        "width": round(plane.wide * pixels),
-        "height": round(plane.high * pixels),
-        "config": config(),
-    }
+        width=round(plane.wide * pixels),
+        height=round(plane.high * pixels),
+    )
 
 
-@dataclass
-class Animation:
+class Animation(NamedTuple):
     """Frames of an animation, the part of the plane that they need, and the width of a line."""
 
     view: str

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from bench.results.quantities import GROUP_NAMES, GROUPS, error_note
+from bench.results.quantities import GROUP_NAMES, error_note
 from bench.results.records import Rows
 from problems.variables import INVARIANTS
 from reports.charts import vega_lite as vl
@@ -31,6 +31,8 @@ HISTORIES = ERRORS | {
 MOST_ROWS = 150
 #: A run is drawn until a value exceeds the reference's largest one by this factor.
 _OUT_OF_SCALE = 5
+#: A group and the place of a component in it, counted from 0.
+Component = tuple[str, int]
 
 
 def trajectory_chart(
@@ -39,7 +41,7 @@ def trajectory_chart(
     groups: Sequence[str],
     styles: Mapping[str, LineStyle],
     names: Mapping[str, Sequence[str]] = MappingProxyType({}),
-    components: Sequence[Sequence[Any]] = (),
+    chosen: Sequence[Sequence[Component]] = (),
 ) -> vl.Spec | None:
     """Components of the groups over time, the reference as a broad grey line behind.
 
@@ -49,25 +51,27 @@ def trajectory_chart(
         Label and sampled values of each run.
     names
         Names of the components by group, with units.
-    components
-        Pairs (group, number from 0) that are drawn over time, or a component and a second one over
-        which it is drawn, as (group, number, group, number); the first few of every group if empty.
+    chosen
+        Components that are drawn over time, or a component and a second one over which it is drawn;
+        the first few of every group if empty: of q, v, a for each coordinate, then the others.
     """
-    chosen = components or first_components(groups)
-    needed = list(dict.fromkeys(pair for parts in chosen for pair in _pairs(*parts)))
+    few = range(COMPONENTS_SHOWN)
+    motion = [[(g, i)] for i in few for g in groups if g in "qva"]
+    chosen = chosen or motion + [[(g, i)] for g in groups if g not in "qva" for i in few]
+    needed = list(dict.fromkeys(place for places in chosen for place in places))
     # One wide table serves all panels, so that the page stays small.
     rows = [row for label, run in runs for row in time_rows(run, label, needed)]
     drawn = vl.Dataset("runs", rows)
     behind = vl.Dataset("reference", time_rows(reference, "reference", needed))
     broad = {"type": "line", "color": vl.GREY, "strokeWidth": 5, "opacity": 0.4, "clip": True}
     panels: list[vl.Spec] = []
-    for parts in chosen:
-        axes = [(f"{g}{i}", component_title(g, i, names)) for g, i in _pairs(*parts)]
+    for places in chosen:
+        axes = [(f"{g}{i}", component_title(g, i, names)) for g, i in places]
         (name, title), over = axes[0], axes[1] if len(axes) > 1 else TIME
         layers = []
         if {name, over[0]} <= set(behind.columns):
-            places = _places(name, title, over)
-            layers.append({"data": behind.source, "mark": broad, "encoding": places})
+            encoding = _places(name, title, over)
+            layers.append({"data": behind.source, "mark": broad, "encoding": encoding})
         if {name, over[0]} <= set(drawn.columns):
             layers.append(_run_lines(drawn, name, title, vl.Lines(styles), not panels, over))
         panels += [{"layer": layers}] if layers else []
@@ -93,35 +97,26 @@ def histories(
 def note_lines(data: vl.Dataset, name: str, lines: vl.Lines, first: bool) -> vl.Spec:
     """One of `HISTORIES` over time, a line per run."""
     title, logarithmic = HISTORIES[name]
-    layer = _run_lines(data, name, title, lines, first)
+    layer = _run_lines(data, name, title, lines, first, TIME)
     if logarithmic:
         values = [abs(v) for row in data.rows if (v := row.get(name))]
         layer["transform"] = [{"filter": f"datum.{name} > 0"}]
-        axis = vl.log_axis(values, ".0e")
-        layer["encoding"]["y"] |= {"scale": vl.log_scale(), "axis": axis}
+        layer["encoding"]["y"] = vl.log_quantity(name, values or [1.0], ".0e", title=title)
     return layer
 
 
 def _run_lines(
-    data: vl.Dataset,
-    field: str,
-    title: str,
-    lines: vl.Lines,
-    first: bool,
-    over: tuple[str, str] = TIME,
+    data: vl.Dataset, field: str, title: str, lines: vl.Lines, first: bool, over: tuple[str, str]
 ) -> vl.Spec:
     """One component over time or another one, a line per run."""
     legend = {"symbolType": "stroke", "symbolSize": 400}
+    looks = {"color": lines.channel("color", **legend), "opacity": vl.PICKED}
+    looks["strokeDash"] = lines.channel("dash", **legend)
     return {
         "data": data.source,
         "params": vl.moves(f"zoom_{field}_{over[0]}", first),
         "mark": {"type": "line", "strokeWidth": 1.4, "clip": True},
-        "encoding": {
-            **_places(field, title, over),
-            "color": lines.colors(**legend),
-            "strokeDash": lines.dashes(**legend),
-            "opacity": lines.opacity(),
-        },
+        "encoding": _places(field, title, over) | looks,
     }
 
 
@@ -133,22 +128,11 @@ def _places(field: str, title: str, over: tuple[str, str]) -> vl.Spec:
     }
 
 
-def _pairs(*chosen: Any) -> list[tuple[str, int]]:
-    """The components that a panel needs."""
-    return list(zip(chosen[::2], chosen[1::2], strict=True))
-
-
-def first_components(groups: Sequence[str]) -> list[tuple[str, int]]:
-    """The first components of every group: (q, v, a) of each coordinate, then the others."""
-    motion = [(g, i) for i in range(COMPONENTS_SHOWN) for g in groups if g in "qva"]
-    return motion + [(g, i) for g in groups if g not in "qva" for i in range(COMPONENTS_SHOWN)]
-
-
 # ---- rows of a run that a chart shows ----------------------------------------------------
 def time_rows(
     rows: Rows | None,
     label: str,
-    components: Sequence[tuple[str, int]] = (),
+    components: Sequence[Component] = (),
     notes: Sequence[str] = (),
 ) -> list[dict[str, Any]]:
     """A row per time with these components and notes, as far as the run has them."""
@@ -196,9 +180,3 @@ def _chosen(rows: Rows, places: Sequence[int]) -> Rows:
         values={name: [table[k] for k in places] for name, table in rows.values.items() if table},
         notes={name: [column[k] for k in places] for name, column in rows.notes.items() if column},
     )
-
-
-def groups_with_values(samples: Iterable[Rows]) -> list[str]:
-    """The groups of variables in which any run has values."""
-    present = {name for rows in samples for name, values in rows.values.items() if values}
-    return [group for group in GROUPS if group in present]

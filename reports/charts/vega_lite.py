@@ -8,9 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 from bench.results.flat_rows import csv_text
 from problems.base.text import clean_json
@@ -26,67 +24,46 @@ _TEXT_COLUMNS |= {"state", "only"}
 _LARGEST = 1e300
 #: Logarithmic axes name the digits 1, 2, 5 over fewer than two decades, else the decades.
 _DIGITS = ((0.7, range(1, 10)), (2.0, (1, 2, 5)), (math.inf, (1,)))
+#: The opacity of lines: those that are not picked fade.
+PICKED: Spec = {"condition": {"param": "pick", "value": 1.0}, "value": 0.07}
 
-#: The transform of a layer whose dashes are not in the legend.
-COPIED: Spec = {"calculate": "'line of ' + datum.series", "as": "dashed"}
 
-
-@dataclass(frozen=True)
-class Lines:
+class Lines(NamedTuple):
     """Channels of a chart's lines: their styles by label, and notes behind names in the legend."""
 
     styles: Mapping[str, LineStyle]
-    notes: Mapping[str, str] = field(default_factory=dict)
+    notes: Mapping[str, str] = {}
 
-    def colors(self, **legend: Any) -> Spec:
-        """A colour per label."""
-        return self._by_series([style.color for style in self.styles.values()], legend)
+    def channel(self, look: str, **legend: Any) -> Spec:
+        """A "color", "dash" or "shape" per label.
 
-    def dashes(self, **legend: Any) -> Spec:
-        """Dashes per label."""
-        return self._by_series([list(style.dash) for style in self.styles.values()], legend)
-
-    def shapes(self) -> Spec:
-        """A point shape per label."""
-        return self._by_series([style.shape for style in self.styles.values()], {})
-
-    def dashes_without_legend(self) -> Spec:
-        """Dashes per label, of a layer with `COPIED`.
-
-        In the legend they would be drawn around the points, too. Channels of one domain share a
-        legend, so this one has a domain of its own.
+        All panels have one domain, so they share a legend, of short names.
         """
-        domain = [f"line of {label}" for label in self.styles]
-        dashes = [list(style.dash) for style in self.styles.values()]
-        return category("dashed", scale={"domain": domain, "range": dashes}, legend=None)
-
-    def opacity(self, full: float = 1.0) -> Spec:
-        """Lines that are not picked fade."""
-        return {"condition": {"param": "pick", "value": full}, "value": 0.07}
-
-    def _by_series(self, values: list[Any], legend: Spec) -> Spec:
-        """A channel by series; all panels have one domain, so they share a legend."""
-        legend = {"title": None, "labelExpr": names_of(self.styles, self.notes), **legend}
+        names = {k: (style.name or k) + self.notes.get(k, "") for k, style in self.styles.items()}
+        said = f"({json.dumps(names)}[datum.value] || datum.value)"
         if self.notes:  # one column, as the lines are long; not cut at the usual width
             legend |= {"labelLimit": 0, "columns": 1}
-        scale = {"domain": list(self.styles), "range": values}
-        return category("series", scale=scale, legend=legend)
+        looks = [getattr(style, look) for style in self.styles.values()]
+        scale = {"domain": [*names], "range": [[*x] if look == "dash" else x for x in looks]}
+        return category("series", scale=scale, legend={"title": None, "labelExpr": said} | legend)
+
+    def hidden_dashes(self) -> tuple[Spec, Spec]:
+        """Dashes per label that the legend does not draw around points, and their transform.
+
+        Channels of one domain share a legend, so this one has a domain of its own.
+        """
+        channel = self.channel("dash") | {"field": "dashed", "legend": None}
+        channel["scale"]["domain"] = [f"line of {label}" for label in self.styles]
+        return channel, {"calculate": "'line of ' + datum.series", "as": "dashed"}
 
 
-def names_of(styles: Mapping[str, LineStyle], notes: Mapping[str, str] | None = None) -> str:
-    """The Vega expression of an integrator's short name and its note, in a legend or on an axis."""
-    names = {k: (style.name or k) + (notes or {}).get(k, "") for k, style in styles.items()}
-    return f"({json.dumps(names)}[datum.value] || datum.value)"
-
-
-@dataclass(frozen=True)
-class Dataset:
+class Dataset(NamedTuple):
     """Rows under a name, from which any number of panels draw."""
 
     name: str
     rows: Sequence[Mapping[str, Any]]
 
-    @cached_property
+    @property
     def columns(self) -> list[str]:
         """The names of the columns."""
         return list(dict.fromkeys(key for row in self.rows for key in row))
@@ -98,22 +75,12 @@ class Dataset:
         return {"name": self.name, "format": {"type": "csv", "parse": parse}}
 
 
-def datasets(tables: Sequence[Dataset]) -> dict[str, str]:
-    """The rows of a chart as CSV by name; CSV names each column only once."""
-    return {table.name: csv_text(table.rows, table.columns) for table in tables}
-
-
 def chart_json(value: Any, **options: Any) -> str:
     """JSON of a chart that every engine can draw: clean text, null for numbers without a value.
 
-    ``options`` are those of `json.dumps`.
+    ``options`` are those of `json.dumps`. Control characters stand in JSON as escapes.
     """
-    try:
-        text = json.dumps(value, ensure_ascii=False, allow_nan=False, **options)
-    except ValueError:
-        text = json.dumps(_without_nan(value), ensure_ascii=False, **options)
-    # Control characters stand in JSON as escapes.
-    return clean_json(text)
+    return clean_json(json.dumps(_without_nan(value), ensure_ascii=False, **options))
 
 
 def _without_nan(value: Any) -> Any:
@@ -130,19 +97,27 @@ def quantity(field: str, **more: Any) -> Spec:
     return {"field": field, "type": "quantitative", **more}
 
 
-def log_scale() -> Spec:
-    """A logarithmic scale with some room at the ends."""
-    return {"type": "log", "nice": False, "padding": 12}
+def log_quantity(
+    field: str, values: Sequence[float | None] = (), numbers: str = "", **more: Any
+) -> Spec:
+    """A channel that shows numbers on a logarithmic scale with some room at the ends.
 
-
-def log_quantity(field: str, **more: Any) -> Spec:
-    """A channel that shows numbers on a logarithmic scale."""
-    return quantity(field, scale=log_scale(), **more)
+    With ``values``, those along it, it has the `log_axis` of them.
+    """
+    axis = {"axis": log_axis(values, numbers)} if values else {}
+    scale = {"type": "log", "nice": False, "padding": 12}
+    return quantity(field, scale=scale, **axis, **more)
 
 
 def category(field: str, **more: Any) -> Spec:
     """A channel that shows names."""
     return {"field": field, "type": "nominal", **more}
+
+
+def colors(field: str, looks: Mapping[str, str], **legend: Any) -> Spec:
+    """A channel of colours by name, in the order of the legend."""
+    scale = {"domain": [*looks], "range": [*looks.values()]}
+    return category(field, scale=scale, legend={"title": None} | legend)
 
 
 def log_axis(values: Sequence[float | None], numbers: str, zoomed: str = "", **more: Any) -> Spec:
@@ -168,7 +143,6 @@ def log_axis(values: Sequence[float | None], numbers: str, zoomed: str = "", **m
     }
 
 
-# ---- interaction -------------------------------------------------------------------------
 def moves(name: str, first: bool) -> list[Spec]:
     """Parameters of a panel's first layer; all panels share the legend that the first one hears.
 
@@ -184,44 +158,48 @@ def moves(name: str, first: bool) -> list[Spec]:
 # ---- charts ------------------------------------------------------------------------------
 def line_panel(data: Dataset, x: Spec, y: Spec, lines: Lines, **mark: Any) -> Spec:
     """A line per series, with a legend of colours and dashes."""
+    looks = {"color": lines.channel("color"), "strokeDash": lines.channel("dash")}
     return {
         "data": data.source,
         "mark": {"type": "line", "strokeWidth": 1.8, "clip": True} | mark,
-        "encoding": {"x": x, "y": y, "color": lines.colors(), "strokeDash": lines.dashes()},
+        "encoding": {"x": x, "y": y} | looks,
     }
 
 
 def arrange(
-    panels: Sequence[Spec],
-    data: Sequence[Dataset],
-    columns: int,
-    height: int = 250,
+    panels: Sequence[Spec], data: Sequence[Dataset], columns: int, height: int = 250
 ) -> Spec | None:
     """Panels in a grid with their data; None if there are no panels."""
     if not panels:
         return None
     size = {"width": {1: 620, 2: 410}.get(columns, 270), "height": height}
-    return {
-        "datasets": datasets(data),
-        "concat": [panel | size for panel in panels],
-        "columns": columns,
-        "spacing": 24,
-        "config": config(),
-    }
+    grid = {"concat": [panel | size for panel in panels], "columns": columns, "spacing": 24}
+    return _chart(data) | grid
 
 
-def config() -> Spec:
-    """No background, greys that read on light and dark pages, legends below."""
+def view(data: Dataset, **parts: Any) -> Spec:
+    """A chart of one panel."""
+    return _chart([data]) | {"data": data.source} | parts
+
+
+def _chart(data: Sequence[Dataset]) -> Spec:
+    """The rows as CSV by name, which names each column only once, and the look of charts.
+
+    No background, greys that read on light and dark pages, legends below.
+    """
     text = {"labelColor": GREY, "titleColor": GREY}
     lines = {"gridColor": GREY, "gridOpacity": 0.3, "domainColor": GREY, "tickColor": GREY}
     titles = {"titleFontWeight": "normal", "titleFontSize": 12, "labelFontSize": 11}
     place = {"orient": "bottom", "direction": "vertical", "columns": 2, "columnPadding": 40}
     return {
-        "background": "transparent",
-        "font": "Arial, Liberation Sans, Helvetica, sans-serif",
-        "view": {"stroke": GREY, "strokeOpacity": 0.35},
-        "axis": text | lines | titles,
-        "legend": text | place | {"labelFontSize": 12, "labelLimit": 440, "symbolSize": 90},
+        "datasets": {table.name: csv_text(table.rows) for table in data},
+        "config": {
+            "background": "transparent",
+            "font": "Arial, Liberation Sans, Helvetica, sans-serif",
+            "view": {"stroke": GREY, "strokeOpacity": 0.35},
+            "axis": text | lines | titles,
+            "legend": text | place | {"labelFontSize": 12, "labelLimit": 440, "symbolSize": 90},
+        },
     }
 
 

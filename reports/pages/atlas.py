@@ -79,9 +79,8 @@ def experiment_chart(part: PartResult) -> vl.Spec | None:
 
     if sweep:
         axis = next(case.axis for case in part.cases if len(case.x) > 1)
-        x = vl.log_quantity("x", title=axis, axis=vl.log_axis([r["x"] for r in sweep], "~g"))
-        values = vl.log_axis([row["value"] for row in sweep], ".0e")
-        y = vl.log_quantity("value", title=part.quantity, axis=values)
+        x = vl.log_quantity("x", [row["x"] for row in sweep], "~g", title=axis)
+        y = vl.log_quantity("value", [r["value"] for r in sweep], ".0e", title=part.quantity)
         draw("sweep", sweep, x, y, point={"size": 40})
     if history:
         y = vl.quantity("value", title=part.show, scale={"zero": False})

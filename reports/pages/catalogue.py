@@ -34,7 +34,7 @@ def write_picture(title: str, drawings: Sequence[Drawing], path: Path) -> Path:
         raise NoPicture(f"{path.name} is not a picture; give a name that ends in .svg or .png.")
     chart = _shown(title, mechanism(drawings))
     drawn = picture(chart) if path.suffix == ".svg" else picture(chart, "png", scale=2)
-    if drawn.reason:
+    if drawn.sentence:
         raise NoPicture(f"{title}: {drawn.sentence}")
     path.write_bytes(drawn.content)
     return path

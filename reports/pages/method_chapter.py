@@ -10,7 +10,7 @@ from bench.results.quantities import COSTS, GROUPS, NORM, NORMS, WRONG
 from bench.results.records import NOT_TRIED, IntegratorFacts
 from bench.results.studies import ExperimentResult, spared
 from bench.results.table import Table
-from reports.charts.method_strip import method_strip
+from reports.charts.maps import method_strip
 from reports.formatting import file_name, milliseconds, number
 from reports.names import form_name
 from reports.pages.chapter import Figure, Section, Text

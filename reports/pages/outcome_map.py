@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from reports.charts import vega_lite as vl
-from reports.charts.tiles import MOST, Side, tile_chart
+from reports.charts.maps import MOST, Side, tile_chart
 from reports.formatting import number
 from reports.pages.chapter import Chapter, Figure, Section, write_chapter
 

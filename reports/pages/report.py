@@ -9,9 +9,9 @@ from bench.results.demands import overviews
 from bench.results.records import NOT_TRIED, Record
 from bench.results.store import Store
 from bench.results.table import Table
-from reports.charts.cost_by_size import size_charts
 from reports.charts.errors import error_against_cost
 from reports.charts.line_styles import line_styles
+from reports.charts.work import size_charts
 from reports.formatting import file_name
 from reports.pages.atlas import atlas_chapter
 from reports.pages.chapter import Chapter, Figure, Section, Text

@@ -8,22 +8,22 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from bench.results.flat_rows import published_table
-from bench.results.quantities import ERROR_MEANING, NORM, NORMS, VIOLATIONS
+from bench.results.quantities import ERROR_MEANING, GROUPS, NORM, NORMS, VIOLATIONS
 from bench.results.records import Record, Rows, Study
 from bench.results.store import StoreError
-from reports.charts.bills import bills
 from reports.charts.errors import convergence_chart, error_charts
 from reports.charts.line_styles import LineStyle
 from reports.charts.mechanism import mechanism
 from reports.charts.over_time import (
     COMPONENTS_SHOWN,
     ERRORS,
+    Component,
     before_divergence,
-    groups_with_values,
     histories,
     thinned,
     trajectory_chart,
 )
+from reports.charts.work import bills
 from reports.formatting import number, paragraphs, words
 from reports.pages.chapter import Figure, Section, Text
 from reports.scenes import StoredRuns
@@ -214,7 +214,8 @@ class SceneChapter:
             chart = histories(noted, self._styles, notes)
             found[topic] = [Figure(caption, {f"{name}-{kind}": chart})]
         reference = thinned(self.scene.reference) if self.scene and self.scene.reference else None
-        groups = groups_with_values([rows for _, rows in runs] or [reference or Rows(t=[])])
+        sampled = [rows for _, rows in runs] or [reference or Rows(t=[])]
+        groups = [group for group in GROUPS if any(rows.values.get(group) for rows in sampled)]
         chosen = _components(study)
         caption = "Values over time"
         caption += "; the reference is the broad grey line." if reference else "."
@@ -244,11 +245,11 @@ class SceneChapter:
         return before_divergence(rows, self.scene.reference)
 
 
-def _components(study: Study) -> list[list[Any]]:
+def _components(study: Study) -> list[list[Component]]:
     """The components that a study draws: "x5" is the fifth controller state over time, "q2:q1" the
     second coordinate over the first."""
     found = [re.findall(r"([a-z]+)(\d+)", text) for text in study.components]
-    return [[part for group, i in pairs for part in (group, int(i) - 1)] for pairs in found]
+    return [[(group, int(i) - 1) for group, i in pairs] for pairs in found]
 
 
 def _most_accurate(series: Sequence[Series], most: int) -> tuple[Sequence[Series], str]:

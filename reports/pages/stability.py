@@ -11,7 +11,7 @@ from typing import Any
 from bench.stability.tables import stability_tables, step_name
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
-from reports.charts.tiles import Side, tile_chart
+from reports.charts.maps import Side, tile_chart
 from reports.pages.chapter import Chapter, Figure, Section, write_chapter
 
 #: Quantities over omega h: field, title of the axis, whether the axis is logarithmic.
@@ -95,11 +95,11 @@ def _curve(
     if not rows:
         return None
     data, lines = vl.Dataset(field, rows), vl.Lines(line_styles(f["integrator"] for f in found))
-    x_axis = vl.log_axis([row["omega_h"] for row in rows], "~g")
+    x = vl.log_quantity("omega_h", [row["omega_h"] for row in rows], "~g", title=name)
     y = vl.quantity("value", title=title, scale={"zero": True})
     if logarithmic:
-        y |= {"scale": vl.log_scale(), "axis": vl.log_axis([r["value"] for r in rows], ".0e")}
-    line = vl.line_panel(data, vl.log_quantity("omega_h", title=name, axis=x_axis), y, lines)
+        y = vl.log_quantity("value", [row["value"] for row in rows], ".0e", title=title)
+    line = vl.line_panel(data, x, y, lines)
     one: vl.Spec = {
         "data": {"values": [{"one": 1}]},
         "mark": {"type": "rule", "strokeDash": [3, 3], "opacity": 0.6},

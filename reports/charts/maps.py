@@ -1,0 +1,131 @@
+"""Maps: tiles of states over two numbers, and an integrator's state on scenes at accuracies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from itertools import groupby
+from typing import NamedTuple
+
+from reports.charts import vega_lite as vl
+from reports.formatting import number
+from reports.names import scene_name
+from reports.ranking import Answer
+from reports.series import Series
+from reports.verdicts import state_on
+
+#: Most values along a side that are drawn.
+MOST = 250
+#: Looks of an integrator's states on a scene: title and colour.
+_LOOKS = {
+    "alone": ("cheapest alone", "#1a7f5a"),
+    "tied": ("tied for the cheapest", "#7fc4a3"),
+    "dearer": ("dearer, by this factor", "#d9c26a"),
+    "single": ("reached, with none to compare", "#8fb3d9"),
+    "unknown": ("reached, cost not measured", "#8fb3d9"),
+    "far": ("not reached", "#80808030"),
+    "failed": ("no run reaches the end", "#c0543c"),
+    "wrong": ("runs wrong without a note", "#8e2a6b"),
+}
+
+
+class Side(NamedTuple):
+    """A side of a map: its title, its values at equal distances, and whether in their logarithm."""
+
+    name: str
+    values: Sequence[float]
+    log: bool
+
+    @property
+    def every(self) -> int:
+        """One of so many values is drawn."""
+        return -(-len(self.values) // MOST)
+
+    def edge(self, k: int, way: int) -> float | None:
+        """The end of the tile of a value below it (-1) or above it (1)."""
+        first, last = (math.log10(v) if self.log else v for v in (self.values[0], self.values[-1]))
+        half = way * self.every * (last - first) / (len(self.values) - 1) / 2
+        return vl.short(self.values[k] * 10**half if self.log else self.values[k] + half)
+
+    def channel(self, field: str) -> vl.Spec:
+        """The channel of Vega-Lite."""
+        scale = {"type": "log" if self.log else "linear", "nice": False, "zero": False}
+        axis = vl.log_axis(self.values, "~g") if self.log else {}
+        return vl.quantity(field, title=self.name, scale=scale, axis=axis)
+
+
+def tile_chart(
+    x: Side, y: Side, state: Callable[[int, int], str], looks: Mapping[str, str], title: str = ""
+) -> vl.Spec:
+    """A tile for each stretch of one state, as few as neighbours of the same state allow.
+
+    ``state(k, i)`` is that of the k-th value of y and the i-th of x, ``looks`` the colours of
+    states in the order of the legend, which ``title`` heads. A tile goes from the middle before its
+    first point to that behind its last.
+    """
+    rows = []
+    for k in range(0, len(y.values), y.every):
+        places = range(0, len(x.values), x.every)
+        for words, own in groupby(places, lambda i, k=k: state(k, i)):
+            first, *more = own
+            ends = {"left": x.edge(first, -1), "right": x.edge((more or [first])[-1], 1)}
+            rows.append(ends | {"low": y.edge(k, -1), "high": y.edge(k, 1), "state": words})
+    return vl.view(
+        vl.Dataset("map", rows),
+        mark={"type": "rect", "clip": True},
+        encoding={
+            "x": x.channel("left"),
+            "x2": {"field": "right"},
+            "y": y.channel("low"),
+            "y2": {"field": "high"},
+            "color": _colors(rows, looks, title=title or None, orient="right", columns=1),
+        },
+        width=620,
+        height=420,
+    )
+
+
+def method_strip(
+    label: str, found: Sequence[Answer], series: Mapping[str, Series]
+) -> vl.Spec | None:
+    """Wins, ties, losses and failures of an integrator: a row per scene, a column per accuracy.
+
+    The last column counts its runs that are wrong without a note.
+    """
+    rows = []
+    for answer in found:
+        for scene, own in answer.scenes.items():
+            if entry := own.entries.get(label):
+                state = state_on(label, own)
+                ratio = number(float(f"{entry.ratio:.2g}")) if state == "dearer" else ""
+                row = {"scene": scene_name(scene), "target": answer.question.accuracy}
+                rows.append(row | {"state": _LOOKS[state][0], "text": ratio})
+    if not rows:
+        return None
+    for scene, s in series.items():
+        if wrong := [r for r in s.ok if r.wrong(found[0].question.group) and not r.message]:
+            cell = {"scene": scene_name(scene), "target": "wrong", "state": _LOOKS["wrong"][0]}
+            rows.append(cell | {"text": f"{len(wrong)} of {len(s.records)}"})
+    order = [*(answer.question.accuracy for answer in found), "wrong"]
+    place = {
+        "x": vl.category("target", title=None, sort=order, axis={"labelAngle": 0, "orient": "top"}),
+        "y": vl.category("scene", title=None, sort=[*map(scene_name, series)]),
+    }
+    ink = {"condition": {"test": "datum.target === 'wrong'", "value": "#fff"}, "value": "#1b2430"}
+    cells = {
+        "mark": {"type": "rect", "stroke": "#80808060"},
+        "encoding": place | {"color": _colors(rows, dict(_LOOKS.values()))},
+    }
+    texts = {
+        "mark": {"type": "text", "fontSize": 11},
+        "encoding": place | {"text": vl.category("text"), "color": ink},
+        "transform": [{"filter": "datum.text"}],
+    }
+    steps = {"width": {"step": 50}, "height": {"step": 22}}
+    return vl.view(vl.Dataset("strip", rows), layer=[cells, texts], **steps)
+
+
+def _colors(rows: Sequence[vl.Spec], looks: Mapping[str, str], **legend: object) -> vl.Spec:
+    """The colours of the states that are there."""
+    shown = {row["state"] for row in rows}
+    return vl.colors("state", {k: color for k, color in looks.items() if k in shown}, **legend)
