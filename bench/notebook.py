@@ -21,7 +21,6 @@ from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import LARGEST_BUDGET, read_profile
 from bench.running.progress import OnStandardError
-from bench.running.session import Request
 from bench.running.session import solve as run_one
 from problems.base.spec import SpecError
 
@@ -164,8 +163,8 @@ def solve(
     _check(budget=budget, samples=samples)
     fractions = tuple(pattern) if pattern else None
     sizes = {"step": step, "pattern": fractions, "rtol": rtol, "atol": atol, "t_end": t_end}
-    request = Request(problem, integrator, parameters or {}, **sizes, samples=samples)
-    (record, rows), names = run_one(request, plugins, budget, OnStandardError())
+    asked = problem, integrator, plugins, budget, OnStandardError()
+    (record, rows), names = run_one(*asked, parameters=parameters, samples=samples, **sizes)
     return Solution(
         problem=record.problem,
         integrator=record.integrator,

@@ -166,30 +166,23 @@ def browser(_chromium):
 @pytest.fixture
 def without_processes(monkeypatch):
     """Do jobs of commands in this process, and take no times; where no process is the point."""
-    from bench.running import inventory, process, worker
-    from bench.running.process import Refused
+    from bench.running import inventory, worker
+    from bench.running.process import NoAnswer
     from bench.running.runner import Runner
     from problems.base.spec import SpecError
     from problems.base.text import said
 
-    def ask_here(about, prepare, arguments, limits, job, *given):
-        try:
-            return job(prepare(lambda phase, words: None, *arguments), *given)
-        except SpecError as error:
-            raise SpecError(f"{said(error)}.") from None
-
-    def run_here(self, groups):
+    def run_here(self, groups, offers=list):
         for task in (task for group in groups for task in group):
             self.progress.working(task.label)
             try:
                 state = worker.start_worker(lambda phase, words: None, task.sources)
                 yield task, task.job(state, *task.arguments)
             except SpecError as error:
-                yield task, Refused(status="crashed", message=f"{said(error)}.")
+                yield task, NoAnswer("crashed", f"{said(error)}.", refused=True)
 
     monkeypatch.setattr(Runner, "run", run_here)
     monkeypatch.setattr(Runner, "time", lambda self, tasks, samples, have: iter(()))
-    monkeypatch.setattr(process, "ask_once", ask_here)
     monkeypatch.setattr(worker, "use_threads", lambda callers: None)
     # In this process tests patch functions: what is made here must not be kept.
     monkeypatch.setattr(inventory, "keep_references", lambda file_of, told: None)

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from bench.running.serve import REFERENCE, Notify
+from bench.running.process import REFERENCE, Notify
 from problems.base.spec import SpecError
 
 

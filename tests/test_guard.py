@@ -16,14 +16,16 @@ import pytest
 
 from bench.running import process as limits
 from bench.running.process import (
+    LOADING,
+    PREPARING,
+    RUNNING,
+    WAITING,
     GuardedProcess,
     Limits,
     Meter,
     NoAnswer,
-    Refused,
     usage,
 )
-from bench.running.serve import LOADING, PREPARING, RUNNING, WAITING
 
 #: Job, arguments, status and words of what it costs.
 FATES = [
@@ -65,7 +67,7 @@ def test_a_job_that_fails_has_a_fate_and_the_next_one_an_answer(guarded):
         assert words in fate.message
         assert guarded().ask(jobs.add, 1) == 11
     refusal = guarded().ask(jobs.refuses)
-    assert (type(refusal), refusal.message) == (Refused, "No such thing.")
+    assert (refusal.refused, refusal.message) == (True, "No such thing.")
 
 
 def test_a_job_that_takes_too_much_or_does_nothing_or_is_not_prepared_is_told_so(monkeypatch):
@@ -134,9 +136,9 @@ def test_a_process_ends_with_the_program_that_started_it(tmp_path):
     code = (
         "import guarded_jobs as jobs, os, signal\n"
         "from bench.running.process import GuardedProcess; "
-        "p = GuardedProcess(jobs.prepare, (10,)); p.start(jobs.computes, 600.0); "
-        "print(p.pid, flush=True); p.on_phase = lambda *_: os.kill(os.getpid(), signal.SIGKILL); "
-        "p.answer()"
+        "p = GuardedProcess(jobs.prepare, (10,)); print(p.pid, flush=True); "
+        "p.on_phase = lambda phase, _: phase == 'running' and os.kill(os.getpid(), 9); "
+        "p.ask(jobs.computes, 600.0)"
     )
     path = os.pathsep.join([os.path.dirname(jobs.__file__), *sys.path])
     done = subprocess.run(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from functools import partialmethod
+from functools import partialmethod as partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,7 +25,7 @@ from bench.running.plan import make_suite
 from bench.running.profiles import read_profile
 from bench.running.race import Race
 from bench.running.recommend import Recommendation
-from bench.running.search import MOST_RUNS, RESOLVED, Candidate, Search, Sizes
+from bench.running.search import MOST_RUNS, RESOLVED, Candidate, Sizes
 from integrators.resolutions import Steps
 from problems.base.spec import SpecError
 from problems.scenes.iftomm_pendulum import IFToMMPendulum
@@ -139,6 +139,7 @@ def test_the_table_of_a_suite_has_the_time_of_the_coarsest_good_run():
 
 # ---- the race of all ---------------------------------------------------------------------
 LIMIT = 1e-3
+ASKED = demand(f"q:{LIMIT}")
 
 
 class Power:
@@ -148,7 +149,7 @@ class Power:
         self.order, self.error, self.per_step = order, error, per_step
         method = SimpleNamespace(spec=name, name=name, controls="step", family=name, orders={})
         scene = SimpleNamespace(spec="s", name="s", interval=(0.0, 1.0), nominal_step=0.1)
-        self.candidate = Candidate(scene, method, 1.0, [demand(f"q:{LIMIT}")])
+        self.candidate = Candidate(scene, method, 1.0, [ASKED])
 
     def run(self, size: float, status: str = "ok") -> None:
         """Plant the run of a size."""
@@ -165,7 +166,7 @@ class Power:
 
 def raced(methods: list[Power]) -> Race:
     """Run a race to its end."""
-    race = Race([m.candidate for m in methods], 1.1, math.inf)
+    race = Race([m.candidate for m in methods], 1.1, math.inf, ASKED)
     while cells := race.next():
         for cell in cells:
             (method,) = (m for m in methods if m.candidate.method.spec == cell.integrator)
@@ -239,19 +240,19 @@ def test_a_method_is_dropped_for_its_promise_not_for_unknown_operations_and_time
         flat.run(size)
     # Two nearly equal errors promise very many operations, and not infinitely many.
     flat.candidate.runs[0.1].errors["q"] = dict.fromkeys(NORMS, math.nextafter(0.5, 1))
-    race = Race([good.candidate, flat.candidate], 1.1, math.inf)
+    race = Race([good.candidate, flat.candidate], 1.1, math.inf, ASKED)
     assert 1e6 < race.promised(flat.candidate) < math.inf
     assert race.is_dropped(flat.candidate)
     known, unknown = Power("a", 2, 1e-3, 7.0), Power("b", 2, 10.0, 0.0)
     known.run(0.1)
     unknown.run(0.1)
-    race = Race([known.candidate, unknown.candidate], 1.1, math.inf)
+    race = Race([known.candidate, unknown.candidate], 1.1, math.inf, ASKED)
     assert race.leader is known.candidate
     assert not race.is_dropped(unknown.candidate)
     method = Power("a", 2, 5.0, 7.0)
-    assert Race([method.candidate], 1.1, time.monotonic() - 1.0).next() == []
+    assert Race([method.candidate], 1.1, time.monotonic() - 1.0, ASKED).next() == []
     method.run(0.1, UNSUPPORTED)
-    assert Race([method.candidate], 1.1, math.inf).next() == []
+    assert Race([method.candidate], 1.1, math.inf, ASKED).next() == []
 
 
 # ---- the command -------------------------------------------------------------------------
@@ -260,11 +261,11 @@ def planted_runs(monkeypatch):
     """A search whose runs cost what a law says: phem56 least, and less with constant steps."""
     costs = {"phem56": 2.0, "rattle": 3.0}
 
-    def run(search, choose, tell, fails=math.inf):
+    def run(found, store, runner, fails=math.inf):
         made = 0
-        while cells := choose():
+        while cells := found._next():
             for cell in cells:
-                (c,) = (c for c in search.candidates if c.method.spec == cell.integrator)
+                (c,) = (c for c in found.candidates if c.method.spec == cell.integrator)
                 size = getattr(cell.resolution, "h", None) or cell.resolution.rtol
                 made += 1
                 cost = costs.get(c.method.name, 50.0) / (1 + ("constant" in c.method.spec))
@@ -272,13 +273,12 @@ def planted_runs(monkeypatch):
                     "pendulum", cell.integrator, {"q": (1.0, 1)}, h=size,
                     operations={"residuals": cost / size},
                 )  # fmt: skip
-            tell()
             if made > fails:
                 raise RuntimeError("A later stage raises.")
 
-    monkeypatch.setattr(Search, "run", run)
-    monkeypatch.setattr(Search, "take_times", lambda search, runs: None)
-    return lambda **changes: monkeypatch.setattr(Search, "run", partialmethod(run, **changes))
+    monkeypatch.setattr(Recommendation, "_race", run)
+    monkeypatch.setattr(Recommendation, "_time", lambda *_: None)
+    return lambda fails: monkeypatch.setattr(Recommendation, "_race", partial(run, fails=fails))
 
 
 @pytest.mark.usefixtures("without_processes")
@@ -307,7 +307,7 @@ def test_constant_steps_win_where_they_are_cheapest_and_an_error_loses_nothing(
 def test_a_scene_without_points_is_judged_by_its_energy_or_says_why_not():
     found = Recommendation(Inventory(), "pendulum", ["rattle"], rule="iftomm")
     assert found.remarks == ["pendulum names no points: its change of energy is judged."]
-    demands = [str(verdict.asked) for verdict in found.verdicts]
+    demands = [str(race.asked) for race in found.races]
     assert demands == ["change of energy <= 0.1", "change of energy <= 0.001"]
 
 

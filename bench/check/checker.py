@@ -23,8 +23,10 @@ from bench.check.verdicts import (
     shortly,
 )
 from bench.plugins.registry import SUFFIXES, Plugin, Registry
-from bench.running.inventory import Inventory, load_registry
-from bench.running.process import GuardedProcess, Limits, NoAnswer
+from bench.running.inventory import Inventory
+from bench.running.process import Limits, NoAnswer
+from bench.running.runner import Runner, Task
+from bench.running.worker import Worker
 from problems.base import spec
 from problems.base.spec import SpecError
 from problems.base.text import said
@@ -34,6 +36,14 @@ CHECKS: dict[str, dict[str, Callable[[Registry, Any], str]]] = {
     "problems": scenes.SCENE_CHECKS,
     "integrators": integrators.INTEGRATOR_CHECKS,
 }
+#: Advice where a check has no end, or its process none of its own.
+_ADVICE = "end such a run with the status budget_exceeded, or raise --budget"
+_CRASHED = "Look for a crash in compiled code or for an exit."
+
+
+def examine_job(worker: Worker, kind: str, text: str, check: str) -> CheckResult:
+    """Do a job of a worker: run one check."""
+    return examine(worker.registry, kind, text, check)
 
 
 def examine(registry: Registry, kind: str, text: str, check: str) -> CheckResult:
@@ -93,18 +103,12 @@ def run_checks(registry: Inventory, kind: str, text: str, budget_s: float) -> It
     if plugin.reason:
         yield CheckResult("loads", FAILED, f"It is unavailable: {plugin.reason}")
         return
-    process: GuardedProcess | None = None
-    try:
-        for name in CHECKS[kind]:
-            if process is None or not process.alive:
-                process = GuardedProcess(load_registry, (plugin.sources,), Limits(budget_s))
-            answer = process.ask(examine, kind, text, name)
+    tasks = [
+        Task(examine_job, (kind, text, name), name, sources=plugin.sources) for name in CHECKS[kind]
+    ]
+    with Runner(1, Limits(budget_s, advice=_ADVICE)) as runner:
+        for task, answer in runner.run([tasks]):
             if isinstance(answer, NoAnswer):
-                advice = "Look for a crash in compiled code or for an exit."
-                if answer.status == "budget_exceeded":
-                    advice = "End such a run with the status budget_exceeded, or raise --budget."
-                answer = CheckResult(name, FAILED, f"{answer.message.rstrip('.')}. {advice}")
+                advice = "" if answer.status == "budget_exceeded" else f" {_CRASHED}"
+                answer = CheckResult(task.label, FAILED, f"{answer.message}{advice}")
             yield answer
-    finally:
-        if process is not None:
-            process.end()

@@ -263,10 +263,10 @@ def guarded(
     A message on its failure begins with the words ``about`` it. A job of many ``threads`` may keep
     all processors busy.
     """
-    from bench.running.process import Limits, ask_once
-    from bench.running.worker import start_worker
+    from bench.running.process import Limits
+    from bench.running.runner import answer_of
 
     processors = (os.cpu_count() or 1) if threads else 1
     advice = "give it less to do, or a larger --budget"
     limits = Limits(budget_s, processors=processors, advice=advice)
-    return ask_once(about, start_worker, (sources, processors), limits, job, *arguments)
+    return answer_of(about, job, arguments, sources, limits)

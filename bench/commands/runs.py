@@ -83,11 +83,12 @@ def solve_(o: Given) -> None:
         return
     options.refuse("is for an ensemble; give --ensemble N, too.", "vary", "seed", "cluster", "out")
     from bench.commands.terminal import RunProgress, show
-    from bench.running.session import Request, solve
+    from bench.running.session import solve
 
-    request = Request(o.problem, o.integrator, o.settings, **options.sizes(o), t_end=o.t_end)
+    asked = o.problem, o.integrator, o.plugins, o.budget
+    more = {"parameters": o.settings, "t_end": o.t_end, **options.sizes(o)}
     with RunProgress() as progress:
-        (record, rows), names = solve(request, o.plugins, o.budget, progress)
+        (record, rows), names = solve(*asked, progress, **more)
     if o.as_json:
         options.print_json(_solution(record, rows))
     else:

@@ -356,13 +356,13 @@ def recommend_(o: Given) -> None:
                 if o.as_json:
                     options.print_json(found.plain)
                 else:
-                    for verdict in found.verdicts:
-                        program = [verdict.program] if verdict.order else []
-                        show(verdict.table(), *verdict.sentences(), *program)
+                    for race in found.races:
+                        program = [race.program] if race.order else []
+                        show(race.table(), *race.sentences(), *program)
                     show(*found.tables)
     if not o.as_json:
         write_reports(o.out)
-    if not any(verdict.order for verdict in found.verdicts):
+    if not any(race.order for race in found.races):
         raise click.ClickException(f"No integrator reaches {found.about} on {found.name}.")
 
 

@@ -105,7 +105,7 @@ class Record(msgspec.Struct, kw_only=True):
     not known.
     ``claims`` are the orders that the integrator claims on the scene at equal steps, by group; None
     where they are not known.
-    ``stopped`` is the phase in which a budget ran out (bench.running.serve), the reference's too;
+    ``stopped`` is the phase in which a budget ran out (bench.running.process), the reference's too;
     the budgets were ``budget_s`` and ``memory_gib``.
     ``run_s`` holds every timing sample in s, and ``rounds`` the invocation and the round in it of
     each; ``environment`` points to the row of the machine that measured.

@@ -71,7 +71,9 @@ class ClusterRunner(Runner):
         groups = max(1, _FEWEST_GROUPS * sum(threads.values()))
         return max(1, min(_MOST_TOGETHER, count // groups))
 
-    def run(self, groups: Iterable[list[Task]]) -> Iterator[tuple[Task, Any]]:
+    def run(
+        self, groups: Iterable[list[Task]], offers: Callable[[], list[list[Task]]] = list
+    ) -> Iterator[tuple[Task, Any]]:
         """Yield every task with its answer, or NoAnswer, as the groups are finished."""
         from distributed import as_completed
 

@@ -12,7 +12,7 @@ import msgspec
 
 from bench.plugins.fingerprint import fingerprint, reference_file
 from bench.plugins.registry import Plugin, PluginError, Registry, Sources, Unavailable, why
-from bench.running.serve import LOADING, REFERENCE, WAITING, Notify
+from bench.running.process import LOADING, REFERENCE, WAITING, Notify
 from integrators import checks
 from problems.base import spec
 from problems.base.checks import FalseAnswer, number, refused, tidy

@@ -7,14 +7,20 @@ this program is gone.
 
 from __future__ import annotations
 
+import importlib
+import io
 import json
 import math
 import os
+import pickle
+import select
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
+import traceback
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -23,8 +29,13 @@ from multiprocessing.connection import Connection, Pipe, wait
 from typing import Any
 
 # The libraries of this program are imported late: a process may be started before that.
-from bench.running.serve import LOADING, RUNNING, WAITING, load_libraries
 
+#: Phases of a job; each has a budget of its own. In the last one another process makes what is
+#: needed: it may do nothing.
+LOADING, PREPARING, REFERENCE = "loading", "preparing", "reference"
+RUNNING, MEASURING, WAITING = "running", "measuring", "waiting"
+#: Tells the parent that a job goes on to another phase, with words on it.
+Notify = Callable[[str, str], None]
 #: Time in s between two looks for answers, and until a process that has closed its pipe has ended.
 _BETWEEN, _ENDING = 0.1, 1.0
 #: The last bytes of the output of a job that are shown.
@@ -33,7 +44,7 @@ _SHOWN_BYTES = 2000
 _OWN_FAULTS = frozenset({"SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSYS", "SIGTRAP"})
 _SERVE = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from bench.running.serve import serve; serve(int(sys.argv[2]))"
+    "from bench.running.process import serve; serve(int(sys.argv[2]))"
 )
 #: Processor time in s for loading plugins, and at least for each phase but that and a run; these
 #: may take so many budgets of a run.
@@ -44,7 +55,7 @@ STILL_SECONDS, _REST = 60.0, 100.0
 #: Time in s between two looks at a process, and the most of it that counts: more passes if this
 #: process itself is halted.
 _LOOKS, _LONGEST = 0.2, 1.0
-#: Neither steps nor tolerances change the memory of a run, nor how long a plugin loads.
+#: Neither steps nor tolerances change the memory of a run.
 _LESS_MEMORY = (
     "take a smaller scene or ensemble, a method with sparse tangents, or a suite with a larger "
     "memory_gib"
@@ -56,17 +67,10 @@ _LESS_MEMORY = (
 class Limits:
     """The most that one job may take.
 
-    Parameters
-    ----------
-    budget_s
-        Processor time of a run in s. Tracing and compiling, the reference of a scene, and the
-        measurement of errors may each take five times as long, but at least `LEAST_SECONDS`.
-    memory_gib
-        Resident memory.
-    processors
-        Processors that a run keeps busy: so many times the budget is allowed.
-    advice
-        A clause that tells the user how to stay within the budget.
+    ``budget_s`` is the processor time of a run in s; tracing and compiling, the reference of a
+    scene, and the measurement of errors may each take five times as long, but at least
+    `LEAST_SECONDS`. ``memory_gib`` is resident memory. A run may keep so many ``processors`` busy:
+    as many times the budget is allowed. ``advice`` is a clause on how to stay within it.
     """
 
     budget_s: float = math.inf
@@ -76,11 +80,9 @@ class Limits:
 
     def seconds(self, phase: str) -> float:
         """Return the processor time in s of a phase."""
-        if phase == LOADING:
-            return LOADING_SECONDS
         if phase == RUNNING:
             return self.budget_s * self.processors
-        return max(LEAST_SECONDS, _MORE * self.budget_s)
+        return LOADING_SECONDS if phase == LOADING else max(LEAST_SECONDS, _MORE * self.budget_s)
 
 
 def usage(process: int) -> tuple[float, int] | None:
@@ -128,62 +130,41 @@ class Meter:
         self._looked, self._before = now, seconds
         self._used[self.phase] += computed
         self._still = max(0.0, self._still + passed - _REST * computed)
+        allowed = self._limits.seconds(self.phase)
+        advice = "" if self.phase == LOADING else self._limits.advice
         if memory > self._limits.memory_gib * 2**30:
             reason = f"it used more memory than the budget of {self._limits.memory_gib:g} GiB"
-            return f"{reason}; {_LESS_MEMORY}"
-        if self._used[self.phase] > (allowed := self._limits.seconds(self.phase)):
+            advice = _LESS_MEMORY
+        elif self._used[self.phase] > allowed:
             reason = f"it took more than {allowed:g} s of processor time, its budget"
         elif self._still > STILL_SECONDS:
             reason = f"it did nothing for {STILL_SECONDS:g} s: it sleeps or waits"
         else:
             return ""
-        advice = "" if self.phase == LOADING else self._limits.advice
         return f"{reason}; {advice}" if advice else reason
 
 
 # ---- jobs --------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class NoAnswer:
-    """The fate of a job that failed.
+    """The fate of a job that failed, with a sentence on the reason.
 
-    Attributes
-    ----------
-    status
-        "crashed", "budget_exceeded", or "interrupted" if the job is not to blame.
-    message
-        A sentence with the reason.
-    phase
-        The phase in which it ended.
+    ``status`` is "crashed", "budget_exceeded", or "interrupted" if the job is not to blame;
+    ``phase`` is the one in which it ended; a job has ``refused`` arguments that the user gave.
     """
 
     status: str
     message: str
     phase: str = ""
-
-
-class Refused(NoAnswer):
-    """A job refused its arguments, with a sentence for the user."""
+    refused: bool = False
 
 
 class GuardedProcess:
     """A process that answers jobs, one at a time.
 
     A job is a function of a module. It is called with the state of the process and arguments, and
-    must not return None.
-
-    Parameters
-    ----------
-    prepare
-        Makes the state, once, from a `Notify` and ``arguments``.
-    arguments
-        For ``prepare``.
-    limits
-        The most that one job may take.
-
-    Attributes
-    ----------
-    on_phase
-        Called with the phase to which the job goes on, and words on it.
+    must not return None. ``prepare`` makes the state, once, from a `Notify` and ``arguments``.
+    ``on_phase`` is called with the phase to which the job goes on, and words on it.
     """
 
     def __init__(
@@ -192,13 +173,8 @@ class GuardedProcess:
         self._process, self._pipe, self._output = _ahead.pop() if _ahead else _started()
         self._meter, self._words = Meter(limits or Limits()), "this program"
         self.on_phase: Callable[[str, str], None] = lambda phase, words: None
-        self.alive = True
+        self.alive, self.pid = True, self._process.pid
         self._send((prepare, arguments))
-
-    @property
-    def pid(self) -> int:
-        """The number of the process."""
-        return self._process.pid
 
     def start(self, job: Callable[..., Any], *arguments: Any, **named: Any) -> None:
         """Begin a job."""
@@ -213,27 +189,26 @@ class GuardedProcess:
             ended = self._process.poll() is not None  # asked first: it may have answered before
             while self._pipe.poll():
                 kind, content = self._pipe.recv()
+                if kind == "done":
+                    return content
                 if kind != "phase":
-                    return self._answer(kind, content)
+                    return NoAnswer("crashed", content, self._meter.phase, kind == "refused")
                 self._meter.phase, self._words = content
                 self.on_phase(*content)
         except (OSError, EOFError):  # the end of what it said
             ended = True
         except Exception as error:  # of a class that only the process knows, say
             return self._ended("crashed", f"Its answer cannot be read: {error}.")
+        doing = f"{'loading ' if self._meter.phase == LOADING else ''}{self._words}"
         if ended:
-            return self._died()
+            return self._died(doing)
         if excess := self._meter.excess(self.pid):
-            return self._ended("budget_exceeded", f"Stopped while {self._doing} because {excess}.")
+            return self._ended("budget_exceeded", f"Stopped while {doing} because {excess}.")
         return None
 
     def ask(self, job: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
         """Do a job and return its answer, or NoAnswer."""
         self.start(job, *arguments, **named)
-        return self.answer()
-
-    def answer(self) -> Any:
-        """Wait for the answer of the job in work, or NoAnswer."""
         while (answer := self.poll()) is None:
             wait_for_any([self])
         return answer
@@ -251,22 +226,17 @@ class GuardedProcess:
         """Kill the process and its group; nothing is lost that is not elsewhere."""
         if self.alive:
             self.alive = False
-            _running.discard(self._process)
+            _running.discard(self.pid)
             with suppress(OSError):
                 os.killpg(self.pid, signal.SIGKILL)
             self._process.wait()
             self._pipe.close()
 
-    # ---- parts -------------------------------------------------------------------------
     def _send(self, task: tuple[Any, ...]) -> None:
         with suppress(OSError):  # it is dead, as poll() will find
             self._pipe.send(task)
 
-    def _answer(self, kind: str, content: Any) -> Any:
-        made = {"refused": Refused, "failed": NoAnswer}.get(kind)
-        return made("crashed", content, self._meter.phase) if made else content
-
-    def _died(self) -> NoAnswer:
+    def _died(self, doing: str) -> NoAnswer:
         with suppress(subprocess.TimeoutExpired):  # it has closed its pipe, but not ended
             self._process.wait(_ENDING)
         self.end()
@@ -276,15 +246,11 @@ class GuardedProcess:
             with suppress(ValueError):
                 how = signal.Signals(-code).name
             if how not in _OWN_FAULTS:
-                words = f"The process was killed from outside while {self._doing} ({how})."
+                words = f"The process was killed from outside while {doing} ({how})."
                 return self._ended("interrupted", words)
         last = self.printed().splitlines()[-1:]
         said = f" Its last words: {last[0][-300:]}" if last else ""
-        return self._ended("crashed", f"The process died while {self._doing} ({how}).{said}")
-
-    @property
-    def _doing(self) -> str:
-        return f"loading {self._words}" if self._meter.phase == LOADING else self._words
+        return self._ended("crashed", f"The process died while {doing} ({how}).{said}")
 
     def _ended(self, status: str, text: str) -> NoAnswer:
         self.end()
@@ -296,53 +262,27 @@ def wait_for_any(processes: Iterable[GuardedProcess]) -> None:
     wait([process._pipe for process in processes], timeout=_BETWEEN)
 
 
-def ask_once(
-    about: str, prepare: Callable, arguments: tuple, limits: Limits, job: Callable, *given: Any
-) -> Any:
-    """Do one job in a process of its own and return its answer.
-
-    Raises
-    ------
-    SpecError
-        If the job refuses its arguments, or has no answer; then the message begins with ``about``.
-    """
-    from problems.base.spec import SpecError
-
-    process = GuardedProcess(prepare, arguments, limits)
-    try:
-        answer = process.ask(job, *given)
-        if printed := process.printed():
-            print(printed, file=sys.stderr)
-    finally:
-        process.end()
-    if isinstance(answer, NoAnswer):
-        about = "" if isinstance(answer, Refused) else f"{about}: "
-        raise SpecError(f"{about}{answer.message}")
-    return answer
-
-
 # ---- processes ---------------------------------------------------------------------------
-_Started = tuple[subprocess.Popen, Connection, Any]
-#: Processes that live, and those that wait for what they have to do.
-_running: set[subprocess.Popen] = set()
-_ahead: list[_Started] = []
+#: Numbers of processes that live, and processes that wait for what they have to do.
+_running: set[int] = set()
+_ahead: list[tuple[subprocess.Popen, Connection, Any]] = []
 
 
 def start_ahead(module: str) -> None:
     """Start the process of the next `GuardedProcess`, and have it load a module and JAX."""
     with suppress(OSError):  # no process may be started; who needs one will say it
         _ahead.append(_started())
-        _ahead[0][1].send((load_libraries, (module,)))
+        _ahead[0][1].send((_load_libraries, (module,)))
 
 
 def end_all() -> None:
     """Kill all processes, as this program ends."""
     for process in [*_running]:
         with suppress(OSError):
-            os.killpg(process.pid, signal.SIGKILL)
+            os.killpg(process, signal.SIGKILL)
 
 
-def _started() -> _Started:
+def _started() -> tuple[subprocess.Popen, Connection, Any]:
     ours, theirs = Pipe()
     output = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - as long as the process
     process = subprocess.Popen(
@@ -354,5 +294,86 @@ def _started() -> _Started:
         start_new_session=True,  # signals of the terminal are for this process alone
     )
     theirs.close()
-    _running.add(process)
+    _running.add(process.pid)
     return process, ours, output
+
+
+# ---- inside a process --------------------------------------------------------------------
+def serve(descriptor: int) -> None:
+    """Answer jobs until the program that started this process is gone."""
+    pipe, state = Connection(descriptor), None
+    os.set_inheritable(descriptor, False)  # by programs that a plugin starts
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
+    threading.Thread(target=_end_with_parent, args=(descriptor,), daemon=True).start()
+
+    def notify(phase: str, words: str) -> None:
+        pipe.send(("phase", (phase, words)))
+
+    with suppress(EOFError, ConnectionError):
+        while True:
+            job, arguments, *named = pipe.recv()
+            if named:
+                notify(RUNNING, "running")
+                pipe.send_bytes(_answered(job, state, arguments, *named))
+                continue
+            try:
+                notify(LOADING, "this program")
+                state = job(notify, *arguments)
+            except Exception as error:
+                from bench.plugins.registry import why
+
+                sys.exit(why(error))  # its last words are the reason
+    os._exit(0)
+
+
+def _end_with_parent(descriptor: int) -> None:
+    """Wait until the other end of the pipe is closed, whatever this process is doing."""
+    watched = select.poll()
+    watched.register(descriptor, 0)
+    watched.poll()
+    os.killpg(0, signal.SIGKILL)
+
+
+def _answered(job: Callable[..., Any], state: Any, given: tuple, named: dict[str, Any]) -> bytes:
+    """Do a job; return the message with its answer, or with the reason why it has none."""
+    try:
+        answer = job(state, *given, **named)
+        sys.stdout.flush()
+        return _packed("done", answer)
+    except BaseException as error:  # a plugin may raise anything
+        from bench.plugins.registry import PluginError, why
+        from problems.base.checks import FalseAnswer
+        from problems.base.spec import SpecError
+        from problems.base.text import said
+
+        if isinstance(error, SpecError) and not isinstance(error, FalseAnswer | PluginError):
+            return _packed("refused", f"{said(error)}.")  # the user is to blame
+        if os.environ.get("STEPBENCH_TRACEBACK"):
+            traceback.print_exc()
+        return _packed("failed", why(error))
+
+
+class _Pickler(pickle.Pickler):
+    """Writes scalars of NumPy as Python's numbers, which every writer of files knows."""
+
+    def reducer_override(self, value: Any) -> Any:
+        import numpy as np
+
+        if isinstance(value, np.generic):
+            return type(value.item()), (value.item(),)
+        return NotImplemented
+
+
+def _packed(kind: str, content: Any) -> bytes:
+    buffer = io.BytesIO()
+    _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump((kind, content))
+    return buffer.getvalue()
+
+
+def _load_libraries(notify: Notify, module: str) -> None:
+    """Load a module of this program, and JAX, which takes most of the time."""
+    importlib.import_module(module)
+    from problems.base.runtime import jax
+
+    with suppress(Exception):  # whoever runs something is told
+        jax.jit  # noqa: B018

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
@@ -26,12 +25,13 @@ MOST_LEADING, MOST_TIMED = 3, 8
 
 
 class Race:
-    """A search for the cheapest of many candidates in a limited time.
+    """A search for the cheapest of many candidates in a limited time, and its verdict.
 
     A candidate is dropped if a run of it that is too coarse takes more operations, by a ``margin``
-    (infinite: all stay), than a good run of another one, or if its own convergence promises far
-    more. Candidates are those of one scene, in the order of their beginning; at the ``end`` (s, of
-    `time.monotonic`) no further run begins; ``asked`` is the demand, by default their first.
+    (infinite: methods are named, and all stay), than a good run of another one, or if its own
+    convergence promises far more. Candidates are those of one scene, in the order of their
+    beginning; at the ``end`` (s, of `time.monotonic`) no further run begins; ``asked`` is the
+    demand, ``cost`` that of the ranking, "seconds" or "operations".
     """
 
     #: Runs that are asked for together, and of these first runs of candidates.
@@ -48,10 +48,11 @@ class Race:
         candidates: list[Candidate],
         margin: float,
         end: float,
-        asked: Demand | None = None,
+        asked: Demand,
+        cost: str = "operations",
     ) -> None:
-        self.candidates, self.margin, self.end = candidates, margin, end
-        self.asked = asked or candidates[0].demands[0]
+        self.candidates, self.end, self.asked, self.cost = candidates, end, asked, cost
+        self._margin, self._named = margin, margin == math.inf
 
     @property
     def leader(self) -> Candidate | None:
@@ -89,76 +90,56 @@ class Race:
         """Whether another candidate is cheaper whatever the next runs of this one give."""
         if (leader := self.leader) in (None, candidate):
             return False
-        bound = self.margin * self.operations(leader)
+        bound = self._margin * self.operations(leader)
         far = self.FAR * bound < self.promised(candidate) < math.inf
         return far or candidate.least(self.asked) > bound
 
-    def is_settled(self, candidate: Candidate) -> bool:
-        """Whether finer searches would hardly change a candidate's operations."""
-        least = candidate.least(self.asked)
-        return 0 < self.operations(candidate) <= self.SETTLED * least
-
     def next(self) -> list[Cell]:
         """Return the cells to be run next: first runs in their order, and others, the most
-        promising before all."""
+        promising before all; of candidates that finer searches would hardly change no more."""
         if time.monotonic() >= self.end:
             return []
-        stay = [c for c in self.candidates if not (self.is_dropped(c) or self.is_settled(c))]
+        stay = [
+            c
+            for c in self.candidates
+            if not self.is_dropped(c)
+            and not 0 < self.operations(c) <= self.SETTLED * c.least(self.asked)
+        ]
         begun = sorted((c for c in stay if c.runs), key=self.promised)
         first = [cell for c in stay if not c.runs and (cell := c.next(self.asked))]
         more = islice((cell for c in begun if (cell := c.next(self.asked))), self.TOGETHER)
         return [*first[: self.FIRST], *more][: self.TOGETHER]
 
-
-@dataclass
-class Verdict:
-    """Result of a race in sentences and a table; methods are ``ranked_by`` a cost, "seconds" or
-    "operations"."""
-
-    race: Race
-    ranked_by: str
-
-    @property
-    def asked(self) -> Demand:
-        """The demand of the race."""
-        return self.race.asked
-
+    # ---- the verdict ---------------------------------------------------------------------
     def best(self, candidate: Candidate) -> Record:
         """Return the good run of a candidate that has one."""
         run = candidate.best(self.asked)
         assert run is not None
         return run
 
-    def cost(self, candidate: Candidate) -> float:
-        """Return the cost of the good run of a candidate, infinite if it is not known."""
-        return self.best(candidate).cost(self.ranked_by) or math.inf
-
     @property
     def order(self) -> list[Candidate]:
         """Candidates with a good run within the margin of operations, the cheapest first."""
-        leader = self.race.leader
-        if leader is None:
-            return []
-        bound = self.race.margin * self.race.operations(leader)
-        good = [c for c in self.race.candidates if c.best(self.asked)]
-        near = [c for c in good if self.race.operations(c) <= bound or c is leader]
-        return sorted(near, key=lambda c: (self.cost(c), self.race.operations(c)))
+        good = {c: self.operations(c) for c in self.candidates if c.best(self.asked)}
+        bound = max(1.0, self._margin) * min(good.values(), default=0.0)
+        near = [c for c in good if good[c] <= bound]
+        return sorted(near, key=lambda c: (self._cost(c), good[c]))
 
     @property
     def leading(self) -> list[Candidate]:
         """The candidates that promise the fewest operations, one of each family."""
         best: dict[str, Candidate] = {}
-        for c in sorted(self.race.candidates, key=self.race.promised):
-            if self.race.promised(c) < math.inf:
+        for c in sorted(self.candidates, key=self.promised):
+            if self.promised(c) < math.inf:
                 best.setdefault(c.method.family, c)
         return list(best.values())[:MOST_LEADING]
 
     @property
     def first(self) -> str:
         """The sentence on the cheapest run."""
-        run, every = self.best(self.order[0]), self.race.candidates
-        tried = sum(1 for c in every if c.runs or c.refusal)
-        take = "Take" if tried == len(every) else f"Of {tried} tried, take"
+        run = self.best(self.order[0])
+        tried = sum(1 for c in self.candidates if c.runs or c.refusal)
+        take = "Take" if tried == len(self.candidates) else f"Of {tried} tried, take"
         seconds = f"{number(run.seconds)} s, " if run.seconds else ""
         return (
             f"{take} {run.integrator} with {run.resolution}: {self.asked.title} "
@@ -176,13 +157,12 @@ class Verdict:
 
     def sentences(self) -> list[str]:
         """Return the verdict in sentences: the cheapest run and ties, or the nearest; the rest."""
-        every = self.race.candidates
+        every = self.candidates
         if order := self.order:
-            said, least = self.first, self.cost(order[0])
-            ties = [c for c in order[1:] if self.cost(c) <= TIE * least < math.inf]
+            said, least = self.first, self._cost(order[0])
+            ties = [c.method.spec for c in order[1:] if self._cost(c) <= TIE * least < math.inf]
             if ties:
-                names = ", ".join(c.method.spec for c in ties)
-                said += f" A tie ({self.ranked_by} within {TIE - 1:.0%}): {names}."
+                said += f" A tie ({self.cost} within {TIE - 1:.0%}): {', '.join(ties)}."
         else:
             run = next((c.nearest(self.asked) for c in self._by_error()), None)
             said = "No run has reached the end."
@@ -194,39 +174,44 @@ class Verdict:
         counts = Counter(map(self._fate, every))
         fates = ", ".join(f"{count} {fate}" for fate, count in counts.items())
         runs = sum(len(c.runs) for c in every if not c.refusal)
-        forms = self._forms() if self.race.margin < math.inf else ""
-        return [said, f"Of {len(every)} methods and forms: {fates}; {runs} runs. {forms}".strip()]
+        tried = f"Of {len(every)} methods and forms: {fates}; {runs} runs."
+        if not self._named:
+            specs = [c.method.spec for c in every if c.runs]
+            of_forms = [n for n, own in map(split_spec, specs) if not FORMS.keys().isdisjoint(own)]
+            where = f"for {', '.join(dict.fromkeys(of_forms))} alone" if of_forms else "for none"
+            forms = " and ".join(FORMS.values())
+            tried += f" {forms[0].upper()}{forms[1:]} were tried {where}; others were not tried."
+        return [said, tried]
 
     def table(self) -> Table:
-        """Return the table of the cheapest candidates, then of those that do not reach it if all
-        stay in the race (it has energy and constraints, too), or if nobody does."""
-        named = self.race.margin == math.inf
+        """Return the table of the cheapest candidates, then of those that do not reach it if
+        methods are named (it has energy and constraints, too), or if nobody does."""
         missed = [c for c in self._by_error() if not c.best(self.asked)]
-        missed = missed if named else [] if self.order else missed[:MOST_TIMED]
+        missed = missed if self._named else [] if self.order else missed[:MOST_TIMED]
         rows = []
         for c in (*self.order, *missed):
             good = c.best(self.asked)
             run = good or c.nearest(self.asked)
             figures = run.h or run.rtol, run.cost("operations"), self.asked.error(run)
-            also = (run.energy_drift, run.constraint.get("position")) if named else ()
+            also = (run.energy_drift, run.constraint.get("position")) if self._named else ()
+            failed = {size: r.status for size, r in c.runs.items() if r.status != "ok"}
+            fails = f"{failed[min(failed)]} at {number(min(failed))}" if failed else NO_VALUE
             time = number(run.seconds) if good else NOT_MET
-            rows.append([run.integrator, *map(number, figures), time, *map(number, also)])
-            rows[-1].append(_failure(c))
+            rows.append([run.integrator, *map(number, figures), time, *map(number, also), fails])
         head = ["integrator", "h [s] or rtol", "operations", "error", "time [s]"]
-        head += ["energy", "Φ"] if named else []
+        head += ["energy", "Φ", "fails"] if self._named else ["fails"]
         why = [f"{c.method.spec}: {c.obstacle}" for c in missed]
         if any(row[-1] != NO_VALUE for row in rows):
             why.append(
                 "fails: the smallest step or tolerance at which a run did not reach the end."
             )
-        title = f"{self.race.candidates[0].scene.spec}: {self.asked}"
-        return Table(title, [*head, "fails"], rows, note="\n".join(why))
+        title = f"{self.candidates[0].scene.spec}: {self.asked}"
+        return Table(title, head, rows, note="\n".join(why))
 
     def ratings(self) -> list[dict[str, Any]]:
-        """Return a rating of each candidate of the table, and of those that are refused if all
-        stay in the race, for a file that can be sent."""
-        rated = self.order if self.race.margin < math.inf else self.race.candidates
-        return [self._rating(c) for c in rated]
+        """Return a rating of each candidate of the table, and of those that are refused if methods
+        are named, for a file that can be sent."""
+        return [self._rating(c) for c in (self.candidates if self._named else self.order)]
 
     def _rating(self, candidate: Candidate) -> dict[str, Any]:
         best = candidate.best(self.asked)
@@ -245,23 +230,14 @@ class Verdict:
         costs = {"error": self.asked.error(run), "operations": run.cost("operations")}
         return told | costs | {name: getattr(run, name) for name in same}
 
+    def _cost(self, candidate: Candidate) -> float:
+        """The cost of the good run of a candidate, infinite if it is not known."""
+        return self.best(candidate).cost(self.cost) or math.inf
+
     def _by_error(self) -> list[Candidate]:
         """Candidates that were tried, the nearest to the demand first."""
-        tried = [c for c in self.race.candidates if c.runs and not c.refusal]
+        tried = [c for c in self.candidates if c.runs and not c.refusal]
         return sorted(tried, key=lambda c: self.asked.of(c.nearest(self.asked)))
-
-    def _forms(self) -> str:
-        """A sentence on the forms that were tried, and on those that were not."""
-        tried = dict.fromkeys(
-            c.method.name
-            for c in self.race.candidates
-            if c.runs and not FORMS.keys().isdisjoint(split_spec(c.method.spec)[1])
-        )
-        forms = " and ".join(FORMS.values())
-        where = f"for {', '.join(tried)} alone" if tried else "for no method"
-        return (
-            f"{forms[:1].upper() + forms[1:]} were tried {where}; further options were not tried."
-        )
 
     def _fate(self, c: Candidate) -> str:
         if c.refusal:
@@ -270,15 +246,6 @@ class Verdict:
             return "untried"
         if c.best(self.asked):
             return "reached it"
-        if self.race.is_dropped(c):
+        if self.is_dropped(c):
             return "dropped as dearer"
         return "unfinished" if c.next(self.asked) else "never reached it"
-
-
-def _failure(candidate: Candidate) -> str:
-    """The finest size at which a candidate fails, and how."""
-    failed = {size: run.status for size, run in candidate.runs.items() if run.status != "ok"}
-    if not failed or candidate.refusal:
-        return NO_VALUE
-    size = min(failed)
-    return f"{failed[size]} at {number(size)}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,17 +13,20 @@ from typing import Any
 import msgspec
 
 from bench.results.demands import ENERGY, POINTS, Demand, demand, overviews
+from bench.results.records import Study
 from bench.results.store import Store
 from bench.results.table import Table
 from bench.running.interrupts import remark
 from bench.running.inventory import Inventory, SceneFacts
-from bench.running.plan import Cell, make_suite
+from bench.running.plan import Cell, Suite, make_suite, planned
 from bench.running.process import Limits
-from bench.running.profiles import ProfileFile, StudyFile, is_suite, read_profile
+from bench.running.profiles import FIGURES, ProfileFile, StudyFile, is_suite, read_profile
 from bench.running.progress import Progress
-from bench.running.race import FORMS, MOST_TIMED, SPREAD, TIE, Race, Verdict
-from bench.running.runner import Runner
-from bench.running.search import Candidate, Search
+from bench.running.race import FORMS, MOST_TIMED, SPREAD, TIE, Race
+from bench.running.runner import Runner, Task
+from bench.running.search import Candidate
+from bench.running.session import measure_suite, missing_cells, time_suite
+from bench.running.worker import Worker
 from problems.base.spec import SpecError, split_spec
 
 #: Demands of the rules by name; those of "work-precision" are asked for. "iftomm" has the low and
@@ -41,22 +44,11 @@ class Recommendation:
 
     All methods have ``budget`` seconds together, and so are dropped as soon as they cannot win; of
     named ones it is the processor time in s after which a run is stopped. ``remarks`` are sentences
-    on what scenes lack, ``verdicts`` are those of each scene and demand, and ``tables`` those of
-    several scenes.
-
-    Parameters
-    ----------
-    registry
-        Facts of scenes and methods.
-    name
-        A scene, perhaps with ``settings`` of its parameters and the end time ``t_end`` in s; or a
-        suite.
-    methods
-        Their names; none stands for all, and for those of a suite.
-    errors, rule
-        Demands, as `bench.results.demands.demand` reads them; without any those of one of `RULES`.
-    cost
-        That of the ranking, "seconds" or "operations".
+    on what scenes lack, ``races`` are those of each scene and demand, and ``tables`` those of
+    several scenes. The name is that of a scene, perhaps with ``settings`` of its parameters and the
+    end time ``t_end`` in s; or of a suite. No ``methods`` stand for all, and for those of a suite.
+    ``errors`` are demands, as `bench.results.demands.demand` reads them; without any those of a
+    ``rule`` of `RULES`. ``cost`` is that of the ranking, "seconds" or "operations".
 
     Raises
     ------
@@ -95,7 +87,7 @@ class Recommendation:
             self._ends = [self.began + part * budget for part in PARTS[cost]]
         self.remarks: list[str] = []
         self.candidates: list[Candidate] = []
-        races: list[Race] = []
+        self.races: list[Race] = []
         for place in dict.fromkeys((c.problem, c.t_end) for c in suite.cells.values()):
             scene = registry.problem(place[0])
             demands = self._demands_on(scene, errors, rule)
@@ -114,15 +106,14 @@ class Recommendation:
             ]
             self.candidates += candidates if demands else []
             in_turns = _in_turns(candidates)
-            races += [Race(in_turns, margin, self._ends[0], asked) for asked in demands]
-        if not races:
+            self.races += [Race(in_turns, margin, self._ends[0], asked, cost) for asked in demands]
+        if not self.races:
             raise SpecError(" ".join(self.remarks))
         if all(c.refused for c in self.candidates):
             raise SpecError(f"No integrator takes {name}: {self.candidates[0].refused}")
-        self.about = ", ".join(dict.fromkeys(str(race.asked) for race in races))
+        self.about = ", ".join(dict.fromkeys(str(race.asked) for race in self.races))
         plan = msgspec.structs.replace(suite.plan, title=f"Recommendation for {name}: {self.about}")
         self.name, self._suite = name, replace(suite, plan=plan)
-        self.verdicts = [Verdict(race, cost) for race in races]
         self.tables: list[Table] = []
         self._machines: object = {}
 
@@ -135,15 +126,17 @@ class Recommendation:
     def plain(self) -> dict[str, Any]:
         """All that was found, for a file that can be sent."""
         return {
-            "cost": self.verdicts[0].ranked_by,
+            "cost": self.races[0].cost,
             "machine": self._machines,
-            "sentences": [text for verdict in self.verdicts for text in verdict.sentences()],
-            "ratings": [rating for verdict in self.verdicts for rating in verdict.ratings()],
+            "sentences": [text for race in self.races for text in race.sentences()],
+            "ratings": [rating for race in self.races for rating in race.ratings()],
             "runs": self.runs,
         }
 
     def search(self, out: Path, progress: Progress, jobs: int = 2, fresh: bool = False) -> None:
         """Make the runs that the folder ``out`` lacks, and take the times of the best.
+
+        Runs are stored as they end. The plan of the store lists the cells of the candidates.
 
         Raises
         ------
@@ -151,31 +144,22 @@ class Recommendation:
             If no scene moves, or no run ends in time.
         """
         *_, self._until, over = self._ends  # processes are ended with all that they do then
-        leaders: dict[int, Candidate] = {}
-
-        def tell() -> None:
-            for k, verdict in enumerate(self.verdicts):
-                if (order := verdict.order) and order[0] is not leaders.get(k):
-                    leaders[k] = order[0]
-                    remark(f"So far: {verdict.first} {_STORED}")
-                    progress.note(f"{time.monotonic() - self.began:.0f} s: {verdict.first}")
-
         limits = Limits(self.budget / (4 if self.of_all else 1), self._suite.memory_gib)
         with (
             Runner(jobs, limits, progress, lambda: time.monotonic() < self._until) as runner,
             Store(out, create=True, fresh=fresh) as store,
         ):
-            search = Search(self.candidates, self._suite, store, self._registry, runner)
             remark(_STORED)
             within = f", within {self.budget:g} s" if self.of_all else ""
             progress.note(f"{len(self.candidates)} methods and forms on {self.name}{within}:")
             try:
                 runner.draft = True
-                search.run(self._next, tell)
+                self._race(store, runner)
                 runner.end_workers()
                 runner.draft, self._until = False, over
                 most = MOST_TIMED if self.of_all else None
-                search.take_times(v.best(c) for v in self.verdicts for c in v.order[:most])
+                best = {race.best(c).key for race in self.races for c in race.order[:most]}
+                self._time(best, store, runner)
             finally:  # the records that were found before an error stay
                 self._machines = store.environments()
                 if len({c.place for c in self.candidates}) > 1:
@@ -187,14 +171,77 @@ class Recommendation:
                 "give a larger --budget."
             )
 
+    def _race(self, store: Store, runner: Runner) -> None:
+        """Run what the races ask for until they ask for no more, and tell who leads."""
+        tasks = {
+            c.place: Task(
+                Worker.resting, c.place, f"start of {c.place[0]}", sources=c.scene.sources
+            )
+            for c in self.candidates
+        }
+        resting = [answer for _, answer in runner.run([[task] for task in tasks.values()])]
+        if resting and all(isinstance(answer, str) and answer for answer in resting):
+            raise SpecError(resting[0])
+        leaders: dict[int, Candidate] = {}
+
+        def further() -> list[Cell]:
+            self._take(store)
+            for k, race in enumerate(self.races):
+                if (order := race.order) and order[0] is not leaders.get(k):
+                    leaders[k] = order[0]
+                    remark(f"So far: {race.first} {_STORED}")
+                    runner.progress.note(f"{time.monotonic() - self.began:.0f} s: {race.first}")
+            while cells := self._next():
+                suite = self._restricted({cell.key: cell for cell in cells})
+                if missing := missing_cells(suite, store, self._registry):
+                    store.keep(suite.plan)
+                    return missing
+                self._take(store)
+            return []
+
+        measure_suite(self._restricted({}), store, self._registry, runner, further)
+        self._take(store)
+
+    def _time(self, best: Collection[str], store: Store, runner: Runner) -> None:
+        """Take the times of the best runs, and of no others."""
+        cells = {cell.key: cell for c in self.candidates for cell in c.cells.values()}
+        suite = self._restricted({key: cells[key] for key in cells if key in best})
+        time_suite(suite, store, self._registry, runner)
+        self._take(store)
+
+    def _take(self, store: Store) -> None:
+        records = store.records()
+        for c in self.candidates:
+            c.runs = {s: records[x.key] for s, x in c.cells.items() if x.key in records}
+
+    def _restricted(self, cells: dict[str, Cell]) -> Suite:
+        """The suite with these cells, and a plan with a study of each scene with all its runs."""
+        places: dict[tuple[str, float], list[Candidate]] = {}
+        for candidate in self.candidates:
+            places.setdefault(candidate.place, []).append(candidate)
+        studies = [
+            Study(
+                title=problem,
+                problem=problem,
+                t_end=t_end,
+                figures=list(FIGURES),
+                demands=list(dict.fromkeys(asked.text for c in own for asked in c.demands)),
+                cells=[cell.key for c in own for cell in c.cells.values()],
+            )
+            for (problem, t_end), own in places.items()
+        ]
+        methods = {c.method.spec: planned(c.method) for c in self.candidates}
+        plan = msgspec.structs.replace(self._suite.plan, studies=studies, integrators=methods)
+        return replace(self._suite, plan=plan, cells=cells)
+
     def _next(self) -> list[Cell]:
         """Runs of the races; of all integrators also those of other forms of the best."""
-        cells = [cell for verdict in self.verdicts for cell in verdict.race.next()]
+        cells = [cell for race in self.races for cell in race.next()]
         if cells or not self.of_all or time.monotonic() >= self._ends[1]:
             return cells
-        (verdict,) = self.verdicts
-        race, race.end = verdict.race, self._ends[1]
-        for leader in verdict.leading if race.leader else ():
+        (race,) = self.races
+        race.end = self._ends[1]
+        for leader in race.leading if race.leader else ():
             forms = self._other_forms(leader)
             self.candidates[:0] = forms
             race.candidates[:0] = forms
@@ -253,9 +300,8 @@ def _in_turns(candidates: Sequence[Candidate]) -> list[Candidate]:
         return max(c.method.orders.values(), default=2 if c.method.controls == "step" else 5)
 
     turns: Counter[str] = Counter()
-    keys: dict[int, int] = {}
-    strongest = sorted(candidates, key=order, reverse=True)
-    for k, c in enumerate(strongest):
-        keys[k] = turns[c.method.family]
+    ranked = []
+    for c in sorted(candidates, key=order, reverse=True):
+        ranked.append((turns[c.method.family], c))
         turns[c.method.family] += 1
-    return [strongest[k] for k in sorted(keys, key=keys.__getitem__)]
+    return [c for _, c in sorted(ranked, key=lambda turn: turn[0])]

@@ -6,16 +6,22 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Self
 
 from bench.plugins.registry import Sources
 from bench.results.records import TIMING_SECONDS
 from bench.running.plan import Cell
-from bench.running.process import GuardedProcess, Limits, NoAnswer, wait_for_any
-from bench.running.progress import Progress
-from bench.running.serve import REFERENCE, WAITING
+from bench.running.process import (
+    REFERENCE,
+    WAITING,
+    GuardedProcess,
+    Limits,
+    NoAnswer,
+    wait_for_any,
+)
+from bench.running.progress import OnStandardError, Progress
 from bench.running.worker import Worker, start_worker
+from problems.base.spec import SpecError
 
 #: Help for whoever has a run that was stopped.
 _ADVICE = "take larger steps or tolerances, a shorter interval, or a larger --budget"
@@ -25,24 +31,13 @@ _MOST_IDLE = 8
 
 @dataclass(frozen=True)
 class Task:
-    """A job for a worker process.
+    """A job for a worker process: a function of a module, called with the `Worker` of the process
+    and ``arguments``, which can be sent there.
 
-    Parameters
-    ----------
-    job
-        A function of a module, called with the `Worker` of the process and ``arguments``.
-    arguments
-        Values that can be sent to another process.
-    label
-        Names the task to the person who waits.
-    scene
-        The scene whose reference it needs, if any. Then the job takes a keyword ``lacking``, the
-        reason why there is no reference.
-    sources
-        Plugins from outside that it needs. Workers load nothing else, so that no plugin can
-        change the numbers of others.
-    programs
-        Names the compiled programs that it needs; tasks of the same programs share them.
+    ``label`` names it to the person who waits. ``scene`` is the one whose reference it needs, if
+    any; then the job takes a keyword ``lacking``, the reason why there is no reference. ``sources``
+    are the plugins from outside that it needs: workers load nothing else, so that no plugin can
+    change the numbers of others. Tasks with the same names of compiled ``programs`` share these.
     """
 
     job: Callable[..., Any]
@@ -87,21 +82,10 @@ class _WorkerProcess(GuardedProcess):
 class Runner:
     """Runs tasks in worker processes; use as a context manager.
 
-    Parameters
-    ----------
-    jobs
-        Most processes in work at a time. Timing is always done by one alone.
-    limits
-        The most that one task may take.
-    progress
-        Told which task is in work, and what tasks print.
-    wanted
-        Whether anybody waits for the answers still; else ``run`` ends.
-
-    Attributes
-    ----------
-    draft
-        Whether new processes compile without optimisation: sooner, for runs that are not timed.
+    At most ``jobs`` processes are in work at a time; times are taken by one alone. One task may
+    take what ``limits`` allow. ``progress`` is told which task is in work, and what tasks print.
+    ``run`` ends when the answers are not ``wanted`` any more. New processes of a ``draft`` compile
+    without optimisation: sooner, for runs that are not timed.
     """
 
     draft = False
@@ -113,7 +97,7 @@ class Runner:
         progress: Progress | None = None,
         wanted: Callable[[], bool] = lambda: True,
     ) -> None:
-        self._jobs, self._limits = jobs, replace(limits, advice=_ADVICE)
+        self._jobs, self._limits = jobs, replace(limits, advice=limits.advice or _ADVICE)
         self.progress, self._wanted = progress or Progress(), wanted
         self.workers: list[_WorkerProcess] = []
         self._owner: dict[str, _WorkerProcess] = {}
@@ -131,29 +115,26 @@ class Runner:
             worker.end()
         self.workers.clear()
 
-    def run(self, groups: Iterable[list[Task]]) -> Iterator[tuple[Task, Any]]:
-        """Yield every task with its answer, or NoAnswer, as they finish; a group stays together."""
-        return self.run_offered(groups, list)
-
-    def run_offered(
-        self, groups: Iterable[list[Task]], offers: Callable[[], list[list[Task]]]
+    def run(
+        self, groups: Iterable[list[Task]], offers: Callable[[], list[list[Task]]] = list
     ) -> Iterator[tuple[Task, Any]]:
-        """Yield the tasks of some groups with their answers, and then of those that are offered.
+        """Yield every task with its answer, or NoAnswer, as they finish; a group stays together.
 
-        ``offers`` is called whenever a process is free, and gives all groups that are worth their
-        work now, the best first. Those that are not begun are forgotten.
+        ``offers`` is called whenever a process is free of the ``groups``, and gives all groups that
+        are worth their work now, the best first. Those that are not begun are forgotten.
         """
-        queue = deque(deque(group) for group in groups if group)
+        queue = [deque(group) for group in groups if group]
         while self._wanted():
             self._feed(queue)
             if not queue and self._busy() < self._jobs:
-                self._feed(deque(map(deque, offers())))
-            if not self._busy():
+                self._feed([*map(deque, offers())])
+            working = [worker for worker in self.workers if worker.task]
+            if not working:
                 return
-            wait_for_any(worker for worker in self.workers if worker.task)
-            for worker in list(self.workers):
+            wait_for_any(working)
+            for worker in working:
                 task = worker.task
-                if task and (answer := self._take(worker)) is not None:
+                if task and (answer := self._take(worker, task)) is not None:
                     yield task, answer
 
     @property
@@ -198,13 +179,15 @@ class Runner:
                 yield task, number, answer
 
     # ---- parts -------------------------------------------------------------------------
+    def _busy(self) -> int:
+        return sum(worker.busy for worker in self.workers)
+
     def _spawn(self, sources: Sources) -> _WorkerProcess:
         idle = [worker for worker in self.workers if not worker.busy]
         for worker in idle[: max(0, len(idle) - _MOST_IDLE + 1)]:
             worker.end()
             self.workers.remove(worker)
-        worker = _WorkerProcess(sources, self._limits, self.draft)
-        self.workers.append(worker)
+        self.workers.append(worker := _WorkerProcess(sources, self._limits, self.draft))
         return worker
 
     def _timekeeper(self, task: Task) -> _WorkerProcess:
@@ -215,51 +198,47 @@ class Runner:
         fit = (w for w in self.workers if w.sources == task.sources)
         return next(fit, None) or self._spawn(task.sources)
 
-    def _feed(self, queue: deque[deque[Task]]) -> None:
-        for worker in self.workers:
-            if not worker.busy and self._busy() < self._jobs:
-                worker.group = self._next(queue, worker)
+    def _feed(self, queue: list[deque[Task]]) -> None:
+        """Give groups to processes that are free, and have all begin their next tasks."""
         while queue and self._busy() < self._jobs:
-            worker = self._spawn(queue[0][0].sources)
+            sources = {group[0].sources for group in queue}
+            free = (w for w in self.workers if not w.busy and w.sources in sources)
+            worker = next(free, None) or self._spawn(queue[0][0].sources)
             worker.group = self._next(queue, worker)
         for worker in self.workers:
             if worker.group and not worker.task:
                 worker.task = task = worker.group.popleft()
                 self.progress.working(task.label)
-                worker.on_phase = partial(self._tell, task.label)
+
+                def tell(phase: str, words: str, label: str = task.label) -> None:
+                    """Name the reference while it is made, else the task."""
+                    self.progress.working(words if phase in (REFERENCE, WAITING) else label)
+
+                worker.on_phase = tell
                 lacking = self._lacking.get(task.scene or "")
                 named = {"lacking": lacking} if lacking else {}
                 worker.start(task.job, *task.arguments, **named)
 
-    def _tell(self, label: str, phase: str, words: str) -> None:
-        """Tell the reference that a task needs, while it is made, or the task."""
-        self.progress.working(words if phase in (REFERENCE, WAITING) else label)
-
-    def _next(self, queue: deque[deque[Task]], worker: _WorkerProcess) -> deque[Task]:
+    def _next(self, queue: list[deque[Task]], worker: _WorkerProcess) -> deque[Task]:
         """The first group whose programs, or else whose scene, the worker has had, else one that
         no other has: else it would compile them again, and may wait for the scene's reference."""
         others = set().union(*(w.had for w in self.workers if w is not worker))
-        fit = [k for k, group in enumerate(queue) if group[0].sources == worker.sources]
-        if not fit:
-            return deque()
+
+        def needs(k: int) -> list[tuple]:
+            task = queue[k][0]
+            return [(task.scene, task.programs), (task.scene,)]
 
         def strangeness(k: int) -> list[bool]:
-            needs = _needs(queue[k][0])
-            return [known for need in needs for known in (need not in worker.had, need in others)]
+            return [known for n in needs(k) for known in (n not in worker.had, n in others)]
 
+        fit = (k for k, group in enumerate(queue) if group[0].sources == worker.sources)
         best = min(fit, key=strangeness)
-        group = queue[best]
-        del queue[best]
-        worker.had.update(_needs(group[0]))
-        return group
+        worker.had.update(needs(best))
+        return queue.pop(best)
 
-    def _busy(self) -> int:
-        return sum(1 for worker in self.workers if worker.busy)
-
-    def _take(self, worker: _WorkerProcess) -> Any:
+    def _take(self, worker: _WorkerProcess, task: Task) -> Any:
         """The answer of a worker's task, NoAnswer, or None while it is in work or done again."""
-        answer, task = worker.poll(), worker.task
-        if answer is None or task is None:
+        if (answer := worker.poll()) is None:
             return None
         if text := worker.printed():
             self.progress.printed(task.label, text)
@@ -282,6 +261,19 @@ class Runner:
                 self._spawn(worker.sources).group = worker.group
 
 
-def _needs(task: Task) -> list[tuple]:
-    """The programs and the scene of a task."""
-    return [(task.scene, task.programs), (task.scene,)]
+def answer_of(
+    about: str, job: Callable[..., Any], arguments: tuple, sources: Sources, limits: Limits
+) -> Any:
+    """Do one job in a process of its own and return its answer; what it prints goes to the standard
+    error.
+
+    Raises
+    ------
+    SpecError
+        If the job refuses its arguments, or has no answer; then the message begins with ``about``.
+    """
+    with Runner(1, limits, OnStandardError()) as runner:
+        ((_, answer),) = runner.run([[Task(job, arguments, about, sources=sources)]])
+    if isinstance(answer, NoAnswer):
+        raise SpecError(answer.message if answer.refused else f"{about}: {answer.message}")
+    return answer

@@ -3,22 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-
-import msgspec
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from bench.results.demands import Demand, bracket
-from bench.results.records import UNSUPPORTED, Record, Study
-from bench.results.store import Store
-from bench.running.inventory import Inventory, MethodFacts, SceneFacts
-from bench.running.plan import Cell, Suite, planned
-from bench.running.profiles import FIGURES
-from bench.running.runner import Runner, Task
-from bench.running.session import measure_suite, missing_cells, time_suite
-from bench.running.worker import Worker
+from bench.results.records import UNSUPPORTED, Record
+from bench.running.inventory import MethodFacts, SceneFacts
+from bench.running.plan import Cell
 from integrators.resolutions import Steps, Tolerances
-from problems.base.spec import SpecError
 
 #: Quotient of the finest size that fails and the coarsest that is good, at which a search ends.
 RESOLVED = 1.1
@@ -35,14 +27,9 @@ _FARTHEST = 100.0
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sizes of steps or tolerances in which is searched.
+    """Sizes of steps in s or relative tolerances in which is searched.
 
-    Parameters
-    ----------
-    length
-        Length of the interval in s, for steps: it has a whole number of them. None: tolerances.
-    start, finest, coarsest
-        Sizes in s, or relative tolerances.
+    ``length`` is that of the interval in s, which has a whole number of steps; None: tolerances.
     """
 
     length: float | None
@@ -57,10 +44,6 @@ class Sizes:
             return cls(None, 1e-4, 1e-13, 0.1)
         length, nominal = t_end - scene.interval[0], scene.nominal_step
         return cls(length, min(nominal, length), nominal / 2**16, length)
-
-    def resolution(self, size: float) -> Steps | Tolerances:
-        """Return the steps or tolerances of a size."""
-        return Tolerances(size) if self.length is None else Steps(size)
 
     def allowed(self, size: float) -> float:
         """Return the nearest allowed size: a whole number of steps, or two digits of rtol."""
@@ -136,7 +119,7 @@ def multiple(limit: float, error: float, power: float) -> float:
     return math.exp(min(max(far, -_FARTHEST), _FARTHEST))
 
 
-@dataclass
+@dataclass(eq=False)
 class Candidate:
     """A method on a scene, and what is demanded of it; the cells and records of its search by
     their sizes; the reason why the method does not take the scene, if that is known before."""
@@ -166,13 +149,9 @@ class Candidate:
         size = None if self.refusal else sizes.next(self.errors(asked), asked.limit)
         if size is None:
             return None
-        resolution = sizes.resolution(size)
+        resolution = Tolerances(size) if sizes.length is None else Steps(size)
         cell = Cell(self.scene.spec, self.method.spec, self.t_end, resolution)
         return self.cells.setdefault(size, cell)
-
-    def take(self, records: Mapping[str, Record]) -> None:
-        """Take the records of all cells that have one."""
-        self.runs = {s: records[c.key] for s, c in self.cells.items() if c.key in records}
 
     def errors(self, asked: Demand) -> dict[float, float]:
         """Return the errors of a demand by sizes."""
@@ -201,93 +180,3 @@ class Candidate:
         bad = bracket(self.errors(asked), asked.limit).bad
         run = None if bad is None else self.runs[bad]
         return (run.cost("operations") or 0.0) if run and run.status == "ok" else 0.0
-
-
-@dataclass(frozen=True)
-class Search:
-    """Searches of candidates for the coarsest resolution that meets each of their demands.
-
-    Runs are stored as they end; those that the store has are not made again. The plan of the store
-    lists the cells of the candidates, the ``suite`` has limits and the number of timings.
-    """
-
-    candidates: Sequence[Candidate]
-    suite: Suite
-    store: Store
-    registry: Inventory
-    runner: Runner
-
-    def run(self, choose: Callable[[], list[Cell]], after_run: Callable[[], None]) -> None:
-        """Search until no cells are left to run.
-
-        ``choose`` gives the cells that are worth a run now, the best first (`Race`); ``after_run``
-        is called when candidates have got new runs.
-
-        Raises
-        ------
-        SpecError
-            If no scene moves.
-        """
-        self._refuse_rest()
-
-        def further() -> list[Cell]:
-            self._take()
-            after_run()
-            while cells := choose():
-                suite = self._restricted(cells)
-                if missing := missing_cells(suite, self.store, self.registry):
-                    self.store.keep(suite.plan)
-                    return missing
-                self._take()
-            return []
-
-        measure_suite(self._restricted(()), self.store, self.registry, self.runner, further)
-        self._take()
-
-    def take_times(self, runs: Iterable[Record]) -> None:
-        """Take the times of runs, and of no others."""
-        cells = {cell.key: cell for c in self.candidates for cell in c.cells.values()}
-        suite = self._restricted(cells[run.key] for run in runs)
-        time_suite(suite, self.store, self.registry, self.runner)
-        self._take()
-
-    def _refuse_rest(self) -> None:
-        scenes = {c.place: c.scene.sources for c in self.candidates}
-        tasks = [
-            Task(Worker.resting, scene, f"start of {scene[0]}", sources=sources)
-            for scene, sources in scenes.items()
-        ]
-        answers = [answer for _, answer in self.runner.run([[task] for task in tasks])]
-        if all(isinstance(answer, str) and answer for answer in answers) and answers:
-            raise SpecError(answers[0])
-
-    def _take(self) -> None:
-        records = self.store.records()
-        for c in self.candidates:
-            c.take(records)
-
-    def _restricted(self, cells: Iterable[Cell]) -> Suite:
-        plan = msgspec.structs.replace(
-            self.suite.plan,
-            studies=_studies(self.candidates),
-            integrators={c.method.spec: planned(c.method) for c in self.candidates},
-        )
-        return replace(self.suite, plan=plan, cells={cell.key: cell for cell in cells})
-
-
-def _studies(candidates: Sequence[Candidate]) -> list[Study]:
-    """Return a study of each scene with all its runs."""
-    places: dict[tuple[str, float], list[Candidate]] = {}
-    for candidate in candidates:
-        places.setdefault(candidate.place, []).append(candidate)
-    return [
-        Study(
-            title=problem,
-            problem=problem,
-            t_end=t_end,
-            figures=list(FIGURES),
-            demands=list(dict.fromkeys(asked.text for c in own for asked in c.demands)),
-            cells=[cell.key for c in own for cell in c.cells.values()],
-        )
-        for (problem, t_end), own in places.items()
-    ]

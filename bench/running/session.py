@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from bench.plugins.fingerprint import environment
 from bench.plugins.registry import Sources, plugin_files
@@ -21,10 +20,9 @@ from bench.results.timings import FEWEST, contenders
 from bench.running.cluster import ClusterRunner
 from bench.running.inventory import Inventory, MethodFacts, SceneFacts
 from bench.running.plan import Cell, Suite, resolution_of
-from bench.running.process import Limits, NoAnswer
+from bench.running.process import PREPARING, Limits, NoAnswer
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task, measure_task, scene_task, time_task
-from bench.running.serve import PREPARING
 from bench.running.worker import CellResult, Worker
 from integrators.resolutions import Steps, check_end
 from problems.base.spec import SpecError
@@ -105,7 +103,7 @@ def measure_suite(
         progress = runner.progress
         name = "searching" if further else "measuring" if cells else "describing scenes"
         progress.phase(name, None if further else len(cells) or len(scenes))
-        answers = runner.run_offered(groups, offers) if further else runner.run(groups)
+        answers = runner.run(groups, offers if further else list)
         for task, answer in answers:
             if task.job is Worker.scene:
                 if record := _described(task, answer, progress):
@@ -240,54 +238,23 @@ def _groups(
 
 
 # ---- one run -----------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Request:
-    """A run that is asked for; None stands for the scene's or the method's own.
-
-    Parameters
-    ----------
-    problem, integrator
-        Names with options.
-    parameters
-        Of the scene.
-    step, pattern, rtol, atol
-        Steps in s with their pattern, or tolerances.
-    t_end
-        End time in s.
-    samples
-        How often it is timed; None: not, unless it is long.
-    """
-
-    problem: str
-    integrator: str
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-    step: float | None = None
-    pattern: tuple[float, ...] | None = None
-    rtol: float | None = None
-    atol: float | None = None
-    t_end: float | None = None
-    samples: int | None = None
-
-
-class PlannedRun(NamedTuple):
-    """A run with the facts of its scene and integrator, and how often it is timed; ``remark`` is a
-    sentence on its steps."""
-
-    cell: Cell
-    scene: SceneFacts
-    method: MethodFacts
-    samples: int
-    remark: str
-
-
 def solve(
-    request: Request,
+    problem: str,
+    integrator: str,
     plugins: Sequence[str | Path],
     budget_s: float,
     progress: Progress,
+    *,
+    parameters: Mapping[str, Any] | None = None,
+    t_end: float | None = None,
+    samples: int | None = None,
+    **sizes: Any,
 ) -> tuple[CellResult, dict[str, list[str]]]:
-    """Do a run; return its result, and the names of the components of each group of the scene if
-    known.
+    """Do a run; return its result, and the names of the components of each group of the scene.
+
+    Names may have options; ``parameters`` are of the scene, ``sizes`` those of `resolution_of`,
+    ``t_end`` is in s; None stands for the scene's or the method's own. The run is timed so many
+    times as there are ``samples``; None: not, unless it is long.
 
     Raises
     ------
@@ -295,50 +262,53 @@ def solve(
         If a name, an option or a number is not known or not allowed.
     """
     sources = Sources(plugin_files(plugins))
+    asked = problem, integrator, parameters or {}, t_end, sizes
     with Runner(1, Limits(budget_s, memory_gib=4.0), progress) as runner:
         # Programs of which no times are taken are compiled quickly rather than well: also those
         # that check a model as it is loaded, and JAX reads its settings once.
-        runner.draft = not request.samples
-        ((_, planned),) = runner.run([[Task(plan_run, (request,), sources=sources)]])
+        runner.draft = not samples
+        ((_, planned),) = runner.run([[Task(plan_run, asked, sources=sources)]])
         if isinstance(planned, NoAnswer):
             raise SpecError(planned.message)
-        if planned.remark:
-            progress.note(planned.remark)
-        cell = planned.cell
-        if planned.samples and runner.draft:  # a long run: another process compiles well
-            runner.draft = False
+        cell, scene, method, names = planned
+        count = 0
+        if isinstance(cell.resolution, Steps):
+            length = cell.t_end - scene.interval[0]
+            count = cell.resolution.count(scene.interval[0], cell.t_end)
+            if abs(length / count - cell.resolution.h) > 1e-9 * length / count:
+                progress.note(
+                    f"Step {cell.resolution.h:g} s does not divide the interval; {count} steps of "
+                    f"{length / count:.9g} s are taken."
+                )
+        if samples is None and count >= _TIMED:  # another process compiles well
+            samples, runner.draft = _SAMPLES, False
             runner.end_workers()
-        components = Task(Worker.components, (cell.problem,), sources=sources)
-        (_, measured), (_, named) = runner.run([[measure_task(cell, sources), components]])
-        result = result_of(cell, measured, planned.scene, planned.method)
+        ((_, measured),) = runner.run([[measure_task(cell, sources)]])
+        result = result_of(cell, measured, scene, method)
         if result.record.status == "ok":
-            for _, _, seconds in runner.time([time_task(cell, sources)], planned.samples, {}):
+            for _, _, seconds in runner.time([time_task(cell, sources)], samples or 0, {}):
                 result.record.run_s.append(seconds)
-    return result, {} if isinstance(named, NoAnswer) else named
+    return result, names
 
 
-# ---- in the process of the run -----------------------------------------------------------
-def plan_run(worker: Worker, request: Request) -> PlannedRun:
-    """Plan a run with the plugins that this process has loaded, in a budget beside that of it."""
+def plan_run(
+    worker: Worker,
+    problem: str,
+    integrator: str,
+    parameters: Mapping[str, Any],
+    t_end: float | None,
+    sizes: Mapping[str, Any],
+) -> tuple[Cell, SceneFacts, MethodFacts, dict[str, list[str]]]:
+    """Do a job of a worker: plan a run with the plugins that its process has loaded, in a budget
+    beside that of the run; return its cell, facts, and names of components."""
     worker.notify(PREPARING, "planning")
     registry = worker.inventory
     registry.require_files()
-    scene = registry.problem(request.problem, **request.parameters)
-    method = registry.integrator_on(registry.integrator(request.integrator), scene)
-    start = scene.interval[0]
-    end = check_end(start, scene.interval[1] if request.t_end is None else request.t_end)
-    sizes = request.step, request.pattern, request.rtol, request.atol
-    resolution, count, remark = resolution_of(scene, method, *sizes), 0, ""
+    scene = registry.problem(problem, **parameters)
+    method = registry.integrator_on(registry.integrator(integrator), scene)
+    end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
+    resolution = resolution_of(scene, method, **sizes)
     if isinstance(resolution, Steps):
-        count = resolution.count(start, end)
-        used = (end - start) / count
-        if abs(used - resolution.h) > 1e-9 * used:
-            remark = (
-                f"Step {resolution.h:g} s does not divide the interval; {count} steps of "
-                f"{used:.9g} s are taken."
-            )
-    samples = request.samples
-    if samples is None:
-        samples = _SAMPLES if count >= _TIMED else 0
+        resolution.count(scene.interval[0], end)  # refuses a step that does not fit the interval
     cell = Cell(scene.spec, method.spec, end, resolution)
-    return PlannedRun(cell, scene, method, samples, remark)
+    return cell, scene, method, registry.components(scene.spec)

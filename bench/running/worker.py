@@ -28,8 +28,8 @@ from bench.running.errors import (
 from bench.running.inventory import Inventory, load_registry
 from bench.running.linearisation import uncontrolled
 from bench.running.plan import Cell
+from bench.running.process import MEASURING, PREPARING, REFERENCE, RUNNING, Notify
 from bench.running.scene_records import drawings, scene_record
-from bench.running.serve import MEASURING, PREPARING, REFERENCE, RUNNING, Notify
 from integrators import checks
 from integrators.contract import PreparedRun, Trajectory
 from problems.base.runtime import check_runtime, compile_sooner, jax, use_threads
@@ -266,10 +266,6 @@ class Worker:
     def resting(self, problem: str, t_end: float) -> str:
         """Return the sentence on a scene that rests up to t_end in s, or nothing."""
         return Reference(self.problem(problem), t_end).resting
-
-    def components(self, problem: str) -> dict[str, list[str]]:
-        """Return the names of the components of each group of a scene."""
-        return self.inventory.components(problem)
 
 
 def _add(record: Record, sentence: str) -> None:

@@ -23,8 +23,8 @@ from bench.plugins.registry import Sources
 from bench.running.cluster import ClusterRunner
 from bench.running.interrupts import remark
 from bench.running.plan import resolution_of
+from bench.running.process import RUNNING
 from bench.running.runner import Runner, Task
-from bench.running.serve import RUNNING
 from bench.running.worker import Worker
 from bench.sweeps.batch import Batch, refuse
 from bench.sweeps.variation import (

@@ -13,7 +13,7 @@ import numpy as np
 from bench.results.quantities import GROUPS, group_and_norm
 from bench.running.errors import component_errors, finite, scales, whole_error
 from bench.running.plan import resolution_of
-from bench.running.serve import RUNNING
+from bench.running.process import RUNNING
 from bench.running.worker import Worker
 from bench.sweeps.batch import Batch
 from bench.sweeps.variation import Range, SweepRequest, read_ranges, runs_with, spec_without

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.running.plan import resolution_of
-from bench.running.serve import PREPARING
+from bench.running.process import PREPARING
 from bench.running.worker import Worker
 from bench.sweeps.batch import BatchRun, refuse
 from integrators.contract import Integrator
