@@ -12,18 +12,6 @@ from bench.results.table import number as number
 from bench.results.timings import LEVEL
 
 
-def number_range(values: Iterable[float | None]) -> str:
-    """Smallest to largest value; one number if both read alike."""
-    known = sorted(v for v in values if v is not None)
-    return text_range(map(number, known)) if known else NO_VALUE
-
-
-def text_range(texts: Iterable[str]) -> str:
-    """'first to last' of texts in order; one of them if both are the same, none of none."""
-    known = list(texts)
-    return " to ".join(dict.fromkeys((known[0], known[-1]))) if known else ""
-
-
 def order_text(order: float) -> str:
     """Two decimals; a zero has no sign."""
     return f"{round(order, 2) + 0.0:.2f}"
@@ -78,14 +66,6 @@ def file_name(text: str) -> str:
     """A name for a file or an anchor: the text itself if it is short and plain."""
     plain = re.sub(r"[^\w.,=+\[\]-]", "_", text, flags=re.ASCII).lstrip(".")[:80]
     return plain if plain == text else f"{plain}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
-
-
-def named(items: Iterable[str], most: int = 3) -> str:
-    """'a, b and c'; of more than ``most`` the first ones, and how many there are besides."""
-    texts = list(items)
-    if len(texts) > most:
-        texts = [*texts[:most], f"{len(texts) - most} more"]
-    return words(texts) if texts else ""
 
 
 def paragraphs(text: str) -> list[str]:

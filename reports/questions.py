@@ -3,21 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import product
-from typing import Literal
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
-from bench.results.quantities import (
-    ASKED,
-    COST,
-    ERROR_NAMES,
-    NORM,
-    NORMS,
-    RANKED_COSTS,
-    parts,
-    quantity,
-)
-from bench.results.records import Record
+from bench.results.quantities import COST, ERROR_NAMES, NORM, NORMS, parts, quantity
 from bench.results.table import short_exponent
 from reports.names import scene_name
 
@@ -36,6 +25,8 @@ OF_THE_BENCH = {"conformance", "orders", "benchmark", "closed form", "scalable"}
 KINDS = ("mechatronic", "constrained", "events", "stiff", "smooth")
 #: Tags that read better by another word.
 _TAG_NAMES = {"mechatronic": "controlled", "rheonomic": "driven constraint"}
+#: Sets of scenes by key, with their names.
+Filters = dict[str, tuple[str, tuple[str, ...]]]
 
 
 @dataclass(frozen=True)
@@ -58,11 +49,6 @@ class Question:
         return quantity(self.group)
 
     @property
-    def by_both(self) -> list[Question]:
-        """The same question by both costs that are told together, its own first."""
-        return [replace(self, cost=cost) for cost in dict.fromkeys((self.cost, *BOTH))]
-
-    @property
     def text(self) -> str:
         """The accuracy in words, with quantity and norm."""
         group = " and the ".join(ERROR_NAMES[part] for part in parts(self.group))
@@ -73,26 +59,8 @@ class Question:
 FIRST = Question("a", 1e-4, COST)
 
 
-def questions(
-    groups: Sequence[str] = ASKED,
-    targets: Sequence[float] = TARGETS,
-    norms: Sequence[str] = (NORM,),
-) -> list[Question]:
-    """All questions about these groups, accuracies and norms."""
-    return [Question(*own) for own in product(groups, targets, RANKED_COSTS, norms)]
-
-
-@dataclass(frozen=True)
-class Filter:
-    """Scenes that have a tag in common."""
-
-    key: str
-    name: str
-    scenes: tuple[str, ...]
-
-
-def filters(tags: Mapping[str, Sequence[str]]) -> list[Filter]:
-    """All scenes, then those of each tag that parts them; the largest sets first.
+def filters(tags: Mapping[str, Sequence[str]]) -> Filters:
+    """Sets of scenes by key, with names: all, then those of each tag, the largest sets first.
 
     Tags that few scenes or all have are no choice, and tags of the same scenes are one.
 
@@ -104,14 +72,12 @@ def filters(tags: Mapping[str, Sequence[str]]) -> list[Filter]:
     having: dict[str, list[str]] = {}
     for scene, own in tags.items():
         for tag in own:
-            if tag not in OF_THE_BENCH:
-                having.setdefault(tag, []).append(scene)
-    found = [Filter(ALL, "all scenes", tuple(tags))]
-    seen: set[tuple[str, ...]] = {tuple(tags)}
+            having.setdefault(tag, []).append(scene)
+    found = {ALL: ("all scenes", tuple(tags))}
     for tag, scenes in sorted(having.items(), key=lambda pair: -len(pair[1])):
-        if len(scenes) > 1 and tuple(scenes) not in seen:
-            seen.add(tuple(scenes))
-            found.append(Filter(tag.replace(" ", "_"), tag_name(tag), tuple(scenes)))
+        known = {own for _, own in found.values()}
+        if len(scenes) > 1 and tuple(scenes) not in known and tag not in OF_THE_BENCH:
+            found[tag.replace(" ", "_")] = tag_name(tag), tuple(scenes)
     return found
 
 
@@ -125,15 +91,15 @@ def tag_name(tag: str) -> str:
     return _TAG_NAMES.get(tag, tag)
 
 
-@dataclass(frozen=True)
-class Ref:
+# ---- sentences ---------------------------------------------------------------------------
+class Ref(NamedTuple):
     """Text that stands for something a page can lead to.
 
-    ``key`` is the label of a method, the name of a scene, the key of a run, the term of the
-    glossary, or the name of an experiment of the failure atlas.
+    ``key`` is the label of a method, the name of a scene, the key of a run, or the term of the
+    glossary.
     """
 
-    kind: Literal["method", "scene", "run", "term", "atlas"]
+    kind: Literal["method", "scene", "run", "term"]
     key: str
     text: str
 
@@ -156,10 +122,14 @@ def listed(items: Iterable[Sequence[Piece]], most: int = 3) -> Sentence:
         shown = [*shown[:most], [f"{len(shown) - most} more"]]
     joined: Sentence = []
     for k, item in enumerate(shown):
-        if k:
-            joined.append(" and " if k == len(shown) - 1 else ", ")
+        joined += [" and " if k == len(shown) - 1 else ", "] if k else []
         joined += item
     return joined
+
+
+def named(items: Iterable[str]) -> str:
+    """Texts as ``listed`` joins them."""
+    return plain(listed([item] for item in items))
 
 
 def method_ref(label: str, names: Names) -> Ref:
@@ -167,17 +137,6 @@ def method_ref(label: str, names: Names) -> Ref:
     return Ref("method", label, names.get(label, label))
 
 
-def run_ref(record: Record, text: str) -> Ref:
-    """A reference to a run."""
-    return Ref("run", record.key, text)
-
-
 def scene_ref(scene: str) -> Ref:
     """A reference to a scene."""
     return Ref("scene", scene, scene_name(scene))
-
-
-def accuracy(question: Question) -> Sentence:
-    """'1e-4 in acceleration (largest over time)'."""
-    norm = Ref("term", "relative-error", NORMS[question.norm])
-    return [f"{question.accuracy} in {question.quantity} (", norm, ")"]

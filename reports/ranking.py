@@ -7,21 +7,23 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
+from itertools import product
 from operator import itemgetter
 from typing import NamedTuple
 
-from bench.results.quantities import ASKED, COSTS, NORM, TRUST, parts
+from bench.results.quantities import ASKED, COSTS, NORM, RANKED_COSTS, TRUST, parts
 from bench.results.records import NOT_TRIED, Record
 from bench.results.timings import quotient
-from reports.formatting import times
-from reports.questions import TARGETS, Question, questions
+from reports.questions import TARGETS, Question
 from reports.series import Series, groups_of, ok_runs, reference_error
 
 #: The cheapest run of an integrator with its cost.
 _Cheapest = tuple[float, Record]
+#: The errors of an integrator's runs, rising, and the cheapest run up to each of them.
+_Ladder = tuple[list[float], list[_Cheapest | None]]
 
 
 class RankEntry(NamedTuple):
@@ -48,43 +50,22 @@ class RankEntry(NamedTuple):
         """
         if self.ratio is not None:
             return self.ratio
-        if self.reached:
-            return "unknown"
-        return "far" if self.series.ok else "failed"
-
-    @property
-    def multiple(self) -> str:
-        """The multiple in words; the count itself where the cheapest one is 0."""
-        return f"{self.value:g}" if self.ratio == math.inf else times(self.ratio)
+        return "unknown" if self.reached else "far" if self.series.ok else "failed"
 
 
 @dataclass(frozen=True)
 class SceneAnswer:
     """The answer to one question on one scene.
 
-    ``series`` are the integrators that were tried, by label, ``reached`` those that reach the
-    accuracy; ``cheapest`` has the run and its cost where this is known. ``tied`` cannot be told
-    apart from the cheapest, itself included, in the order of the plan: medians of those who tie
-    change places from run to run. Of these ``later`` are so only where the motion starts later.
+    ``entries`` are the integrators that were tried, by label. ``tied`` cannot be told apart from
+    the cheapest, itself included, in the order of the plan: medians of those who tie change places
+    from run to run. Of these ``later`` are so only where the motion starts later.
     """
 
     question: Question
-    series: Mapping[str, Series]
-    reached: Collection[str]
-    cheapest: Mapping[str, _Cheapest]
+    entries: Mapping[str, RankEntry]
     tied: Sequence[str]
     later: Collection[str] = ()
-
-    @cached_property
-    def entries(self) -> dict[str, RankEntry]:
-        """The integrators by label."""
-        best = min((value for value, _ in self.cheapest.values()), default=0.0)
-        found = {}
-        for label, s in self.series.items():
-            value, run = self.cheapest.get(label, (None, None))
-            ratio = None if value is None else _ratio(value, best)
-            found[label] = RankEntry(label, s, label in self.reached, run, value, ratio)
-        return found
 
     @property
     def first(self) -> list[RankEntry]:
@@ -94,25 +75,27 @@ class SceneAnswer:
     @property
     def second(self) -> RankEntry | None:
         """The cheapest of the others."""
-        others = [k for k in self.cheapest if k not in self.tied]
-        return self.entries[min(others, key=lambda k: self.cheapest[k][0])] if others else None
+        others = [e for e in self.entries.values() if e.run and e.label not in self.tied]
+        return min(others, key=lambda e: e.value or 0.0, default=None)
 
     @property
-    def unknown(self) -> list[str]:
-        """The integrators that reach the accuracy at a cost that is not measured."""
-        return [k for k in self.series if k in self.reached and k not in self.cheapest]
+    def reached(self) -> bool:
+        """Whether any integrator reaches the accuracy."""
+        return any(e.reached for e in self.entries.values())
 
     @property
     def votes(self) -> bool:
         """Whether there was something to win: several integrators were compared."""
-        return len(self.series) - len(self.reached) + len(self.cheapest) > 1
+        return sum(e.state != "unknown" for e in self.entries.values()) > 1
 
-    @property
-    def nearest(self) -> tuple[float, Record] | None:
-        """The smallest error of any run, with the run."""
-        group, norm = self.question.group, self.question.norm
-        known = filter(None, (s.nearest(group, norm) for s in self.series.values()))
-        return min(known, key=itemgetter(0), default=None)
+    def place(self, label: str) -> str:
+        """What an integrator is there: "alone", "tied", "dearer", "single", or its state."""
+        entry = self.entries[label]
+        if entry.ratio is None:
+            return str(entry.state)
+        if not self.votes:
+            return "single"
+        return "dearer" if label not in self.tied else "tied" if len(self.tied) > 1 else "alone"
 
 
 class Standing(NamedTuple):
@@ -145,9 +128,9 @@ class Answer:
         """One row per integrator, the most successful first: first places, wins, scenes reached."""
         rows: dict[str, list[int]] = {}
         for scene in self.scenes.values():
-            for label in scene.series:
+            for label, entry in scene.entries.items():
                 row = rows.setdefault(label, [0, 0, 0, 0])
-                row[2] += label in scene.reached
+                row[2] += entry.reached
                 row[3] += 1
             for label in scene.tied if scene.votes else ():
                 rows[label][len(scene.tied) > 1] += 1
@@ -161,10 +144,11 @@ def answers(
     targets: Sequence[float] = TARGETS,
     norms: Sequence[str] = (NORM,),
 ) -> dict[Question, Answer]:
-    """The answers to all questions about groups that a scene has, scenes in their order."""
+    """The answers by each cost to all questions about groups that a scene has."""
     having = {k: {*groups_of(ok_runs(s), ASKED)} for k, s in scenes.items()}
     asked = [g for g in groups if any(own.issuperset(parts(g)) for own in having.values())]
-    found = {q: Answer(q, {}, {}) for q in questions(asked, targets, norms)}
+    questions = (Question(*own) for own in product(asked, targets, RANKED_COSTS, norms))
+    found = {question: Answer(question, {}, {}) for question in questions}
     for name, series in scenes.items():
         field = _Field(series)
         for question, own in found.items():
@@ -180,8 +164,15 @@ def answers(
 
 def answer(scenes: Mapping[str, Sequence[Series]], question: Question) -> Answer:
     """The answer to one question; it is empty if no scene has the group."""
-    found = answers(scenes, [question.group], [question.target], [question.norm])
-    return found.get(question, Answer(question, {}, {}))
+    return by_cost(scenes, question)[question]
+
+
+def by_cost(scenes: Mapping[str, Sequence[Series]], first: Question) -> dict[Question, Answer]:
+    """The answers to one question by each cost, its own first."""
+    found = answers(scenes, [first.group], [first.target], [first.norm])
+    costs = dict.fromkeys((first.cost, *RANKED_COSTS))
+    asked = [replace(first, cost=cost) for cost in costs]
+    return {question: found.get(question, Answer(question, {}, {})) for question in asked}
 
 
 # ---- one scene ---------------------------------------------------------------------------
@@ -192,85 +183,68 @@ class _Field:
     """
 
     def __init__(self, series: Sequence[Series]) -> None:
-        tried = [s for s in series if any(r.status not in NOT_TRIED for r in s.records)]
-        self.series, self.runs = {s.label: s for s in tried}, ok_runs(series)
-        self._starts = range(1 + max((len(r.later) for r in self.runs), default=0))
-        self._ladders: dict[tuple[str, str, str], list[dict[str, _Ladder]]] = {}
+        self.series = [s for s in series if any(r.status not in NOT_TRIED for r in s.records)]
+        runs = ok_runs(series)
+        self._starts = range(1 + max((len(r.later) for r in runs), default=0))
+        self._ladders = cache(self._ladders_of)
         self._apart: dict[tuple[str, str, str], bool] = {}
-        self.floor = cache(partial(reference_error, self.runs))
+        self.floor = cache(partial(reference_error, runs))
 
     def answer(self, question: Question) -> SceneAnswer:
         """The answer to a question that can be judged."""
-        ladders, *later = self._climbed(question)
-        reached = frozenset(k for k, own in ladders.items() if own.reaching(question.target))
-        cheapest = _cheapest(ladders, question.target)
-        now = self._tied(cheapest, question.cost)
+        cost, target = question.cost, question.target
+        ladders = self._ladders(question.group, cost, question.norm)
+        cheapest, *later = [_cheapest(own, target) for own in ladders]
+        now = self._tied(cheapest, cost)
         # One that is first from a later start of the motion ties: luck decides between them.
-        starts = (self._tied(_cheapest(own, question.target), question.cost) for own in later)
-        winners = now.union(*starts)
-        tied = [k for k in ladders if k in winners and k in cheapest]
-        return SceneAnswer(question, self.series, reached, cheapest, tied, {*tied} - now)
+        winners = now.union(*(self._tied(own, cost) for own in later))
+        best = min((value for value, _ in cheapest.values()), default=0.0)
+        entries = {}
+        for s in self.series:
+            reached = bisect_right(ladders[0][s.label][0], target) > 0
+            value, run = cheapest.get(s.label, (None, None))
+            ratio = 1.0 if value == best else None
+            if value is not None and value != best:
+                ratio = value / best if best else math.inf
+            entries[s.label] = RankEntry(s.label, s, reached, run, value, ratio)
+        tied = [k for k in entries if k in winners and k in cheapest]
+        return SceneAnswer(question, entries, tied, {*tied} - now)
 
-    def _climbed(self, question: Question) -> list[dict[str, _Ladder]]:
+    def _ladders_of(self, group: str, cost: str, norm: str) -> list[dict[str, _Ladder]]:
         """The ladders of the integrators from each start of the motion."""
-        group, cost, norm = question.group, question.cost, question.norm
-        if (group, cost, norm) not in self._ladders:
-            self._ladders[group, cost, norm] = [
-                {
-                    s.label: _Ladder(s.ok, cost, lambda r, k=k: r.error(group, norm, k))
-                    for s in self.series.values()
-                }
-                for k in (self._starts if norm == NORM else (0,))
-            ]
-        return self._ladders[group, cost, norm]
+        starts = self._starts if norm == NORM else (0,)
+        return [{s.label: _ladder(s.ok, cost, group, norm, k) for s in self.series} for k in starts]
 
     def _tied(self, cheapest: Mapping[str, _Cheapest], cost: str) -> set[str]:
         """Those that cannot be told apart from the cheapest."""
         if not cheapest:
             return set()
         _, best = min(cheapest.values(), key=itemgetter(0))
-        return {k for k, (_, run) in cheapest.items() if self._tie(best, run, cost)}
-
-    def _tie(self, one: Record, two: Record, cost: str) -> bool:
-        key = one.key, two.key, cost
-        if key not in self._apart:
-            self._apart[key] = told_apart(one, two, cost)
-        return not self._apart[key]
+        for _, run in cheapest.values():
+            if (key := (best.key, run.key, cost)) not in self._apart:
+                self._apart[key] = told_apart(best, run, cost)
+        return {k for k, (_, r) in cheapest.items() if not self._apart[best.key, r.key, cost]}
 
 
-class _Ladder:
-    """The runs of an integrator from accurate to coarse, and the cheapest up to each of them."""
-
-    def __init__(
-        self, runs: Sequence[Record], cost: str, error_of: Callable[[Record], float | None]
-    ) -> None:
-        judged = [(e, r) for r in runs if (e := error_of(r)) is not None]
-        judged.sort(key=itemgetter(0))
-        self.errors = [error for error, _ in judged]
-        self.cheapest: list[_Cheapest | None] = []
-        best: _Cheapest | None = None
-        for _, r in judged:
-            # Of two runs at the same cost the coarser one counts.
-            value = r.cost(cost)
-            if value is not None and (best is None or value <= best[0]):
-                best = value, r
-            self.cheapest.append(best)
-
-    def reaching(self, target: float) -> int:
-        """How many runs reach the target."""
-        return bisect_right(self.errors, target)
+def _ladder(runs: Sequence[Record], cost: str, group: str, norm: str, start: int) -> _Ladder:
+    judged = [(e, r) for r in runs if (e := r.error(group, norm, start)) is not None]
+    judged.sort(key=itemgetter(0))
+    cheapest: list[_Cheapest | None] = []
+    best: _Cheapest | None = None
+    for _, r in judged:
+        # Of two runs at the same cost the coarser one counts.
+        value = r.cost(cost)
+        if value is not None and (best is None or value <= best[0]):
+            best = value, r
+        cheapest.append(best)
+    return [error for error, _ in judged], cheapest
 
 
 def _cheapest(ladders: Mapping[str, _Ladder], target: float) -> dict[str, _Cheapest]:
     """The cheapest run of each that reaches the target, if its cost is known."""
-    able = {k: own.cheapest[n - 1] for k, own in ladders.items() if (n := own.reaching(target))}
+    able = {k: runs[n - 1] for k, (errors, runs) in ladders.items()
+            if (n := bisect_right(errors, target))}  # fmt: skip
     return {label: best for label, best in able.items() if best}
-
-
-def _ratio(value: float, best: float) -> float:
-    if value == best:
-        return 1.0
-    return value / best if best else math.inf
 
 
 def told_apart(one: Record, two: Record, cost: str) -> bool:

@@ -17,8 +17,8 @@ from bench.results.records import (
     scene_titles,
 )
 from bench.results.store import Store
+from bench.results.studies import ExperimentResult
 from bench.results.timings import Repeatability, repeatability
-from reports.explanations import Atlas
 from reports.names import short_names
 from reports.questions import FIRST, Names, Question
 from reports.series import Series, series_of
@@ -44,7 +44,7 @@ class StoredRuns:
     plan: Plan | None = None
     records: Mapping[str, Record] = field(default_factory=dict)
     titles: Mapping[Key, str] = field(default_factory=dict)
-    atlas: Atlas = field(default_factory=dict)
+    atlas: Mapping[str, ExperimentResult] = field(default_factory=dict)
 
     @property
     def scenes_by_key(self) -> dict[Key, SceneRecord]:

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from operator import itemgetter
 
 from bench.results.orders import Fit, fit_orders
-from bench.results.quantities import GROUPS, NORM, TRUST
+from bench.results.quantities import GROUPS, NORM
 from bench.results.records import UNSUPPORTED, Record
-from reports.formatting import number, text_range
-
-#: A fitted order this close to a whole number is called by it.
-_NEAR = 0.25
+from reports.formatting import number
 
 
 @dataclass(frozen=True)
@@ -51,12 +48,12 @@ class Series:
     def resolutions(self) -> str:
         """The resolutions from coarse to fine: 'h=0.1 to 0.01 (4)'."""
         name = "h" if self.controls == "step" else "rtol"
-        values = [step_or_tolerance(r) for r in self.records]
-        return f"{name}={text_range(map(number, values))} ({len(values)})"
+        values = [number(step_or_tolerance(r)) for r in self.records]
+        return f"{name}={' to '.join(dict.fromkeys((values[0], values[-1])))} ({len(values)})"
 
     def nearest(self, group: str, norm: str = NORM) -> tuple[float, Record] | None:
         """The smallest error of its runs in a group, with the run."""
-        errors = with_values(self.ok, lambda r: r.error(group, norm))
+        errors = [(e, r) for r in self.ok if (e := r.error(group, norm)) is not None]
         return min(errors, key=itemgetter(0), default=None)
 
     def never_right(self, group: str) -> bool:
@@ -111,27 +108,9 @@ def step_or_tolerance(record: Record) -> float:
     return math.nan if value is None else value
 
 
-def worst_component(record: Record, group: str, norm: str) -> int | None:
-    """Place of the component with the largest error, from 0; None of a group of one component."""
-    errors = [math.inf if e is None else e for e in record.components.get(group, {}).get(norm, [])]
-    return errors.index(max(errors)) if len(errors) > 1 else None
-
-
 def reference_error(records: Iterable[Record], group: str, norm: str) -> float:
     """The largest error of the references that the records were compared with."""
     return max((r.floor(group, norm) for r in records), default=0.0)
-
-
-def trusted_error(records: Iterable[Record], group: str, norm: str) -> float:
-    """The smallest error that the reference is good enough to judge."""
-    return TRUST * reference_error(records, group, norm)
-
-
-def with_values(
-    records: Iterable[Record], value_of: Callable[[Record], float | None]
-) -> list[tuple[float, Record]]:
-    """Pairs (value, record) of the records that have the value."""
-    return [(value, r) for r in records if (value := value_of(r)) is not None]
 
 
 def groups_of(records: Iterable[Record], known: Sequence[str] = GROUPS) -> list[str]:
@@ -141,11 +120,3 @@ def groups_of(records: Iterable[Record], known: Sequence[str] = GROUPS) -> list[
     """
     present = {group for record in records for group in record.errors}
     return [group for group in known if group in present]
-
-
-def whole_order(fit: Fit) -> int | None:
-    """The whole number that a fitted order may be called by."""
-    if fit.verdict != "converges" or fit.order is None:
-        return None
-    whole = round(fit.order)
-    return whole if whole > 0 and abs(fit.order - whole) <= _NEAR else None

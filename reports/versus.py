@@ -15,7 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.results.quantities import COSTS, NORM, NORMS, checked_group
+from bench.results.quantities import COSTS, NORM, NORMS, TRUST, checked_group
 from bench.results.records import NOT_TRIED, Record, counted
 from bench.results.table import Table
 from bench.results.timings import (
@@ -27,11 +27,11 @@ from bench.results.timings import (
     quotient_by_round,
 )
 from problems.base.spec import SpecError, one_of
-from reports.formatting import named, number
+from reports.formatting import number
 from reports.names import named_labels, scene_name
-from reports.questions import FIRST, TABLE_TARGETS, Question
+from reports.questions import FIRST, TABLE_TARGETS, Question, named
 from reports.scenes import stored_runs
-from reports.series import Series, ok_runs, trusted_error
+from reports.series import Series, ok_runs, reference_error
 
 _MEANING = (
     "Costs at equal error are interpolated between runs. In brackets: the ends over the run and "
@@ -162,7 +162,7 @@ def versus(
 
 
 def _duel(one: Series, two: Series, runs: Sequence[Record], question: Question, norm: str) -> Duel:
-    trusted = trusted_error(runs, question.group, norm)
+    trusted = TRUST * reference_error(runs, question.group, norm)
     if question.target < trusted:
         return Duel(None, why="not judged")
     found, why = [], "neither reaches it"

@@ -125,7 +125,7 @@ def near(shown, counted):
 
 def profile_of(found, chosen):
     """The numbers of pairs, of all and of each method, and their ratios, counted in Python."""
-    scenes = [s for a in found for k, s in a.scenes.items() if k in chosen and len(s.series) > 1]
+    scenes = [s for a in found for k, s in a.scenes.items() if k in chosen and len(s.entries) > 1]
     own = {}
     for scene in scenes:
         for label, entry in scene.entries.items():
@@ -169,7 +169,7 @@ def test_the_table_of_the_page_and_python_agree(browser, folder):
                 if isinstance(entry.state, str):
                     assert state == entry.state, (*where, label)
                 else:
-                    runs = python.series[label].records
+                    runs = entry.series.records
                     assert near(state[0], entry.state), (*where, label)
                     assert runs[state[1]].key == entry.run.key, (*where, label)
                     assert near(max(state[2], 1e-40), max(entry.value, 1e-40)), (*where, label)

@@ -7,14 +7,13 @@ from planted import STEPS, planted
 from small_stores import atlas_with
 
 from bench.results.records import SceneRecord
-from reports.explanations import IGNORED, OVER, policy, wrong_runs
 from reports.pages.jumps import jumps_chapter
 from reports.pages.report import Report
 from reports.questions import plain
 from reports.scenes import StoredRuns
 from reports.series import series_of
 from reports.tables.jump_tables import events_table, policies_table
-from reports.verdicts import wrong_on, wrong_sentences
+from reports.wrong import IGNORED, OVER, policy, wrong_on, wrong_sentences
 
 
 def scene(problem, sampling="", **more):
@@ -98,17 +97,18 @@ def test_ignored_samples_are_the_cause_of_an_error_even_in_positions(stored):
     atlas = atlas_with("m", IGNORED, OVER)
     own = stored.scenes["pd[sampling=ignore]"]
     for group in "qa":
-        assert wrong_runs(s, group, s.finest, own, atlas) == IGNORED
-        assert wrong_runs(s, group, s.finest, stored.scenes["pd"], atlas) == ""
+        assert wrong_on("pd", s, group, own, atlas).cause == IGNORED
+        assert wrong_on("pd", s, group, stored.scenes["pd"], atlas).cause == ""
+    over = scene("pd", "interpolate")
     s.finest.errors["q"]["max"] = 0.01  # a late command spoils the acceleration alone
-    assert wrong_runs(s, "a", s.finest, scene("pd", "interpolate"), atlas) == OVER
+    assert wrong_on("pd", s, "a", over, atlas).cause == OVER
     s.finest.errors["q"]["max"] = 1.0
-    assert wrong_runs(s, "a", s.finest, scene("pd", "interpolate"), atlas) == ""
-    wrong = {"pd": [wrong_on(s, "q", own, atlas)]}
-    count, who = map(plain, wrong_sentences("q", wrong, {}))
+    assert wrong_on("pd", s, "a", over, atlas).cause == ""
+    wrong = [wrong_on("pd", s, "q", own, atlas)]
+    count, who = map(plain, wrong_sentences(wrong, "q", {}))
     assert count.startswith("Wrong without warning: 2 of 2 runs that reached the end")
     assert who == "Wrong at every resolution, silently (smallest error): m (1)."
-    assert [w.cause for w in wrong["pd"]] == [IGNORED]
+    assert [w.cause for w in wrong] == [IGNORED]
 
 
 def test_a_parameter_of_another_meaning_is_no_policy():

@@ -9,12 +9,12 @@ from small_stores import atlas_with
 from bench.results.quantities import TRUST, WRONG
 from bench.results.records import SceneRecord
 from bench.results.store import Store
-from reports.explanations import STIFF, UNDAMPED, wrong_runs
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 from reports.questions import plain
 from reports.series import series_of
-from reports.verdicts import method_card, silent_tables, wrong_on, wrong_sentences
+from reports.verdicts import method_card
+from reports.wrong import STIFF, UNDAMPED, silent_tables, wrong_on, wrong_sentences
 
 #: A vibration of 100 rad/s in an interval of 1 s.
 FAST = SceneRecord(problem="s", t_end=1.0, t0=0.0, rates={"oscillation": 100.0})
@@ -48,11 +48,12 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
     series = series_of([*runs("wrong", 3.0, 0.2), *runs("late", 3.0, 0.05), failed])
     scenes = {"s": SceneRecord(problem="s", t_end=1.0, t0=0.0, difficulties=["It is stiff."])}
 
-    def found(group="a", **more):
-        return {"s": [wrong_on(s, group, None, {}) for s in series], **more}
+    def found(group="a"):
+        return [wrong_on("s", s, group, None, {}) for s in series]
 
     def said(group="a"):
-        return [*map(plain, wrong_sentences(group, found(group, t=[]), {}))]
+        other = [w._replace(scene="t", silent=0, warned=0, judged=0) for w in found(group)]
+        return [*map(plain, wrong_sentences([*found(group), *other], group, {}))]
 
     head = (
         "Wrong without warning: {} of 4 runs that reached the end "
@@ -60,9 +61,9 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
     )
     never = "Wrong at every resolution, silently (smallest error): wrong ({}0.2)."
     assert said() == [head.format(3, ""), never.format("s: ")]
-    assert plain(wrong_sentences("a", found(), {})[-1]) == never.format("")
+    assert plain(wrong_sentences(found(), "a", {})[-1]) == never.format("")
     assert said("lam") == []
-    every, coarsest = silent_tables("a", found(), scenes)
+    every, coarsest = silent_tables(found(), "a", scenes)
     assert every.caption == "Wrong at every resolution, in acceleration: 2 runs"
     assert every.rows == [["wrong", "s", "2 of 2", "0.2 at h=0.05", "It is stiff."]]
     assert coarsest.rows[0][:3] == ["late", "s", "1 of 2"]
@@ -71,7 +72,11 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
     for record in (*series[0].records, *series[1].records):
         record.message = "It may be wrong."
     assert said() == [head.format("none", "; with a warning: 3")]
-    assert silent_tables("a", found(), scenes) == []
+    assert silent_tables(found(), "a", scenes) == []
+
+
+def cause(s, group, scene, atlas):
+    return wrong_on("s", s, group, scene, atlas).cause
 
 
 def test_a_cause_is_named_where_its_experiment_hit_the_method_on_such_a_scene():
@@ -94,10 +99,11 @@ def test_a_cause_is_named_where_its_experiment_hit_the_method_on_such_a_scene():
         (s,) = series_of(made)
         known = STIFF, UNDAMPED, "variable_steps"
         for method, told in (("m[rho_inf=1]", why), ("m", ""), ("spared", "")):
-            assert wrong_runs(s, group, s.finest, scene, atlas_with(method, *known)) == told
-        assert wrong_runs(s, group, s.finest, scene, {}) == ""
-        s.finest.errors["q"]["max"] = 0.2  # the motion itself is wrong
-        assert wrong_runs(s, group, s.finest, scene, atlas_with("m[rho_inf=1]", *known)) == ""
+            assert cause(s, group, scene, atlas_with(method, *known)) == told
+        assert cause(s, group, scene, {}) == ""
+        for run in made:
+            run.errors["q"]["max"] = 0.2  # the motion itself is wrong
+        assert cause(s, group, scene, atlas_with("m[rho_inf=1]", *known)) == ""
 
 
 @pytest.fixture(scope="module")

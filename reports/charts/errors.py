@@ -11,7 +11,7 @@ from reports.charts.line_styles import LineStyle
 from reports.formatting import order_text
 from reports.names import scene_name
 from reports.questions import Question
-from reports.series import Series, ok_runs, reference_error, step_or_tolerance, whole_order
+from reports.series import Series, ok_runs, reference_error, step_or_tolerance
 
 #: Titles of what errors are shown against.
 ACROSS = {name: cost.title for name, cost in COSTS.items()} | {
@@ -23,8 +23,9 @@ ACROSS |= {group: f"relative error in {name}" for group, name in ERROR_NAMES.ite
 _DEEP = 1e3
 #: Number formats of an axis by its field; counts have a suffix.
 _FORMATS = {"h": "~g", "seconds": ".0e"} | dict.fromkeys(ERROR_NAMES, ".0e")
-#: A guide to the eye runs this factor above the errors.
-_CLEAR = 2.0
+#: A guide to the eye runs this factor above the errors; a fitted order this close to a whole number
+#: has one.
+_CLEAR, _NEAR = 2.0, 0.25
 
 
 def convergence_chart(
@@ -181,15 +182,17 @@ def _guide(rows: Sequence[vl.Spec], places: vl.Spec, **mark: Any) -> list[vl.Spe
 
 def _slopes(series: Sequence[Series], group: str, norm: str) -> Iterator[dict[str, Any]]:
     """A line for each whole order found, above the errors that were fitted by it."""
-    fits = [(s, fit) for s in series if (fit := s.fit(group, norm)).window]
-    for order in sorted({whole for _, fit in fits if (whole := whole_order(fit))}):
-        ends = []
-        for s, fit in fits:
-            if whole_order(fit) == order and fit.window:
-                coarse, fine = fit.window
-                last = min(s.ok, key=lambda r, h=fine: abs(step_or_tolerance(r) - h))
-                ends.append((_CLEAR * (last.error(group, norm) or 0.0), fine, coarse))
-        error, fine, coarse = max(ends)
+    ends: dict[int, list[tuple[float, float, float]]] = {}
+    for s in series:
+        fit = s.fit(group, norm)
+        whole = round(fit.order or 0.0) if fit.verdict == "converges" else 0
+        if fit.window and fit.order and whole > 0 and abs(fit.order - whole) <= _NEAR:
+            coarse, fine = fit.window
+            last = min(s.ok, key=lambda r, h=fine: abs(step_or_tolerance(r) - h))
+            own = _CLEAR * (last.error(group, norm) or 0.0), fine, coarse
+            ends.setdefault(whole, []).append(own)
+    for order in sorted(ends):
+        error, fine, coarse = max(ends[order])
         top = vl.short(error * (coarse / fine) ** order)
         start = {"name": f"order {order}", "h": vl.short(coarse), "error": top}
         yield start | {"h2": vl.short(fine), "error2": vl.short(error)}

@@ -12,7 +12,6 @@ from reports.formatting import number
 from reports.names import scene_name
 from reports.ranking import Answer
 from reports.series import Series
-from reports.verdicts import state_on
 
 #: Most values along a side that are drawn.
 MOST = 250
@@ -96,7 +95,7 @@ def method_strip(
     for answer in found:
         for scene, own in answer.scenes.items():
             if entry := own.entries.get(label):
-                state = state_on(label, own)
+                state = own.place(label)
                 ratio = number(float(f"{entry.ratio:.2g}")) if state == "dearer" else ""
                 row = {"scene": scene_name(scene), "target": answer.question.accuracy}
                 rows.append(row | {"state": _LOOKS[state][0], "text": ratio})

@@ -7,13 +7,13 @@ from itertools import count
 
 from bench.results.quantities import NORM, WRONG, quantity
 from bench.results.records import SceneRecord, counted
-from reports.explanations import POLICIES, policy
-from reports.formatting import file_name, number_range
+from reports.formatting import file_name, number
 from reports.names import scene_name
 from reports.pages.chapter import Chapter, Section, Text
 from reports.scenes import StoredRuns
 from reports.series import Series, ok_runs
 from reports.tables.jump_tables import JUDGED, events_table, policies_table
+from reports.wrong import POLICIES, policy
 
 
 def jumps_chapter(stored: StoredRuns) -> Chapter:
@@ -38,7 +38,8 @@ def _sampled(stored: StoredRuns) -> Iterator[Section]:
         title = scene_name(next(iter(ordered.values()))[0])
         ignored = ok_runs(ordered["ignore"][1]) if "ignore" in ordered else []
         silent = [r for r in ignored if r.wrong(JUDGED) and not r.message]
-        size = number_range(r.error(JUDGED, NORM) for r in ignored)
+        sizes = sorted(e for r in ignored if (e := r.error(JUDGED, NORM)) is not None)
+        size = " to ".join(dict.fromkeys(map(number, [*sizes[:1], *sizes[-1:]])))
         verdict = (
             f"The samples are ignored by {counted(len(ignored), 'run')}: error in "
             f"{quantity(JUDGED)} of {size}, however fine the steps; they give the motion of the "

@@ -19,7 +19,7 @@ from reports.pages.drift import drift_chapter
 from reports.pages.jumps import jumps_chapter
 from reports.pages.method_chapter import MethodChapter
 from reports.pages.scene_chapter import SceneChapter
-from reports.ranking import Answer, answers
+from reports.ranking import answers, by_cost
 from reports.scenes import StoredRuns
 from reports.series import label_of
 from reports.tables.measurement import (
@@ -31,7 +31,8 @@ from reports.tables.order_table import lost_orders_table, order_tables
 from reports.tables.ranking_tables import integrators_table, winners_table
 from reports.tables.run_tables import failures_table, notes_table, unsupported_table
 from reports.tables.scene_tables import references_table
-from reports.verdicts import DIFFER, silent_tables, wrong_by_scene, wrong_sentences
+from reports.verdicts import DIFFER
+from reports.wrong import silent_tables, wrong_runs, wrong_sentences
 
 
 class Report:
@@ -55,14 +56,13 @@ class Report:
         self.failed = sum(r.status not in {"ok", *NOT_TRIED} for r in runs)
         self.missing = missing_data(stored)
         first = stored.first
+        self.answered = by_cost(series, first)
         asked = answers(series, [first.group])
-        answered = {q: own for q, own in asked.items() if q.target == first.target}
-        self.answered = dict(sorted(answered.items(), key=lambda pair: pair[0] != first))
         over = [own for question, own in asked.items() if question.cost == first.cost]
-        self.answer = self.answered.get(first, Answer(first, {}, {}))
-        wrong = wrong_by_scene(stored, first.group)
-        self.wrong = wrong_sentences(first.group, wrong, self.names)
-        silent = sum(w.silent for own in wrong.values() for w in own)
+        self.answer = self.answered[first]
+        wrong = wrong_runs(stored, first.group)
+        self.wrong = wrong_sentences(wrong, first.group, self.names)
+        silent = sum(w.silent for w in wrong)
         bad = f"{self.failed} · silent {silent}" if silent else self.failed
         self.winners = winners_table(self.answered, self.names)
         looks = self.styles, self.run_ids
@@ -71,7 +71,7 @@ class Report:
             for i, title in enumerate(stored.titles.values(), 1)
         ]
         self.times, self.differ = times_sentence(stored.times), DIFFER
-        tables = silent_tables(first.group, wrong, stored.scenes)
+        tables = silent_tables(wrong, first.group, stored.scenes)
         self.methods = [MethodChapter(label, stored, self.answer, over) for label in self.names]
         chapters = [
             Chapter(

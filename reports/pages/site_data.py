@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -17,10 +17,21 @@ from reports.formatting import number, tie_text
 from reports.names import family_name, form_name, scene_name
 from reports.pages.report import Report
 from reports.pages.site import method_page, scene_page
-from reports.questions import BOTH, GRID, KINDS, Piece, Question, filters, kind_of, tag_name
+from reports.questions import (
+    BOTH,
+    GRID,
+    KINDS,
+    Filters,
+    Piece,
+    Question,
+    filters,
+    kind_of,
+    tag_name,
+)
 from reports.ranking import Answer, SceneAnswer, answers
-from reports.series import Series, groups_of, ok_runs, step_or_tolerance, trusted_error
-from reports.verdicts import HEADLINES, LATER, WRONG_A, wrong_by_scene, wrong_sentences
+from reports.series import Series, groups_of, ok_runs, reference_error, step_or_tolerance
+from reports.verdicts import HEADLINES, LATER, WRONG_A
+from reports.wrong import wrong_runs, wrong_sentences
 
 #: Stands for a zero in a column.
 _LEAST = 1e-40
@@ -68,8 +79,8 @@ def site_data(report: Report) -> dict[str, Any] | None:
         },
         "kinds": [*map(tag_name, KINDS), "others"],
         "filters": [
-            {"id": f.key, "name": f.name, "scenes": [[*measured].index(k) for k in f.scenes]}
-            for f in chosen
+            {"id": key, "name": name, "scenes": [[*measured].index(k) for k in own]}
+            for key, (name, own) in chosen.items()
         ],
         "methods": [_method(report, series, *pair) for pair in families.items()],
         "scenes": [
@@ -78,7 +89,7 @@ def site_data(report: Report) -> dict[str, Any] | None:
         "columns": columns,
         "runs_of": [[_runs(s, places, columns) for s in own] for own in measured.values()],
         **_answers(answers(measured, groups, GRID, tuple(NORMS)), groups, measured, places),
-        "wrong": {g: _wrong(report, g, {f.key: f.scenes for f in chosen}) for g in groups},
+        "wrong": {g: _wrong(report, g, chosen) for g in groups},
     }
 
 
@@ -103,7 +114,7 @@ def _scene(
     ok = [r for s in series for r in s.ok]
     groups = groups_of(ok, ASKED)
     norms = [(g if norm == NORM else f"{g}|{norm}", g, norm) for g in groups for norm in NORMS]
-    floors = {name: trusted_error(ok, g, norm) for name, g, norm in norms}
+    floors = {name: TRUST * reference_error(ok, g, norm) for name, g, norm in norms}
     options = name.partition("[")[2].rstrip("]")  # for which a heading has no room
     tags = [tag_name(tag) for tag in scene.tags[:3]] if scene else []
     return {
@@ -211,20 +222,16 @@ def _answers(
 
 def _letters(label: str, answers: Sequence[SceneAnswer]) -> str:
     """The cheapest run of an integrator for each accuracy, as letters."""
-    if label not in answers[0].series:
+    if label not in answers[0].entries:
         return ""
-    runs = answers[0].series[label].records
-    letters = {r.key: chr(ord("A") + k) for k, r in enumerate(runs)}
-    best = [answer.cheapest.get(label) for answer in answers]
-    return "".join(
-        letters[own[1].key] if own else _SIGNS[str(answer.entries[label].state)]
-        for own, answer in zip(best, answers, strict=True)
-    )
+    own = [answer.entries[label] for answer in answers]
+    letters = {r.key: chr(ord("A") + k) for k, r in enumerate(own[0].series.records)}
+    return "".join(letters[e.run.key] if e.run else _SIGNS[str(e.state)] for e in own)
 
 
-def _wrong(report: Report, group: str, chosen: Mapping[str, Iterable[str]]) -> dict[str, Any]:
+def _wrong(report: Report, group: str, chosen: Filters) -> dict[str, Any]:
     """Sentences on runs that are wrong without warning, per filter and per scene."""
-    wrong, ids = wrong_by_scene(report.stored, group), report.run_ids
+    wrong, ids = wrong_runs(report.stored, group), report.run_ids
     scenes = {r.key: k for k, own in report.measured.items() for s in own for r in s.records}
     pages = {"method": method_page, "scene": scene_page, "atlas": "atlas.html#atlas-{}".format}
     pages["run"] = lambda key: f"{scene_page(scenes[key])}#{ids[key]}"
@@ -236,11 +243,11 @@ def _wrong(report: Report, group: str, chosen: Mapping[str, Iterable[str]]) -> d
         page = pages[piece.kind](piece.key)
         return {"kind": piece.kind, "key": piece.key, "text": piece.text, "page": page}
 
-    def said(names: Iterable[str]) -> list[list[Any]]:
-        sentences = wrong_sentences(group, {k: wrong[k] for k in names}, report.names)
+    def said(names: Collection[str]) -> list[list[Any]]:
+        sentences = wrong_sentences([w for w in wrong if w.scene in names], group, report.names)
         return [[*map(linked, parts)] for parts in sentences]
 
     return {
-        "filters": {key: said(names) for key, names in chosen.items()},
+        "filters": {key: said(names) for key, (_, names) in chosen.items()},
         "scenes": [said([name]) for name in report.measured],
     }

@@ -11,10 +11,10 @@ from bench.results.quantities import NORM, NORMS
 from bench.results.records import Plan, Record, SceneRecord
 from bench.results.store import Store
 from bench.results.table import Table
-from reports.explanations import STUCK, Atlas, explained
 from reports.formatting import NO_VALUE, number, order_text
 from reports.names import short_names
 from reports.series import Series, groups_of, ok_runs, series_of, step_or_tolerance
+from reports.wrong import STUCK, Atlas, explained
 
 #: The figure of a study that asks for the table.
 FIGURE = "orders"

@@ -76,7 +76,7 @@ def targets_table(series: Sequence[Series], names: Names) -> Table | None:
 def winners_table(found: Mapping[Question, Answer], names: Names) -> Table | None:
     """The answers on each scene with several integrators, by cost; they ask one accuracy."""
     by_cost = [*found.values()]
-    several = [k for own in by_cost for k, s in own.scenes.items() if len(s.series) > 1]
+    several = [k for own in by_cost for k, s in own.scenes.items() if len(s.entries) > 1]
     if not several:
         return None
     scenes = dict.fromkeys([*several, *(k for own in by_cost for k in own.unjudged)])

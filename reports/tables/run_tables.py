@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
@@ -20,8 +21,7 @@ from reports.series import (
     Series,
     groups_of,
     ok_runs,
-    trusted_error,
-    worst_component,
+    reference_error,
 )
 
 
@@ -34,7 +34,7 @@ def summary_table(series: Sequence[Series]) -> Table:
         nearest = {g: near[0] if (near := s.nearest(g)) else None for g in groups}
         errors = {f"error in {g}": number(error) for g, error in nearest.items()}
         for g, error in nearest.items():
-            if error is not None and error <= trusted_error(s.ok, g, NORM):
+            if error is not None and error <= TRUST * reference_error(s.ok, g, NORM):
                 errors[f"error in {g}"] += " *"
                 doubtful = True
         most = run.resolution if run else NO_VALUE
@@ -102,7 +102,9 @@ def _steps(record: Record) -> str:
 
 def _error(record: Record, group: str, components: Mapping[str, Sequence[str]]) -> str:
     """The error with its worst component: 0.7 roll."""
-    worst = worst_component(record, group, NORM)
+    errors = record.components.get(group, {}).get(NORM, [])
+    sizes = [math.inf if e is None else e for e in errors]
+    worst = sizes.index(max(sizes)) if len(sizes) > 1 else None
     name = "" if worst is None else component_text(group, worst, components).partition(" [")[0]
     return f"{number(record.error(group, NORM))} {name}".strip()
 
