@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench.results.quantities import COSTS, NORM, NORMS, TRUST, checked_group
-from bench.results.records import NOT_TRIED, Record, counted
+from bench.results.records import NOT_TRIED, counted
 from bench.results.table import Table
 from bench.results.timings import (
     LEVEL,
@@ -43,7 +43,7 @@ _MEANING = (
 #: An error of zero has no logarithm; smaller ones are rounding.
 _LEAST_ERROR = 1e-16
 #: The errors of a line's runs and samples of their costs, from coarse to fine.
-_Line = Sequence[tuple[float, Samples]]
+_Line = list[tuple[float, Samples]]
 
 
 @dataclass(frozen=True)
@@ -73,9 +73,8 @@ class Duel:
             return f"at least {number(self.low)}{unit}"
         if self.low == 0:
             return f"at most {number(self.high)}{unit}"
-        ends = [number(self.low), number(self.high)]
-        interval = f" ({' to '.join(ends)})" if ends[0] != ends[1] else ""
-        return f"{number(self.ratio)}{unit}{interval}"
+        ends = dict.fromkeys(map(number, (self.low, self.high)))
+        return f"{number(self.ratio)}{unit}" + f" ({' to '.join(ends)})" * (len(ends) > 1)
 
 
 @dataclass(frozen=True)
@@ -83,27 +82,25 @@ class Versus:
     """The duels of two integrators by scene, for one question; ``names`` are their short names."""
 
     question: Question
-    norm: str
     names: tuple[str, str]
     duels: Mapping[str, Duel]
 
     def shown(self, scene: str) -> str:
         """The duel on a scene, as a table has it."""
         duel = self.duels[scene]
-        if duel.known is not None:
-            return duel.text()
-        return duel.why if duel.ratio is None else f"only {self.names[duel.ratio == 0]}"
+        only = duel.why if duel.ratio is None else f"only {self.names[duel.ratio == 0]}"
+        return only if duel.known is None else duel.text()
 
     @property
-    def cheaper(self) -> tuple[list[str], list[str]]:
-        """The scenes on which the first one is cheaper beyond doubt, and those of the second."""
-        apart = {k: d.ratio for k, d in self.duels.items() if d.told_apart and d.ratio is not None}
-        return [k for k, r in apart.items() if r > 1], [k for k, r in apart.items() if r < 1]
+    def wins(self) -> tuple[int, int]:
+        """On how many scenes the first one is cheaper beyond doubt, and the second."""
+        apart = [d.ratio for d in self.duels.values() if d.told_apart and d.ratio is not None]
+        return sum(r > 1 for r in apart), sum(r < 1 for r in apart)
 
     @property
     def p_value(self) -> float:
         """Two-sided sign test over the scenes on which the two are told apart."""
-        less, more = sorted(map(len, self.cheaper))
+        less, more = sorted(self.wins)
         tails = 2 * sum(math.comb(less + more, k) for k in range(less + 1))
         return min(1.0, tails / 2 ** (less + more))
 
@@ -119,24 +116,23 @@ class Versus:
     @property
     def sentence(self) -> str:
         """How much the second one costs, on how many scenes, and whether this is significant."""
-        question, found = self.question, self.median
-        goal = f"at {question.accuracy} in {question.quantity} ({NORMS[self.norm]})"
+        question, found, (one, two) = self.question, self.median, self.names
+        goal = f"at {question.accuracy} in {question.quantity} ({NORMS[question.norm]})"
         judged = [k for k, d in self.duels.items() if d.ratio is not None]
         if not judged:
             why = named(f"{scene_name(k)} ({d.why})" for k, d in self.duels.items())
             return f"Nothing can be compared {goal}: {why}."
-        (one, two), said = self.names, f"By {COSTS[question.cost].words} {goal}: "
+        said = f"By {COSTS[question.cost].words} {goal}: "
         if found and found.ratio:
             both = [k for k in judged if self.duels[k].known is not None]
             where = f"the median of {len(both)} scenes" if len(both) > 1 else scene_name(both[0])
-            apart = ", not told apart" if found.low <= 1 <= found.high else ""
+            apart = ", not told apart" * (found.low <= 1 <= found.high)
             said += f"{two} costs {found.text(' times')} as much as {one}, {where}{apart}; "
-        wins, losses = self.cheaper
-        said += f"{one} wins beyond doubt on {len(wins)} and {two} on {len(losses)} of "
+        said += f"{one} wins beyond doubt on {self.wins[0]} and {two} on {self.wins[1]} of "
         said += counted(len(judged), "scene")
         if len(judged) > 1:
-            no = "" if self.p_value <= 1 - LEVEL else "not "
-            said += f"; {no}significant over the scenes (sign test: p = {self.p_value:.2g})"
+            no, p = "not " * (self.p_value > 1 - LEVEL), f"p = {self.p_value:.2g}"
+            said += f"; {no}significant over the scenes (sign test: {p})"
         return f"{said}."
 
 
@@ -145,94 +141,82 @@ def versus(
     labels: tuple[str, str],
     names: Mapping[str, str],
     question: Question,
-    norm: str,
 ) -> Versus:
     """Compare two integrators on all scenes on which both were tried and have the error."""
     duels = {}
     for scene, series in scenes.items():
-        own = {
-            s.label: s
-            for s in series
-            if s.label in labels and any(r.status not in NOT_TRIED for r in s.records)
-        }
-        runs = ok_runs(own.values())
-        if len(own) == 2 and any(r.error(question.group, norm) is not None for r in runs):
-            duels[scene] = _duel(own[labels[0]], own[labels[1]], runs, question, norm)
-    return Versus(question, norm, (names[labels[0]], names[labels[1]]), duels)
+        tried = [s for s in series if any(r.status not in NOT_TRIED for r in s.records)]
+        own = {s.label: s for s in tried if s.label in labels}
+        known = (r.error(question.group, question.norm) for r in ok_runs(own.values()))
+        if len(own) == 2 and any(error is not None for error in known):
+            duels[scene] = _duel([own[label] for label in labels], question)
+    return Versus(question, (names[labels[0]], names[labels[1]]), duels)
 
 
-def _duel(one: Series, two: Series, runs: Sequence[Record], question: Question, norm: str) -> Duel:
-    trusted = TRUST * reference_error(runs, question.group, norm)
-    if question.target < trusted:
+def _duel(pair: Sequence[Series], question: Question) -> Duel:
+    group, norm, target = question.group, question.norm, question.target
+    runs, cost = ok_runs(pair), COSTS[question.cost]
+    trusted = TRUST * reference_error(runs, group, norm)
+    if target < trusted:
         return Duel(None, why="not judged")
     found, why = [], "neither reaches it"
     for start in range(1 + max(len(r.later) for r in runs)):
-        lines = [
-            [
-                (max(e, trusted, _LEAST_ERROR), _samples(r, question.cost))
-                for r in s.ok
-                if (e := r.error(question.group, norm, start)) is not None
+        lines: list[_Line] = []
+        for s in pair:
+            known = [(e, r) for r in s.ok if (e := r.error(group, norm, start)) is not None]
+            samples: list[Samples] = [
+                by_round(r) if cost.is_time else {0: value} if (value := r.cost(cost.name)) else {}
+                for _, r in known
             ]
-            for s in (one, two)
-        ]
-        reached = [any(e <= question.target for e, _ in line) for line in lines]
+            errors = [max(e, trusted, _LEAST_ERROR) for e, _ in known]
+            lines.append([*zip(errors, samples, strict=True)])
+        reached = [any(e <= target for e, _ in line) for line in lines]
         if all(reached):
-            quotient, why = _quotient(lines[0], lines[1], question)
+            quotient, why = _quotient(lines, question)
             found += [quotient] if quotient else []
         elif any(reached):
             ratio = math.inf if reached[0] else 0.0
             found.append(Quotient(ratio, ratio, ratio, 1.0))
     if not found:
         return Duel(None, why=why)
-    least = max(q.least for q in found)
     ends = min(q.low for q in found), max(q.high for q in found)
-    whole = Quotient(statistics.median(q.value for q in found), *ends, least)
+    whole = Quotient(statistics.median(q.value for q in found), *ends, max(q.least for q in found))
     return Duel(whole.value, whole.low, whole.high, whole.differs)
 
 
-def _samples(record: Record, cost: str) -> Samples:
-    """Samples of a cost by round; a count is one."""
-    if COSTS[cost].is_time:
-        return by_round(record)
-    return {0: value} if (value := record.cost(cost)) else {}
-
-
-def _quotient(one: _Line, two: _Line, question: Question) -> tuple[Quotient | None, str]:
-    """Cost of two over that of one where both reach the accuracy; the reason if there is none."""
-    priced = [[(e, s) for e, s in line if s] for line in (one, two)]
+def _quotient(lines: Sequence[_Line], question: Question) -> tuple[Quotient | None, str]:
+    """Cost of the second over that of the first where both reach it, or why there is none."""
+    cost, priced = COSTS[question.cost], [[(e, s) for e, s in line if s] for line in lines]
     a, b = (_cost_at(line, question.target) for line in priced)
     if not a or not b:
         return None, "cost unknown"
-    if COSTS[question.cost].is_time:
+    if cost.is_time:
         found = quotient_by_round(a, b)
-        if not found:
-            return None, "single times"
     else:
-        value = b[0] / a[0]
-        found = Quotient(value, value, value, COSTS[question.cost].tie)
+        found = Quotient(b[0] / a[0], b[0] / a[0], b[0] / a[0], cost.tie)
     # The coarsest run is better already: a coarser one would cost less.
     at_most = [line[0][0] < question.target for line in priced]
-    if all(at_most):
-        return None, "coarsest runs"
+    if not found or all(at_most):
+        return None, "coarsest runs" if found else "single times"
     low, high = 0.0 if at_most[1] else found.low, math.inf if at_most[0] else found.high
-    return Quotient(found.value, low, high, found.least), ""
+    return found._replace(low=low, high=high), ""
 
 
 def _cost_at(line: _Line, target: float) -> Samples | None:
-    """Samples of the least cost with which a line reaches the target."""
+    """Samples of the least cost with which a line reaches the target.
+
+    Between two runs they are of common rounds; in rising order if there are none.
+    """
     found = [s for e, s in line if e <= target]
-    for (e, s), (f, t) in pairwise(line):
+    for (e, one), (f, two) in pairwise(line):
         if min(e, f) < target < max(e, f):
-            found.append(_between(s, t, math.log(target / e) / math.log(f / e)))
+            part = math.log(target / e) / math.log(f / e)
+            pairs = {place: (one[place], two[place]) for place in one if place in two}
+            if not pairs:
+                ordered = zip(sorted(one.values()), sorted(two.values()), strict=False)
+                pairs = {(id(one), k): pair for k, pair in enumerate(ordered)}
+            found.append({k: a ** (1 - part) * b**part for k, (a, b) in pairs.items()})
     return min(found, key=lambda s: statistics.median(s.values()), default=None)
-
-
-def _between(one: Samples, two: Samples, part: float) -> Samples:
-    """Samples between those of two runs, of common rounds; in rising order if there are none."""
-    if common := [place for place in one if place in two]:
-        return {k: one[k] ** (1 - part) * two[k] ** part for k in common}
-    pairs = zip(sorted(one.values()), sorted(two.values()), strict=False)
-    return {(id(one), k): a ** (1 - part) * b**part for k, (a, b) in enumerate(pairs)}
 
 
 # ---- the table ---------------------------------------------------------------------------
@@ -277,8 +261,8 @@ def side_by_side(
     cost = one_of(stored.first.cost if cost is None else cost, COSTS, "cost")
     if wrong := [t for t in targets if not 0 < t < 1]:
         raise SpecError(f"{wrong[0]:g} is no accuracy; give one between 0 and 1.")
-    asked = [Question(group, target, cost) for target in targets or TABLE_TARGETS]
-    columns = [versus(stored.series, labels, names, question, norm) for question in asked]
+    asked = [Question(group, target, cost, norm) for target in targets or TABLE_TARGETS]
+    columns = [versus(stored.series, labels, names, question) for question in asked]
     quantity, scenes = asked[0].quantity, list(columns[0].duels)
     if not scenes:
         both = f"{names[first]} and {names[second]}"
@@ -286,17 +270,17 @@ def side_by_side(
     rows = [[scene, *(c.shown(scene) for c in columns)] for scene in scenes]
     if len(scenes) > 1:
         rows.append(["median", *(c.median.text() if c.median else "" for c in columns)])
-    cells = [(i, j) for i in range(len(scenes)) for j in range(len(columns))]
     table = Table(
         f"Cost of {names[second]} as a multiple of that of {names[first]} "
         f"({quantity}, {NORMS[norm]}; {COSTS[cost].words})",
         ["scene", *(question.accuracy for question in asked)],
         rows,
-        best={(i, j + 1) for i, j in cells if columns[j].duels[scenes[i]].told_apart},
+        best={(i, j) for j, c in enumerate(columns, 1) for i, scene in enumerate(scenes)
+              if c.duels[scene].told_apart},
         note=f"Above 1 {names[first]} is cheaper; bold: beyond doubt. {_MEANING}",
-    )
+    )  # fmt: skip
     plain = [
-        {"first": first, "second": second, **asdict(c.question), "norm": norm}
+        {"first": first, "second": second, **asdict(c.question)}
         | {"sentence": c.sentence, "median": c.median, "p_value": c.p_value, "scenes": c.duels}
         for c in columns
     ]

@@ -36,7 +36,7 @@ def duels(*records, target=1e-3, group="a", cost="operations", norm="max"):
         scenes.setdefault(r.problem, []).append(r)
     scenes = {k: series_of(own) for k, own in scenes.items()}
     names = {"A": "first", "B": "second"}
-    return versus(scenes, ("A", "B"), names, Question(group, target, cost), norm)
+    return versus(scenes, ("A", "B"), names, Question(group, target, cost, norm))
 
 
 def one(*records, **more):
