@@ -11,11 +11,10 @@ from probe import Probe
 
 from bench.plugins.registry import Registry
 from integrators import Tolerances
-from integrators.adapters import callbacks, sundials
+from integrators.adapters import callbacks
 from integrators.adapters.callbacks import PackedFunction, same_to_rounding
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
-from integrators.adapters.library_runs import all_finite
 from integrators.adapters.scipy_ode import BDF, Radau
 from integrators.adapters.solve_dae import RadauDAE
 from integrators.lowering import native, operators
@@ -82,18 +81,6 @@ def test_no_kind_of_number_compiles_it_again():
     with nothing_compiled():
         for t in (np.float64(1.0), 1, np.array(1.0)):
             assert call(t, s, readonly).tolist() == first
-
-
-def test_what_is_not_finite_is_found_wherever_it_is_and_large_numbers_are_finite():
-    values = np.full(9, 1e308)  # their sum is not finite
-    assert all_finite(values)
-    assert all_finite(np.zeros(0))
-    for k in range(9):
-        for bad in (np.nan, np.inf, -np.inf):
-            spoiled = values.copy()
-            spoiled[k] = bad
-            with np.errstate(invalid="ignore"):
-                assert not all_finite(spoiled)
 
 
 # ---- the same runs ---------------------------------------------------------------------
@@ -192,10 +179,6 @@ def flip(name, c):
 REASONS = [
     (lambda at: at.setattr(native, "_COMPILER", "no-such-compiler"),
      "there is no C compiler named no-such-compiler", Pendulum(), (IDA, CVODE, BDF)),
-    (lambda at: at.setattr(sundials, "_MAJOR", 6),
-     "is not the release 6 that is known", Pendulum(), (IDA, CVODE)),
-    (lambda at: at.setitem(sundials._SIGNATURES, "CVodeGone", (ctypes.c_int,)),
-     "has no function CVodeGone", Pendulum(), (IDA, CVODE)),
     (lambda at: at.setattr("integrators.lowering.stablehlo._type", None),
      "programs of this JAX are not as known", Pendulum(), (IDA, CVODE)),
     (lambda at: None, "it has the operation 'sort'", Sorted(), (IDA, CVODE, BDF)),
@@ -209,7 +192,7 @@ def test_what_stands_against_c_is_told_in_a_sentence_and_leads_to_python(method,
     for plant, reason, scene, methods in REASONS:
         if method not in methods:
             continue
-        for kept in (callbacks.in_c, sundials.library, native.load_c, slower):
+        for kept in (callbacks.in_c, native.load_c, slower):
             kept.cache_clear()
         caplog.clear()
         with pytest.MonkeyPatch.context() as at:
@@ -220,7 +203,7 @@ def test_what_stands_against_c_is_told_in_a_sentence_and_leads_to_python(method,
             assert sentence.startswith(f"{method.__name__} calls")
             assert reason in sentence
             assert found.measure().status == "ok"
-    for kept in (callbacks.in_c, sundials.library, native.load_c, slower):
+    for kept in (callbacks.in_c, native.load_c, slower):
         kept.cache_clear()
     assert not run(method(), AtAZero()).why
 

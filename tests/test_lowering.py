@@ -5,7 +5,7 @@ import pytest
 from helpers import EVERY_OPERATION, long, scene_or_skip
 
 from bench.plugins.registry import Registry
-from integrators.adapters import dae
+from integrators.adapters import equations
 from integrators.adapters.callbacks import PackedFunction
 from integrators.adapters.callbacks import in_c as compiled_in_c
 from integrators.lowering import c_source, graph, operators
@@ -38,14 +38,14 @@ def nodes(function, n):
 def differences(scene, formulation, sparse=False):
     """Largest differences of residual and Jacobian at random states, relative to the largest."""
     of, p = (scene.template(), formulation), np.array([*scene.parameters().values()])
-    jacobian = dae.sparse_jacobian(*of).values if sparse else dae.packed_jacobian(*of)
+    jacobian = equations.sparse_jacobian(*of)[0] if sparse else equations.packed_jacobian(*of)
     n, rng, worst = dae_layout(scene.sizes, formulation).size, np.random.default_rng(7), []
-    at, wdot_at = dae.start_vectors(scene, dae_layout(scene.sizes, formulation))
+    at, wdot_at = equations.start_vectors(scene, dae_layout(scene.sizes, formulation))
     for size in (0.01, 0.1, 1.0, 1.0, 10.0):
         w, wdot = (u + size * rng.normal(size=n) * (1 + abs(u)) for u in (at, wdot_at))
         state = float(rng.uniform(0, 2)), w, wdot
         for packed, last in (
-            (dae.packed_residual(*of), ()),
+            (equations.packed_residual(*of), ()),
             (jacobian, (10 ** rng.uniform(-2, 6),)),
         ):
             right = np.asarray(packed.bind(p)(*state, *last))

@@ -28,8 +28,8 @@ from helpers import EVERY_OPERATION, long, scene_or_skip
 from bench.plugins.registry import Registry
 from bench.results.quantities import PARTS
 from integrators import Integrator, Steps, Tolerances
-from integrators.adapters import dae, ode
-from integrators.adapters.counting import EXPLICIT, IMPLICIT, VECTOR_WORK
+from integrators.adapters import equations
+from integrators.adapters.counting import own_work
 from integrators.adapters.diffrax_methods import Kvaerno5
 from integrators.adapters.ida import IDA
 from integrators.adapters.scipy_ode import Radau
@@ -76,8 +76,8 @@ def test_the_bill_of_a_native_method_is_that_of_a_hand_count():
 def test_equations_of_general_solvers_cost_what_a_hand_count_says():
     scene, hand = Pendulum(), PendulumByHand
     key = scene.template(), "stabilised_index2"
-    of_dae = (of(*key) for of in (dae.packed_residual, dae.packed_jacobian))
-    of_ode = (of(scene.template()) for of in (ode.packed_rate, ode.packed_columns))
+    of_dae = (of(*key) for of in (equations.packed_residual, equations.packed_jacobian))
+    of_ode = (of(scene.template()) for of in (equations.packed_rate, equations.packed_columns))
     residual, jacobian, rate, of_rate = (sorted_out(f.costs) for f in (*of_dae, *of_ode))
     found = [one.arithmetic for one in (residual, jacobian, rate, of_rate)]
     wanted = [hand.dae_residual, hand.dae_jacobian, hand.rate, hand.rate_jacobian]
@@ -119,17 +119,17 @@ def test_the_bill_of_a_run_is_that_of_a_hand_count(method):
 def test_vectors_of_libraries_cost_what_their_formulas_say():
     for solver, k, attempt, iteration, matrix in (
         # Sums of 3 differences for y (2) and y' (3); 4 norms, 3 of them of a sum; 3 differences.
-        (VECTOR_WORK["IDA"], 2, 2 + 3 + (4 * 3 + 3) + 3 + 3, 1 + 2 + 2 + 3, 0),
+        ("IDA", 2, 2 + 3 + (4 * 3 + 3) + 3 + 3, 1 + 2 + 2 + 3, 0),
         # Pascal's triangle of 3 columns, 3 corrections, 2 norms, one of a multiple; weights.
-        (VECTOR_WORK["CVODE"], 2, 3 + 3 * 2 + (2 * 3 + 1) + 3, 2 + 2 + 2 + 3, 2 * 100),
+        ("CVODE", 2, 3 + 3 * 2 + (2 * 3 + 1) + 3, 2 + 2 + 2 + 3, 2 * 100),
         # Cubics at 3 places less y; TI Z0; E Z / h and a norm; y, f + E Z, 2 scales; Z P.
-        (VECTOR_WORK["Radau"], 3, 3 * 8 + 15 + 10 + 1 + 4 + 15, 3 + 26 + 9 + 3 + 15, 150),
+        ("Radau", 3, 3 * 8 + 15 + 10 + 1 + 4 + 15, 3 + 26 + 9 + 3 + 15, 150),
         # Predicted, psi, 2 scales; an error, and those beside it; 3 + 1 differences.
-        (VECTOR_WORK["BDF"], 2, 2 + 4 + 4 + 3 * 4 + 4, 3 + 3 + 2, 2 * 100 + 10 * 2 * 9),
-        (EXPLICIT, 3, 2 * (1 + 2) + 2 * (2 * 3) + 6, 0, 0),
-        (IMPLICIT, 3, 2 * 2 * (1 + 2) + 2 * (2 * 3) + 6, 2 + 1 + 1 + 6, 2 * 100),
+        ("BDF", 2, 2 + 4 + 4 + 3 * 4 + 4, 3 + 3 + 2, 2 * 100 + 10 * 2 * 9),
+        ("explicit", 3, 2 * (1 + 2) + 2 * (2 * 3) + 6, 0, 0),
+        ("implicit", 3, 2 * 2 * (1 + 2) + 2 * (2 * 3) + 6, 2 + 1 + 1 + 6, 2 * 100),
     ):
-        one = partial(solver.operations, 10, k)
+        one = partial(own_work, solver, 10, k)
         assert one(1, 0, 0) == 10 * attempt
         assert one(0, 1, 0) == 10 * iteration
         assert one(0, 0, 1) == matrix
@@ -330,7 +330,7 @@ def iterations(scene: SpringMass, q: float, x: float) -> int:
 
 def test_iterations_of_the_index_1_equations_are_counted_where_a_run_went():
     scene = SpringMass()
-    rate = sorted_out(ode.packed_rate(scene.template()).costs)
+    rate = sorted_out(equations.packed_rate(scene.template()).costs)
     assert rate.arithmetic_per_turn > 0 < rate.algebra_per_turn
     bills, turns, counts = [], [], []
     for method, at in ((Radau(), Tolerances(1e-4)), (NohBathe(), Steps(0.02))):
@@ -355,8 +355,8 @@ def test_scenes_with_every_kind_of_block_have_operations_that_are_known():
         found = turns_of(GeneralizedAlpha(linear_solver="dense"), scene)
         key = scene.template(), "stabilised_index2"
         assert min(found["steps"], found["newton0"]) > 20, name
-        assert sorted_out(dae.packed_residual(*key).costs).arithmetic > 0, name
-        rate = sorted_out(ode.packed_rate(scene.template()).costs)
+        assert sorted_out(equations.packed_residual(*key).costs).arithmetic > 0, name
+        rate = sorted_out(equations.packed_rate(scene.template()).costs)
         assert rate.algebra + rate.algebra_per_turn > 0, name
         coupled = scene.sizes.ny or scene.has("coupled_force")
         assert bool(rate.algebra_per_turn) == bool(coupled), name

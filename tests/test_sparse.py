@@ -7,7 +7,7 @@ from scipy.sparse import csc_matrix
 
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
-from integrators.adapters import dae, trajectories
+from integrators.adapters import equations
 from integrators.adapters.ida import IDA
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
@@ -124,10 +124,10 @@ def test_rows_of_large_scenes_are_completed_by_sparse_algebra(monkeypatch):
     scene = Chain(links=3)
     z = ended(IDA(), scene, 0.05, Tolerances(1e-6))
     states = scene, z.t, z.q, z.v, z.x
-    dense = trajectories.trajectory_from_states(*states)
+    dense = equations.trajectory_from_states(*states)
     monkeypatch.setattr(sparsity, "DENSE_LIMIT", 1)
-    monkeypatch.setattr(trajectories, "compiled", None)
-    sparse = trajectories.trajectory_from_states(*states)
+    monkeypatch.setattr(equations, "compiled", None)
+    sparse = equations.trajectory_from_states(*states)
     for name in ("t", *GROUPS, "xdot"):
         found, values = getattr(sparse, name), getattr(dense, name)
         assert found.shape == values.shape
@@ -153,7 +153,7 @@ def test_work_is_counted_as_with_dense_tangents_and_other_parameters_compile_not
 def difference(scene, formulation, sparse):
     """Largest difference of IDA's two Jacobians at random states and cj, relative."""
     at, n = np.array([*scene.parameters().values()]), dae_layout(scene.sizes, formulation).size
-    dense = dae.packed_jacobian(scene.template(), formulation).bind(at)
+    dense = equations.packed_jacobian(scene.template(), formulation).bind(at)
     values, rng, worst = sparse.values.bind(at), np.random.default_rng(3), 0.0
     for cj in 10.0 ** rng.uniform(-2, 6, size=3):
         state = float(rng.normal()), rng.normal(size=n), rng.normal(size=n), cj
@@ -166,7 +166,7 @@ def difference(scene, formulation, sparse):
 @every_scene
 @on_forms
 def test_the_sparse_jacobian_is_the_dense_one_as_superlu_wants_it(scene, form):
-    sparse = dae.sparse_jacobian(scene.template(), form)
+    sparse = equations.sparse_jacobian(scene.template(), form)
     assert difference(scene, form, sparse) < 1e-14
     assert sparse.rows.dtype == sparse.starts.dtype == np.int32
     entries = of_ida(scene, 1.0, formulation=form, **SPARSE).options["sparsity"]
@@ -176,7 +176,7 @@ def test_the_sparse_jacobian_is_the_dense_one_as_superlu_wants_it(scene, form):
 
 def test_a_missing_entry_a_sign_and_an_exchange_are_seen():
     scene = Chain(links=3)
-    good = dae.sparse_jacobian(scene.template(), GGL)
+    good = equations.sparse_jacobian(scene.template(), GGL)
     rng, n = np.random.default_rng(4), len(good.starts) - 1
     call = good.values.bind(np.array([*scene.parameters().values()]))
     size = np.abs(call(0.0, *rng.normal(size=(2, n)), 1.0))
@@ -268,7 +268,7 @@ def test_size_and_fill_choose_the_solver(monkeypatch):
     with pytest.raises(SpecError, match="auto, dense, sparse"):
         Registry().integrator("ida[linear_solver=klu]")
     monkeypatch.setattr(sparsity, "DENSE_LIMIT", 1)
-    pattern = dae.dae_pattern(full.template(), "index1")
+    pattern = equations.dae_pattern(full.template(), "index1")
     assert len(pattern.rows) > 0.1 * pattern.size**2
     assert not is_sparse(IDA(), full)
 

@@ -70,40 +70,29 @@ def run_counted(program: Callable, *arguments: Any) -> tuple[Any, Counts]:
         return result, Counts(*_tally)
 
 
-class VectorWork(NamedTuple):
-    """Operations of a solver of n unknowns at order k, or with k stages.
-
-    ``attempt`` is that of an attempt of a step over n, as coefficients of 1, k and k^2: prediction,
-    error test, history, tests of other orders, error weights. ``iteration`` is over n, ``matrix``
-    that of making a matrix that is factorised, over n^2, and ``renewal`` what goes with it, over
-    n (k + 1)^2.
-    """
-
-    attempt: tuple[float, float, float]
-    iteration: float
-    matrix: float = 0.0
-    renewal: float = 0.0
-
-    def operations(
-        self, n: int, k: float, attempts: float, iterations: float, matrices: float
-    ) -> float:
-        """Operations of a run."""
-        one, by_order, by_square = self.attempt
-        of_vectors = attempts * (one + by_order * k + by_square * k**2)
-        of_vectors += iterations * self.iteration + matrices * self.renewal * (k + 1) ** 2
-        return n * of_vectors + n**2 * matrices * self.matrix
-
-
-# scipy's: Radau's three stages are W = T^-1 Z, with matrices gamma/h I - J that alternate between
-# real and complex; a new I - c J of BDF scales its differences anew.
-_RADAU = VectorWork((69, 0, 0), 56, matrix=1.5)
-_BDF = VectorWork((18, 4, 0), 8, matrix=2, renewal=2)
-#: By the name of the class of a method. CVODE multiplies by Pascal's triangle.
-VECTOR_WORK = {
-    "IDA": VectorWork((18, 4, 0), 8),
-    "CVODE": VectorWork((12, 2.5, 0.5), 9, matrix=2),
-    **{"Radau": _RADAU, "RadauDAE": _RADAU, "BDF": _BDF, "BDFDAE": _BDF},
-}
-#: Runge-Kutta methods of diffrax; implicit ones predict each stage and have two norms in an
+#: By the name of the class of a method, operations of a solver of n unknowns at order k, or with k
+#: stages: those of an attempt of a step over n, as coefficients of 1, k and k^2 (prediction, error
+#: test, history, tests of other orders, error weights); of an iteration over n; of making a matrix
+#: that is factorised, over n^2, and of what goes with it, over n (k + 1)^2.
+#: CVODE multiplies by Pascal's triangle. Radau's three stages are W = T^-1 Z, with matrices
+#: gamma/h I - J that alternate between real and complex; a new I - c J of BDF scales its
+#: differences anew. Implicit methods of diffrax predict each stage, and have two norms in an
 #: iteration.
-EXPLICIT, IMPLICIT = VectorWork((6, 3, 1), 0), VectorWork((6, 2, 2), 10, matrix=2)
+_OF_VECTORS = {
+    "IDA": ((18, 4, 0), 8, 0, 0),
+    "CVODE": ((12, 2.5, 0.5), 9, 2, 0),
+    **dict.fromkeys(("Radau", "RadauDAE"), ((69, 0, 0), 56, 1.5, 0)),
+    **dict.fromkeys(("BDF", "BDFDAE"), ((18, 4, 0), 8, 2, 2)),
+    "explicit": ((6, 3, 1), 0, 0, 0),
+    "implicit": ((6, 2, 2), 10, 2, 0),
+}
+
+
+def own_work(
+    solver: str, n: int, k: float, attempts: float, iterations: float, matrices: float
+) -> float:
+    """Operations on vectors of a run; Runge-Kutta methods of diffrax are explicit or implicit."""
+    (one, by_order, by_square), iteration, matrix, renewal = _OF_VECTORS[solver]
+    of_vectors = attempts * (one + by_order * k + by_square * k**2)
+    of_vectors += iterations * iteration + matrices * renewal * (k + 1) ** 2
+    return n * of_vectors + n**2 * matrices * matrix

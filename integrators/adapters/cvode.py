@@ -1,23 +1,22 @@
-"""CVODE of SUNDIALS through scikit-sundae: variable-order multistep methods on the explicit ODE."""
+"""CVODE of SUNDIALS: variable-order multistep methods on the explicit ODE."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from integrators.adapters.library_runs import CountedEquations, callbacks_option
-from integrators.adapters.ode import ODESolver, given_ode
-from integrators.adapters.sundials_native import NativeCVODE
+from integrators.adapters.equations import given_ode
+from integrators.adapters.library_runs import ODESolver, callbacks_option
 from integrators.adapters.sundials_runs import SundialsRun
 from integrators.contract import PreparedRun, option
 from integrators.program_costs import dense
 from integrators.resolutions import Tolerances
 from problems.system import MechatronicSystem
 
-#: CVODE's highest order of backward differences.
-_BDF_ORDER = 5
+#: The highest orders of CVODE's formulas.
+_HIGHEST = {"bdf": 5, "adams": 12}
 
 
 @dataclass(frozen=True)
@@ -33,8 +32,7 @@ class CVODE(ODESolver):
     CVODE calls equations in C, which are made of the scene's traced equations, or through Python.
     ``residuals`` are evaluations of the right-hand side, counted there; a run that uses up
     ``max_calls`` of them ends with status budget_exceeded, and a value that is not finite ends it
-    as diverged. Through Python scikit-sundae does not tell how often CVODE factorises, so that no
-    operations are known.
+    as diverged.
     """
 
     family: ClassVar[str] = "cvode"
@@ -45,41 +43,17 @@ class CVODE(ODESolver):
         "formulas: bdf, backward differences, for stiff equations; adams, of Adams and Moulton",
         choices=("bdf", "adams"),
     )
-    max_order: int = option(
-        12, f"highest order of the formulas; those of bdf end at {_BDF_ORDER}", low=1, high=12
-    )
     max_calls: int = option(50_000, "most calls of the right-hand side in a run", low=1)
     callbacks: str = callbacks_option()
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances
     ) -> PreparedRun:
-        return _CVODERun(self, scene, t_end, resolution)
-
-
-class _CVODERun(SundialsRun):
-    native = NativeCVODE
-
-    def __init__(
-        self, method: CVODE, scene: MechatronicSystem, t_end: float, resolution: Tolerances
-    ) -> None:
-        given = given_ode(scene, method.baumgarte(scene))
-        highest = _BDF_ORDER if method.method == "bdf" else method.max_order
+        given = given_ode(scene, self.baumgarte(scene))
         options = {
-            "method": method.method,
-            "max_order": min(method.max_order, highest),
+            "method": self.method,
+            "max_order": _HIGHEST[self.method],
             "rtol": resolution.rtol,
             "atol": np.full(given.size, resolution.atol),
         }
-        super().__init__(method, given, t_end, dense(given.size), options)
-
-    def _python_solver(self, equations: CountedEquations) -> Any:
-        from sksundae import cvode
-
-        def rate(t: float, s: np.ndarray, value: np.ndarray) -> None:
-            value[:] = equations.value(t, s)
-
-        def jacobian(t: float, s: np.ndarray, value: np.ndarray, jac: np.ndarray) -> None:
-            jac.T[:] = equations.jacobian(t, s)
-
-        return cvode.CVODE(rate, jacfn=jacobian, **self.options)
+        return SundialsRun(self, given, t_end, dense(given.size), options)

@@ -11,7 +11,7 @@ from integrators.adapters.diffrax_runs import (
     DiffraxScheme,
     DiffraxStepMethod,
 )
-from integrators.adapters.ode import ODEMethod
+from integrators.adapters.library_runs import ODEMethod
 from integrators.contract import Integrator, PreparedRun, option
 from integrators.native.step_method import NativeMethod
 from problems.system import MechatronicSystem

@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from integrators.adapters.counting import EXPLICIT, IMPLICIT, run_counted, watch
-from integrators.adapters.ode import (
+from integrators.adapters.counting import own_work, run_counted, watch
+from integrators.adapters.equations import (
     packed_columns,
     packed_parameters,
     packed_projection,
     packed_rate,
+    trajectory_from_states,
 )
-from integrators.adapters.trajectories import early_end_message, trajectory_from_states
+from integrators.adapters.library_runs import early_end_message
 from integrators.contract import WIDER, PreparedRun, Trajectory, Work
 from integrators.native.algebra.step_records import Reading
 from integrators.native.step.step_program import StepFunctions
@@ -146,8 +147,8 @@ class DiffraxRun(PreparedRun):
         scheme, work, size = self._scheme, run.work, state_layout(self._scene.sizes).size
         key, algebra = (scheme.template, scheme.baumgarte), dense(size)
         attempts, iterations = (work.steps or 0) + (work.rejected or 0), work.newton or 0
-        solver = IMPLICIT if scheme.implicit else EXPLICIT
-        own = solver.operations(size, scheme.stages, attempts, iterations, iterations)
+        solver = "implicit" if scheme.implicit else "explicit"
+        own = own_work(solver, size, scheme.stages, attempts, iterations, iterations)
         projections = packed_projection(scheme.template).costs if scheme.projects else []
         costs = [
             *of_calls(packed_rate(*key).costs, (work.residuals or 0) - iterations),

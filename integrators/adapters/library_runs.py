@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from abc import abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from integrators.adapters.callbacks import PackedFunction, same_to_rounding
-from integrators.adapters.counting import VECTOR_WORK
-from integrators.adapters.trajectories import early_end_message
+from integrators.adapters.counting import own_work
+from integrators.adapters.equations import GivenEquations
 from integrators.contract import WIDER, Integrator, PreparedRun, Trajectory, Work, option
 from integrators.lowering.graph import NotLowered
+from integrators.native.step.method_options import DriftHandling
 from integrators.output_rows import RowKeeper, width_of
-from integrators.program_costs import OWN, Algebra, Cost, bill, of_calls
+from integrators.program_costs import OWN, Algebra, Cost, NotCounted, bill, of_calls
 from problems.base.runtime import slower
 from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int32
+    pass
 
 NOT_FINITE = "the equations gave a value that is not finite"
 
@@ -72,198 +69,28 @@ class LibrarySolver(Integrator):
         return "use a larger rtol, or a smaller one if the solution changes abruptly here"
 
 
-@dataclass(frozen=True, eq=False)
-class GivenEquations:
-    """Equations of a scene as a solver is given them, and the start of a run.
+@dataclass(frozen=True)
+class ODEMethod(DriftHandling):
+    """Base of methods on the explicit ODE."""
 
-    Parameters
-    ----------
-    value
-        Residual of a DAE or right-hand side of an ODE, of (p, t, vectors).
-    jacobian
-        Its transposed Jacobian, or the entries of that as compressed columns; IDA adds the argument
-        cj.
-    p, start
-        Parameters, and t0 with the vectors there.
-    trajectory
-        Makes a trajectory of times and the solver's vectors there.
-    sparsity
-        Rows of the entries, and the number of the first one of each column; None if dense.
-    """
-
-    scene: MechatronicSystem
-    value: PackedFunction
-    jacobian: PackedFunction
-    p: Float[np.ndarray, " parameters"]
-    start: tuple[Any, ...]
-    trajectory: Callable[[np.ndarray, np.ndarray], Trajectory]
-    sparsity: tuple[Int32[np.ndarray, " entries"], Int32[np.ndarray, " n+1"]] | None = None
-
-    @property
-    def size(self) -> int:
-        """The number of equations."""
-        return len(self.start[1])
-
-    def bound(self) -> tuple[Callable[..., Any], Callable[..., Any]]:
-        """Return equations and Jacobian as JAX compiles them, of (t, vectors)."""
-        functions = self.value.bind(self.p), self.jacobian.bind(self.p)
-        functions[0](*self.start)  # compiles
-        functions[1](*self.start, *self._factors)
-        return functions
-
-    def bound_in_c(
-        self, functions: tuple[Callable[..., Any], Callable[..., Any]]
-    ) -> tuple[Callable[..., Any], Callable[..., Any]]:
-        """Return equations and Jacobian in C, after a comparison with the functions of JAX.
-
-        They are compared at the start of the run and near it. The start has the exact zeros of a
-        scene, at which functions may jump; near it, where a run might come, nothing vanishes by
-        chance.
-
-        Raises
-        ------
-        NotLowered
-            If they have no form in C, there is no compiler, or they differ.
-        """
-        t, *vectors = self.start
-        shift = np.random.default_rng(0).uniform(-1e-3, 1e-3, (len(vectors), self.size))
-        moved = [v + d * (1 + abs(v)) for v, d in zip(vectors, shift, strict=True)]
-        found = self.value.bind_c(self.p), self.jacobian.bind_c(self.p)
-        for ours, theirs, rows, factors in (
-            (found[0], functions[0], None, ()),
-            (found[1], functions[1], self.sparsity and self.sparsity[0], self._factors),
-        ):
-            values, right = (
-                np.array([np.ravel(f(t, *at, *factors)) for at in (vectors, moved)])
-                for f in (ours, theirs)
-            )
-            if rows is None:  # of columns
-                rows = np.tile(np.arange(self.size), len(right[0]) // self.size)
-            if not same_to_rounding(values, right, rows):
-                raise NotLowered("its equations in C are not those of JAX")
-        return found
-
-    @property
-    def _factors(self) -> tuple[float, ...]:
-        """A value for cj, if the Jacobian has this argument."""
-        return (3.0,) * (len(self.jacobian.lengths) - len(self.value.lengths))
+    formulation = "ode"
+    takes: ClassVar[tuple[str, ...]] = tuple(WIDER)
 
 
-def all_finite(values: Float[np.ndarray, " n"]) -> bool:
-    """Whether every entry of a vector is finite; three times as fast as ``np.isfinite``."""
-    return _zeros(len(values)).dot(values) == 0.0  # 0 times NaN or infinity is NaN
+@dataclass(frozen=True)
+class ODESolver(LibrarySolver, ODEMethod):
+    """Base of solvers of other libraries on the explicit ODE, whose steps end as they are."""
+
+    constraints: str = option(
+        "index1",
+        "index1: the motion drifts off them; baumgarte: the drift decays",
+        choices=("index1", "baumgarte"),
+    )
 
 
-@cache
-def _zeros(n: int) -> np.ndarray:
-    return np.zeros(n)
-
-
-class CountedEquations:
-    """The equations as a solver calls them from Python, counted; one object for each run.
-
-    The times of the calls tell iterations and attempts of solvers of scipy's kind. The first call
-    of every Newton iteration is at the earliest time of its attempt. An attempt that is repeated
-    with a smaller step begins earlier than those before it.
-
-    Parameters
-    ----------
-    value, jacobian
-        Functions of (t, ...).
-    max_calls
-        After so many calls of ``value`` the run ends as budget_exceeded.
-    ends_at_not_finite
-        Whether a value that is not finite ends the run at once.
-    """
-
-    def __init__(
-        self,
-        value: Callable[..., Any],
-        jacobian: Callable[..., Any],
-        max_calls: int,
-        ends_at_not_finite: bool = False,
-    ) -> None:
-        self._value, self._jacobian, self._max_calls = value, jacobian, max_calls
-        self._ends_at_not_finite = ends_at_not_finite
-        self.residuals = self.jacobians = self._newton = self._attempts = 0
-        self._factorisations = self._solves = 0
-        #: Factorisations and solves of complex systems among all.
-        self.complex_factorisations = self.complex_solves = 0
-        self._now = self._earliest = math.inf
-        #: Whether all values since the last accepted step were finite.
-        self.finite = True
-
-    def begin_step(self, t: float) -> None:
-        """Note that the solver begins a step at time t."""
-        self._now, self._earliest, self.finite = t, math.inf, True
-
-    def value(self, t: float, *vectors: np.ndarray) -> np.ndarray:
-        """The right-hand side or residual, counted.
-
-        Raises
-        ------
-        EarlyEnd
-            If the calls are used up, or a value or the time is not finite.
-        """
-        if self.residuals == self._max_calls:
-            raise EarlyEnd("budget_exceeded", f"{self._max_calls} calls were used up")
-        self.residuals += 1
-        if self._now < t <= self._earliest:
-            self._newton += 1
-            self._attempts += int(t < self._earliest)
-            self._earliest = t
-        value = np.asarray(self._value(t, *vectors))
-        if not all_finite(value):
-            self.finite = False
-            # Solvers of scipy's kind take a smaller step after such a value, unless it made the
-            # time NaN.
-            if self._ends_at_not_finite or not math.isfinite(t):
-                raise EarlyEnd("diverged", NOT_FINITE)
-        return value
-
-    def jacobian(self, t: float, *given: Any) -> np.ndarray:
-        """The transposed Jacobian or its entries, counted."""
-        self.jacobians += 1
-        # Now, as the next call overwrites its arguments.
-        return np.asarray(self._jacobian(t, *given))
-
-    def count_linear_algebra(self, solver: Any) -> None:
-        """Count the factorisations and solves of a solver, whose ``lu`` and ``solve_lu`` change.
-
-        A solver that calls others, as later releases may, leaves them uncounted.
-        """
-        try:
-            factorise, solve = solver.lu, solver.solve_lu
-        except AttributeError:
-            return
-
-        def counted_lu(matrix: np.ndarray) -> Any:
-            self._factorisations += 1
-            self.complex_factorisations += np.iscomplexobj(matrix)
-            return factorise(matrix)
-
-        def counted_solve(factors: Any, b: np.ndarray) -> np.ndarray:
-            self._solves += 1
-            self.complex_solves += np.iscomplexobj(b)
-            return solve(factors, b)
-
-        solver.lu, solver.solve_lu = counted_lu, counted_solve
-
-    def work(self, steps: int) -> Work:
-        """The counts of the run, with its number of accepted steps.
-
-        Factorisations and solves are unknown if there were steps and no solve was seen.
-        """
-        seen = self._solves or not steps
-        return Work(
-            steps,
-            self._attempts - steps,
-            self._newton,
-            self.residuals,
-            self.jacobians,
-            self._factorisations if seen else None,
-            self._solves if seen else None,
-        )
+def early_end_message(t: float, t_end: float, reason: str, remedy: str) -> str:
+    """The message of a run to t_end that ended at t (s); reason and remedy are clauses."""
+    return f"Ended at t={t:.6g} s of {t_end:g} s: {reason}; {remedy}."
 
 
 class LibraryRun(PreparedRun):
@@ -278,7 +105,7 @@ class LibraryRun(PreparedRun):
     def __init__(
         self, method: LibrarySolver, given: GivenEquations, t_end: float, algebra: Algebra
     ) -> None:
-        self.given, self._method, self._t_end = given, method, float(t_end)
+        self.given, self.method, self.t_end = given, method, float(t_end)
         self._name, self._algebra = type(method).__name__, algebra
         self.functions = given.bound()
         #: Orders of the steps that were measured last.
@@ -286,21 +113,12 @@ class LibraryRun(PreparedRun):
         #: Why the equations are not called in C; empty if they are.
         self.why = "callbacks=python was asked for"
         if method.callbacks == "compiled":
-            self.why = self._called_in_c()
-
-    def _called_in_c(self) -> str:
-        """Take functions in C in the place of JAX's; return why not."""
-        try:
-            self._check_library()
-            self.functions = self.given.bound_in_c(self.functions)
-        except NotLowered as reason:
-            about = f"{self._name} calls {self.given.scene.name}"
-            slower(f"{about} through Python, which takes longer: {reason}.")
-            return str(reason)
-        return ""
-
-    def _check_library(self) -> None:
-        """Raise NotLowered if the library takes no functions in C."""
+            try:
+                self.functions, self.why = given.bound_in_c(self.functions), ""
+            except NotLowered as reason:
+                self.why = str(reason)
+                about = f"{self._name} calls {given.scene.name}"
+                slower(f"{about} through Python, which takes longer: {reason}.")
 
     @abstractmethod
     def _solver(self, counts: bool) -> contextlib.AbstractContextManager[Any]:
@@ -320,11 +138,11 @@ class LibraryRun(PreparedRun):
         # The steps of ``execute``, one by one: a failure loses none of them.
         given, end, work, h = self.given, None, Work(steps=0), 0.0
         self._orders = []
-        kept = RowKeeper(width_of(given.scene.sizes), given.start[:2], self._t_end)
+        kept = RowKeeper(width_of(given.scene.sizes), given.start[:2], self.t_end)
         try:
             with self._solver(counts=True) as solver:
                 try:
-                    while kept.last[0] < self._t_end:
+                    while kept.last[0] < self.t_end:
                         time, unknowns = solver.step()
                         h = time - kept.last[0]
                         kept.add((time, unknowns))
@@ -340,8 +158,8 @@ class LibraryRun(PreparedRun):
         cause, reason = end.status, end.reason
         if self._collapsed(end.status, work):
             cause, reason = "step_too_small", f"the step has collapsed to {h:.2g} s, and {reason}"
-        remedy = end.remedy or self._method.advice(given.scene, cause)
-        message = early_end_message(t[-1], self._t_end, reason, remedy)
+        remedy = end.remedy or self.method.advice(given.scene, cause)
+        message = early_end_message(t[-1], self.t_end, reason, remedy)
         return replace(trajectory, status=end.status, message=message)
 
     def _collapsed(self, status: str, work: Work) -> bool:
@@ -349,27 +167,21 @@ class LibraryRun(PreparedRun):
         return False
 
     def bill(self, run: Trajectory) -> dict[str, float]:
-        if run.work.factorisations is None:
-            return {}
-        return bill(self._costs(run.work), self.given.scene, run)
-
-    def _costs(self, work: Work) -> list[Cost]:
-        """Operations of a run with known factorisations."""
+        given, work = self.given, run.work
+        if work.factorisations is None:
+            raise NotCounted(f"{self._name} no longer calls its lu and solve_lu")
         factorisations, solves = self._linear_algebra(work)
         attempts = (work.steps or 0) + (work.rejected or 0)
-        # Of solvers through Python that do not tell it, an iteration is a residual.
-        iterations = (work.residuals if work.newton is None else work.newton) or 0
-        own = VECTOR_WORK[self._name].operations(
-            self.given.size, float(np.mean(self._orders or [0.0])), attempts, iterations,
-            work.factorisations or 0,
-        )  # fmt: skip
-        return [
-            *of_calls(self.given.value.costs, work.residuals or 0),
-            *of_calls(self.given.jacobian.costs, work.jacobians or 0, "Jacobians"),
+        each = float(np.mean(self._orders or [0.0])), attempts, work.newton or 0
+        own = own_work(self._name, given.size, *each, work.factorisations)
+        costs = [
+            *of_calls(given.value.costs, work.residuals or 0),
+            *of_calls(given.jacobian.costs, work.jacobians or 0, "Jacobians"),
             Cost("factorisations", operations=factorisations * self._algebra.factorisation),
             Cost("solves", operations=solves * self._algebra.solve),
             Cost(OWN, operations=own),
         ]
+        return bill(costs, given.scene, run)
 
     def _linear_algebra(self, work: Work) -> tuple[int, int]:
         """The numbers of real factorisations and solves."""

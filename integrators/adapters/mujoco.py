@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from integrators.adapters.trajectories import trajectory_from_states
+from integrators.adapters.equations import trajectory_from_states
 from integrators.contract import Integrator, PreparedRun, Trajectory, Work, option
 from integrators.native.loops.status import Ending
 from integrators.output_rows import RowKeeper, width_of

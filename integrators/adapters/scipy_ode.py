@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
+from integrators.adapters.equations import GivenEquations, given_ode
 from integrators.adapters.library_runs import (
     NOT_FINITE,
-    CountedEquations,
     EarlyEnd,
-    GivenEquations,
     LibraryRun,
     LibrarySolver,
+    ODESolver,
     callbacks_option,
 )
-from integrators.adapters.ode import ODESolver, given_ode
-from integrators.contract import PreparedRun, Trajectory, Work, option
-from integrators.program_costs import NotCounted, dense
+from integrators.contract import PreparedRun, Work, option
+from integrators.program_costs import dense
 from integrators.resolutions import Tolerances
 from problems.base.runtime import Float
 from problems.system import MechatronicSystem
@@ -86,76 +86,65 @@ class ScipyRun(LibraryRun):
         method: LibrarySolver,
         given: GivenEquations,
         t_end: float,
-        solver: type,
+        kind: type,
         tolerances: dict[str, Any],
     ) -> None:
         super().__init__(method, given, t_end, dense(given.size))
-        self._kind, self._tolerances = solver, tolerances
-        self._measured = self.counted_equations()
-
-    def counted_equations(self) -> CountedEquations:
-        """Return the equations, with all counters at zero."""
-        return CountedEquations(*self.functions, self._method.max_calls)
-
-    def new_solver(self, equations: CountedEquations) -> Any:
-        """Return a new solver at the start; a used one keeps counters and history."""
-
-        def jacobian(*at: Any) -> np.ndarray:
-            return equations.jacobian(*at).swapaxes(-1, -2)
-
-        start = self.given.start
-        return self._kind(equations.value, *start, self._t_end, jac=jacobian, **self._tolerances)
+        self.kind, self.tolerances = kind, tolerances
 
     @contextlib.contextmanager
-    def _solver(self, counts: bool) -> Iterator[_ScipySolver]:
-        equations = self.counted_equations()
+    def _solver(self, counts: bool) -> Iterator[CountedSolver]:
+        solver = CountedSolver(self, counts)
         if counts:
-            self._measured = equations
+            self._measured = solver
         # A singular matrix or an overflow on the way to a failure: the status says the same.
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            yield _ScipySolver(self, equations, counts)
-
-    def bill(self, run: Trajectory) -> dict[str, float]:
-        if run.work.solves is None:
-            raise NotCounted(f"{self._name} no longer calls its lu and solve_lu")
-        return super().bill(run)
+            yield solver
 
     def _linear_algebra(self, work: Work) -> tuple[int, int]:
         # A complex operation is four real ones, and these systems are among those counted.
-        counts = self._measured
-        factorisations = (work.factorisations or 0) + 3 * counts.complex_factorisations
-        return factorisations, (work.solves or 0) + 3 * counts.complex_solves
+        algebra = zip((work.factorisations, work.solves), self._measured.complex_ones, strict=True)
+        factorisations, solves = ((count or 0) + 3 * more for count, more in algebra)
+        return factorisations, solves
 
 
-class _ScipySolver:
-    """A solver of scipy's kind at the start of a run, which its first step makes."""
+class CountedSolver:
+    """A solver of scipy's kind at the start of a run, which its first step makes; it is counted.
 
-    def __init__(self, run: ScipyRun, equations: CountedEquations, counts: bool) -> None:
-        self._run, self._equations, self._counts = run, equations, counts
-        self._solver: Any = None
+    The times of the calls tell iterations and attempts. The first call of every Newton iteration
+    is at the earliest time of its attempt. An attempt that is repeated with a smaller step begins
+    earlier than those before it.
+    """
+
+    def __init__(self, run: ScipyRun, counts: bool) -> None:
+        self._run, self._counts, (self._value, self._jacobian) = run, counts, run.functions
+        self.solver: Any = None
+        self._residuals = self._jacobians = self._newton = self._attempts = 0
+        #: Factorisations and solves, and those of complex systems among them.
+        self._all, self.complex_ones = [0, 0], [0, 0]
+        self._now = self._earliest = math.inf
+        #: Whether all values since the last accepted step were finite.
+        self._finite = True
 
     def whole(self) -> None:
+        """Solve to the end."""
         self.step()
-        while self._solver.status == "running":
+        while self.solver.status == "running":
             self.step()
 
     def step(self) -> tuple[float, Float[np.ndarray, " n"]]:
-        equations = self._equations
+        """Take one step; return the time and the unknowns there."""
         try:
-            if self._solver is None:
-                self._solver = self._run.new_solver(equations)
-                if self._counts:
-                    equations.count_linear_algebra(self._solver)
-            solver = self._solver
-            equations.begin_step(solver.t)
+            self.solver = solver = self.solver or self._made()
+            self._now, self._earliest, self._finite = solver.t, math.inf, True
             solver.step()
         except (ValueError, np.linalg.LinAlgError) as error:
-            if equations.finite:
+            if self._finite:
                 raise EarlyEnd("newton_failed", f"the linear algebra failed ({error})") from None
             raise EarlyEnd("diverged", NOT_FINITE) from None
         if solver.status == "failed":
-            if not equations.finite:
+            if not self._finite:
                 raise EarlyEnd("diverged", NOT_FINITE)
             raise EarlyEnd("step_too_small", "the step size fell to the spacing of numbers")
         return float(solver.t), solver.y
@@ -163,7 +152,49 @@ class _ScipySolver:
     @property
     def order(self) -> int:
         """The order of the last step of BDF, or Radau's number of stages."""
-        return getattr(self._solver, "order", 3)
+        return getattr(self.solver, "order", 3)
 
     def work(self, steps: int) -> Work:
-        return self._equations.work(steps)
+        """The counts of the run, with its number of accepted steps.
+
+        Factorisations and solves are unknown if there were steps and no solve was seen.
+        """
+        rejected, calls = self._attempts - steps, (self._newton, self._residuals, self._jacobians)
+        seen = self._all[1] or not steps
+        return Work(steps, rejected, *calls, *(self._all if seen else (None, None)))
+
+    def _made(self) -> Any:
+        run = self._run
+        start, options = (*run.given.start, run.t_end), run.tolerances
+        solver = run.kind(self._right_hand_side, *start, jac=self._transposed, **options)
+        if self._counts and hasattr(solver, "lu"):  # a release may call others
+            solver.lu = self._counted(0, solver.lu)
+            solver.solve_lu = self._counted(1, solver.solve_lu)
+        return solver
+
+    def _right_hand_side(self, t: float, *vectors: np.ndarray) -> np.ndarray:
+        if self._residuals == self._run.method.max_calls:
+            raise EarlyEnd("budget_exceeded", f"{self._residuals} calls were used up")
+        self._residuals += 1
+        if self._now < t <= self._earliest:
+            self._newton += 1
+            self._attempts += int(t < self._earliest)
+            self._earliest = t
+        value = np.asarray(self._value(t, *vectors))
+        if not np.isfinite(value).all():  # a smaller step follows, unless it made the time NaN
+            self._finite = False
+            if not math.isfinite(t):
+                raise EarlyEnd("diverged", NOT_FINITE)
+        return value
+
+    def _transposed(self, t: float, *vectors: np.ndarray) -> np.ndarray:
+        self._jacobians += 1
+        return np.asarray(self._jacobian(t, *vectors)).swapaxes(-1, -2)
+
+    def _counted(self, which: int, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(first: Any, *rest: Any) -> Any:
+            self._all[which] += 1
+            self.complex_ones[which] += np.iscomplexobj(rest[0] if rest else first)
+            return function(first, *rest)
+
+        return call

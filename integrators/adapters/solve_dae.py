@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from importlib.util import find_spec
 from typing import ClassVar
 
-from integrators.adapters import dae
-from integrators.adapters.callbacks import PackedFunction
+from integrators.adapters import equations
 from integrators.adapters.library_runs import LibrarySolver, callbacks_option
 from integrators.adapters.scipy_ode import ScipyRun
 from integrators.contract import PreparedRun, option
 from integrators.resolutions import Tolerances
-from problems.base.runtime import jax, jnp
 from problems.equations.formulations import FORMULATIONS
 from problems.system import MechatronicSystem
 
@@ -64,8 +61,8 @@ class SolveDAESolver(LibrarySolver):
         from solve_dae import integrate
 
         form, tested = self.formulation, self.multipliers_in_error_test
-        atol = dae.absolute_tolerances(scene.sizes, form, resolution.atol, tested)
-        given = dae.given_dae(scene, form, packed_jacobians(scene.template(), form))
+        atol = equations.absolute_tolerances(scene.sizes, form, resolution.atol, tested)
+        given = equations.given_dae(scene, form, equations.packed_jacobians(scene.template(), form))
         solver = getattr(integrate, self.library_class)
         return ScipyRun(self, given, t_end, solver, {"rtol": resolution.rtol, "atol": atol})
 
@@ -96,11 +93,3 @@ class BDFDAE(SolveDAESolver):
     library_class = "BDFDAE"
     source = "Shampine & Reichelt (1997), doi:10.1137/S1064827594276424"
     name = "bdf_dae"
-
-
-@cache
-def packed_jacobians(template: MechatronicSystem, formulation: str) -> PackedFunction:
-    """dF/dw and dF/dwdot, transposed, at (p, t, w, wdot), compiled; one array ``(2, n, n)``."""
-    residual = dae.packed_residual(template, formulation)
-    jacobians = jax.jacfwd(residual.function, argnums=(2, 3))
-    return PackedFunction(lambda *given: jnp.stack(jacobians(*given)).mT, *residual.lengths)

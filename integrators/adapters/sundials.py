@@ -6,15 +6,15 @@ whatever the files are called. Version, types and every function that is used ar
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 from ctypes import POINTER, byref, c_char, c_double, c_int, c_long, c_void_p
 from functools import cache
 from importlib import import_module
+from types import SimpleNamespace
 from typing import Any
 
 from integrators.adapters.library_runs import EarlyEnd
-from integrators.lowering.graph import NotLowered
+from problems.base.spec import SpecError
 
 #: The major release whose interface is written down here.
 _MAJOR = 7
@@ -42,14 +42,10 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "SUNLinSolFree": (c_int, c_void_p),
     "IDACreate": (c_void_p, c_void_p),
     "IDAInit": (c_int, c_void_p, c_void_p, c_double, c_void_p, c_void_p),
-    "IDASetId": (c_int, c_void_p, c_void_p),
-    "IDASetSuppressAlg": (c_int, c_void_p, c_int),
     "IDASolve": (c_int, c_void_p, c_double, _FLOATS, c_void_p, c_void_p, c_int),
-    "IDAGetNumResEvals": (c_int, c_void_p, POINTER(c_long)),
     "CVodeCreate": (c_void_p, c_int, c_void_p),
     "CVodeInit": (c_int, c_void_p, c_void_p, c_double, c_void_p),
     "CVode": (c_int, c_void_p, c_double, c_void_p, _FLOATS, c_int),
-    "CVodeGetNumRhsEvals": (c_int, c_void_p, POINTER(c_long)),
 }
 #: Functions that both solvers have, each with its own name before these.
 _OF_BOTH: dict[str, tuple[Any, ...]] = {
@@ -61,18 +57,18 @@ _OF_BOTH: dict[str, tuple[Any, ...]] = {
     "SetMaxNumSteps": (c_int, c_void_p, c_long),
     "SetStopTime": (c_int, c_void_p, c_double),
     "GetLastOrder": (c_int, c_void_p, POINTER(c_int)),
-    "GetNumJacEvals": (c_int, c_void_p, POINTER(c_long)),
-    "GetNumLinSolvSetups": (c_int, c_void_p, POINTER(c_long)),
-    "GetNumErrTestFails": (c_int, c_void_p, POINTER(c_long)),
-    "GetNumStepSolveFails": (c_int, c_void_p, POINTER(c_long)),
-    "GetNumNonlinSolvIters": (c_int, c_void_p, POINTER(c_long)),
+    **dict.fromkeys(
+        (
+            *("GetNumLinSolvSetups", "GetNumErrTestFails"),
+            *("GetNumStepSolveFails", "GetNumNonlinSolvIters"),
+        ),
+        (c_int, c_void_p, POINTER(c_long)),
+    ),
     "Free": (None, POINTER(c_void_p)),
 }
 _SIGNATURES |= {
     solver + name: kinds for solver in ("IDA", "CVode") for name, kinds in _OF_BOTH.items()
 }
-
-
 _TOO_CLOSE = (
     "step_too_small",
     "the rest of the interval is as short as the rounding of the time",
@@ -95,72 +91,62 @@ _ENDINGS = {
 
 def check_step(solver: str, flag: int) -> None:
     """End the run if a step of IDA or CVODE failed."""
+    unknown = f"{solver} gave up, and SUNDIALS does not tell why"
     if flag < 0:
-        unknown = (
-            "crashed",
-            f"{solver} gave up, and SUNDIALS does not tell why",
-            "use another rtol or another method",
+        raise EarlyEnd(
+            *_ENDINGS.get(flag, ("crashed", unknown, "use another rtol or another method"))
         )
-        raise EarlyEnd(*_ENDINGS.get(flag, unknown))
-
-
-class Library:
-    """Functions of SUNDIALS by their own names, and its index type.
-
-    Raises
-    ------
-    NotLowered
-        If the libraries are not those that are known here.
-    """
-
-    def __init__(self) -> None:
-        kinds = dict(import_module("sksundae._cy_common").config)
-        if kinds.get("SUNDIALS_FLOAT_TYPE") != "double":
-            raise NotLowered("SUNDIALS does not compute with 64-bit floats")
-        if kinds.get("SUNDIALS_INT_TYPE") not in _INDICES:
-            raise NotLowered("the index type of SUNDIALS is not known")
-        self.index = _INDICES[kinds["SUNDIALS_INT_TYPE"]]
-        modules = (import_module(f"sksundae._cy_{solver}") for solver in ("ida", "cvode"))
-        self._libraries = [ctypes.CDLL(module.__file__) for module in modules]
-        major = self._major()
-        if major != _MAJOR:
-            raise NotLowered(f"SUNDIALS {major} is not the release {_MAJOR} that is known")
-        for name, (result, *arguments) in _SIGNATURES.items():
-            function = self._function(name)
-            function.restype = result
-            function.argtypes = [self.index if kind is _INDEX else kind for kind in arguments]
-            setattr(self, name, function)
-
-    def __getattr__(self, name: str) -> Any:
-        raise AttributeError(f"{name} is not among the functions of SUNDIALS that are used here")
-
-    def address(self, name: str) -> int:
-        """The address of a function, for C."""
-        return ctypes.cast(getattr(self, name), c_void_p).value or 0
-
-    def _major(self) -> int:
-        numbers, label = [c_int() for _ in range(3)], (c_char * 64)()
-        version = self._function("SUNDIALSGetVersionNumber")
-        version(*(byref(number) for number in numbers), label, 64)
-        return numbers[0].value
-
-    def _function(self, name: str) -> Any:
-        for library in self._libraries:
-            with contextlib.suppress(AttributeError):
-                return getattr(library, name)
-        raise NotLowered(f"SUNDIALS has no function {name}")
 
 
 @cache
-def library() -> Library:
-    """The libraries of this process.
+def library() -> Any:
+    """Return functions of SUNDIALS by their own names, and ``index``, its index type.
+
+    A function but those of steps ends the run where it fails, or makes nothing.
 
     Raises
     ------
-    NotLowered
-        If they cannot be used.
+    SpecError
+        If the libraries are not those that are known here.
     """
     try:
-        return Library()
+        kinds = dict(import_module("sksundae._cy_common").config)
+        modules = (import_module(f"sksundae._cy_{solver}") for solver in ("ida", "cvode"))
+        files = [ctypes.CDLL(module.__file__) for module in modules]
     except (ImportError, OSError, AttributeError) as error:
-        raise NotLowered(f"the libraries of scikit-sundae are not found ({error})") from error
+        raise SpecError(f"The libraries of scikit-sundae are not found ({error}).") from error
+    number, label = c_int(), (c_char * 64)()
+    rest = byref(c_int()), byref(c_int()), label, 64
+    _function(files, "SUNDIALSGetVersionNumber")(byref(number), *rest)
+    floats, whole = (str(kinds.get(f"SUNDIALS_{kind}_TYPE")) for kind in ("FLOAT", "INT"))
+    if (number.value, floats) != (_MAJOR, "double") or whole not in _INDICES:
+        raise SpecError(
+            f"IDA and CVODE need SUNDIALS {_MAJOR} with 64-bit floats, and scikit-sundae has "
+            f"SUNDIALS {number.value} of {floats} and {whole}."
+        )
+    index = _INDICES[whole]
+    found = SimpleNamespace(index=index)
+    for name, (result, *arguments) in _SIGNATURES.items():
+        function = _function(files, name)
+        function.restype = result
+        function.argtypes = [index if kind is _INDEX else kind for kind in arguments]
+        if name not in ("IDASolve", "CVode"):
+            function.errcheck = _succeeded
+        setattr(found, name, function)
+    return found
+
+
+def _function(files: list[ctypes.CDLL], name: str) -> Any:
+    for one in files:
+        if hasattr(one, name):
+            return getattr(one, name)
+    raise SpecError(f"SUNDIALS has no function {name}.")
+
+
+def _succeeded(result: Any, function: Any, given: tuple) -> Any:
+    """Return what a function of SUNDIALS gave; the run ends if it is a failure, or nothing."""
+    failed = function.restype is c_void_p and not result
+    if failed or (function.restype is c_int and result < 0):
+        reason = f"{function.__name__} of SUNDIALS failed"
+        raise EarlyEnd("crashed", reason, "use another method")
+    return result

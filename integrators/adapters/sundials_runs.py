@@ -1,33 +1,132 @@
-"""Runs of IDA and CVODE: by SUNDIALS itself on equations in C, or by scikit-sundae on Python's."""
+"""Runs of IDA and CVODE: nothing of a solve runs in Python where equations have a form in C.
+
+Between SUNDIALS and a scene's equations stands a little C that puts all arguments side by side,
+counts the calls, ends the run at the limit of calls, and at a value that is not finite. Where
+there is no compiler, or no form in C, functions of Python do the same.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
-import io
-import warnings
-from abc import abstractmethod
-from collections.abc import Iterator
-from functools import cached_property
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterator
+from ctypes import CFUNCTYPE, byref, c_double, c_int, c_int64, c_long, c_void_p
+from functools import cache
+from typing import Any
 
 import numpy as np
 
+from integrators.adapters.callbacks import in_c
+from integrators.adapters.equations import GivenEquations
 from integrators.adapters.library_runs import (
-    CountedEquations,
+    NOT_FINITE,
     EarlyEnd,
-    GivenEquations,
     LibraryRun,
     LibrarySolver,
 )
 from integrators.adapters.sundials import check_step, library
-from integrators.adapters.sundials_native import NativeEquations, NativeSolver
 from integrators.contract import Work
+from integrators.lowering.native import load_c
 from integrators.program_costs import Algebra
-from problems.base.runtime import Float
 
-#: SUNDIALS' own limit of steps is never reached: calls are limited here.
-_NO_LIMIT = 2**31 - 1
+_NORMAL, _ONE_STEP = 1, 2
+_TOO_MUCH_WORK = -1
+_CSC = 0
+#: After so many steps in one call Python looks for signals.
+_STEPS_IN_A_CALL = 10_000
+_USED_UP, _NOT_FINITE = 1, 2
+#: CVODE's numbers of its formulas.
+_FORMULAS = {"adams": 1, "bdf": 2}
+_CALLED = """
+#include <stdint.h>
+#include <string.h>
+
+typedef struct {
+    void (*residual)(const double *, double *), (*jacobian)(const double *, double *);
+    double *numbers, *(*vector)(void *), *(*entries)(void *);
+    void *(*rows)(void *), *(*starts)(void *);
+    const void *row_numbers, *start_numbers;
+    int64_t parameters, size, row_bytes, start_bytes, most, residuals, jacobians, ending;
+} run_t;
+
+/* Parameters, t, vectors and cj side by side. */
+static const double *packed(run_t *run, double t, void *w, void *wdot, double cj)
+{
+    double *at = run->numbers + run->parameters;
+    *at++ = t;
+    memcpy(at, run->vector(w), run->size * sizeof(double));
+    at += run->size;
+    if (wdot) {
+        memcpy(at, run->vector(wdot), run->size * sizeof(double));
+        at[run->size] = cj;
+    }
+    return run->numbers;
+}
+
+static int residual(run_t *run, double t, void *w, void *wdot, void *r)
+{
+    if (run->residuals == run->most) {
+        run->ending = 1;
+        return -1;
+    }
+    run->residuals++;
+    double *out = run->vector(r), sum = 0.0;
+    run->residual(packed(run, t, w, wdot, 0.0), out);
+    for (int64_t k = 0; k < run->size; k++)
+        sum += 0.0 * out[k]; /* NaN if an entry is not finite */
+    run->ending = sum == 0.0 ? 0 : 2;
+    return sum == 0.0 ? 0 : -1;
+}
+
+static int jacobian(run_t *run, double t, void *w, void *wdot, double cj, void *matrix)
+{
+    run->jacobians++;
+    if (run->row_bytes) {
+        memcpy(run->rows(matrix), run->row_numbers, run->row_bytes);
+        memcpy(run->starts(matrix), run->start_numbers, run->start_bytes);
+    }
+    run->jacobian(packed(run, t, w, wdot, cj), run->entries(matrix));
+    return 0;
+}
+
+int IDA_residual(double t, void *w, void *wdot, void *r, void *run)
+{
+    return residual(run, t, w, wdot, r);
+}
+
+int IDA_jacobian(double t, double cj, void *w, void *wdot, void *r, void *matrix, void *run,
+                 void *x, void *y, void *z)
+{
+    return jacobian(run, t, w, wdot, cj, matrix);
+}
+
+int CVode_residual(double t, void *s, void *rate, void *run)
+{
+    return residual(run, t, s, 0, rate);
+}
+
+int CVode_jacobian(double t, void *s, void *rate, void *matrix, void *run, void *x, void *y,
+                   void *z)
+{
+    return jacobian(run, t, s, 0, 0.0, matrix);
+}
+"""
+#: Arguments of residual and Jacobian beside t: IDA has w and wdot, and cj.
+_TYPES = {
+    "IDA": ([c_void_p] * 4, [c_double, *[c_void_p] * 8]),
+    "CVode": ([c_void_p] * 3, [c_void_p] * 7),
+}
+
+
+class _Calls(ctypes.Structure):
+    """run_t of the C: the equations, and counts of their calls."""
+
+    _fields_ = [
+        *((name, c_void_p) for name in ("residual", "jacobian", "numbers", "vector", "entries")),
+        *((name, c_void_p) for name in ("rows", "starts", "row_numbers", "start_numbers")),
+        *((name, c_int64) for name in ("parameters", "size", "row_bytes", "start_bytes")),
+        *((name, c_int64) for name in ("most", "residuals", "jacobians", "ending")),
+    ]
 
 
 class SundialsRun(LibraryRun):
@@ -36,14 +135,13 @@ class SundialsRun(LibraryRun):
     Parameters
     ----------
     options
-        Those of scikit-sundae's solver.
-    more
-        Further options of the library's own solver.
-    """
+        ``rtol``, ``atol`` for each unknown, ``max_order``; of CVODE also ``method``: adams or bdf.
 
-    #: The library's own solver, and whether it factorises each Jacobian once.
-    native: ClassVar[type[NativeSolver]]
-    keeps_no_jacobian: ClassVar[bool] = False
+    Raises
+    ------
+    SpecError
+        If the libraries are not those that are known.
+    """
 
     def __init__(
         self,
@@ -52,88 +150,200 @@ class SundialsRun(LibraryRun):
         t_end: float,
         algebra: Algebra,
         options: dict[str, Any],
-        **more: Any,
     ) -> None:
-        self.options, self._more = {**options, "max_num_steps": _NO_LIMIT}, more
+        it, self.options = library(), options
         super().__init__(method, given, t_end, algebra)
-
-    @abstractmethod
-    def _python_solver(self, equations: CountedEquations) -> Any:
-        """A new solver of scikit-sundae, which checks the signatures of what it calls."""
-
-    def _check_library(self) -> None:
-        library()
+        self._numbers = np.zeros(given.value.size + 1)
+        self._numbers[: len(given.p)] = given.p
+        self._indices = [np.ascontiguousarray(k, it.index) for k in given.sparsity or ([], [])]
+        #: The function that gives the memory of a matrix.
+        self._entries = it.SUNSparseMatrix_Data if given.sparsity else it.SUNDenseMatrix_Data
+        rows, starts = it.SUNSparseMatrix_IndexValues, it.SUNSparseMatrix_IndexPointers
+        self.calls = _Calls(
+            *(0 if self.why else _address(in_c(of)[0]) for of in (given.value, given.jacobian)),
+            self._numbers.ctypes.data,
+            *map(_address, (it.N_VGetArrayPointer, self._entries, rows, starts)),
+            *(numbers.ctypes.data for numbers in self._indices),
+            len(given.p),
+            given.size,
+            *(numbers.nbytes for numbers in self._indices),
+            method.max_calls,
+        )
 
     @contextlib.contextmanager
-    def _solver(self, counts: bool) -> Iterator[Any]:
-        if not self.why:
-            solver = self.native(self._native_equations, self._t_end, self.options | self._more)
-            try:
-                yield solver
-            finally:
-                solver.close()
-            return
-        limit = self._method.max_calls
-        # After a NaN IDA would repeat the step without end.
-        equations = CountedEquations(*self.functions, limit, ends_at_not_finite=True)
-        # SUNDIALS writes its warnings to standard output; the status says the same.
-        with contextlib.redirect_stdout(io.StringIO()), np.errstate(all="ignore"):
-            with warnings.catch_warnings():
-                # IDA warns that the sparse Jacobian comes from our function, as intended.
-                warnings.simplefilter("ignore")
-                solver = self._python_solver(equations)
-            solver.init_step(*self.given.start)
-            try:
-                yield _PythonSolver(self, solver, equations, self._t_end)
-            finally:
-                if "sparsity" in self.options and not equations.jacobians:
-                    # SuperLU_MT's memory cannot be freed before its first factorisation: the
-                    # process would crash (scikit-sundae 1.2.0).
-                    ctypes.pythonapi.Py_IncRef(ctypes.py_object(solver))
+    def _solver(self, counts: bool) -> Iterator[_Solver]:
+        with contextlib.ExitStack() as memories:
+            yield _Solver(self, memories)
 
-    @cached_property
-    def _native_equations(self) -> NativeEquations:
-        return NativeEquations(self.given, self._method.max_calls)
+    def callbacks(self, prefix: str, failed: list[BaseException]) -> list[Any]:
+        """Residual and Jacobian as SUNDIALS calls them.
+
+        Those of Python put an exception into the list, and end the solve.
+        """
+        if not self.why:
+            called = load_c(_CALLED)
+            return [getattr(called, f"{prefix}_{part}") for part in ("residual", "jacobian")]
+        it, calls, given = library(), self.calls, self.given
+        value, columns = self.functions
+        vectors = len(given.start) - 1
+
+        @cache
+        def array(address: int) -> np.ndarray:
+            return np.ctypeslib.as_array(it.N_VGetArrayPointer(address), (given.size,))
+
+        def residual(t: float, *rest: int) -> int:
+            *at, out, _ = rest
+            if calls.residuals == calls.most:
+                calls.ending = _USED_UP
+                return -1
+            calls.residuals += 1
+            array(out)[:] = found = np.asarray(value(t, *map(array, at)))
+            calls.ending = 0 if np.isfinite(found).all() else _NOT_FINITE
+            return -1 if calls.ending else 0
+
+        def jacobian(t: float, *rest: Any) -> int:
+            *at, _, matrix, _, _, _, _ = rest
+            calls.jacobians += 1
+            at, factors = at[len(at) - vectors :], at[: len(at) - vectors]
+            found = np.ravel(columns(t, *map(array, at), *factors))
+            copied = [(self._entries(matrix), found)]
+            if given.sparsity:
+                rows, starts = self._indices
+                copied += [(it.SUNSparseMatrix_IndexValues(matrix), rows)]
+                copied += [(it.SUNSparseMatrix_IndexPointers(matrix), starts)]
+            for place, numbers in copied:
+                ctypes.memmove(place, numbers.ctypes.data, numbers.nbytes)
+            return 0
+
+        def guarded(function: Callable[..., int]) -> Callable[..., int]:
+            def call(*arguments: Any) -> int:
+                try:
+                    return function(*arguments)
+                except BaseException as error:  # which a function in C would lose
+                    failed.append(error)
+                    return -1
+
+            return call
+
+        pairs = zip((residual, jacobian), _TYPES[prefix], strict=True)
+        return [CFUNCTYPE(c_int, c_double, *kinds)(guarded(function)) for function, kinds in pairs]
 
     def _collapsed(self, status: str, work: Work) -> bool:
         # More than a Jacobian in each step.
         return status == "budget_exceeded" and (work.jacobians or 0) > (work.steps or 0)
 
 
-class _PythonSolver:
-    """A solver of scikit-sundae's at the start of a run."""
+class _Solver:
+    """A solver of SUNDIALS at the start of a run, one at a time.
 
-    def __init__(
-        self, run: SundialsRun, solver: Any, equations: CountedEquations, t_end: float
-    ) -> None:
-        self._run, self._solver, self._equations, self._t_end = run, solver, equations, t_end
-        #: The highest one: scikit-sundae does not tell that of a step.
-        self.order = run.options["max_order"]
+    Functions that free its memory are put into ``memories``.
+    """
 
-    def whole(self) -> Any:
-        # It stops exactly at the end, so that nothing is interpolated.
-        return self._solved("normal")
+    def __init__(self, run: SundialsRun, memories: contextlib.ExitStack) -> None:
+        it, self._run, (t0, *vectors), options = library(), run, run.given.start, run.options
+        self._library, self._memories, self._calls = it, memories, run.calls
+        self._prefix = "CVode" if "method" in options else "IDA"
+        self._t, self._t_end = c_double(t0), run.t_end
+        self._context, self._memory = c_void_p(), c_void_p()
+        self._calls.residuals = self._calls.jacobians = self._calls.ending = 0
+        self._failed: list[BaseException] = []
+        it.SUNContext_Create(0, byref(self._context))
+        memories.callback(lambda: it.SUNContext_Free(byref(self._context)))
+        it.SUNContext_ClearErrHandlers(self._context)  # flags say the same as its messages
+        self._state = [self._vector(values) for values in vectors]
+        self._values = np.ctypeslib.as_array(
+            it.N_VGetArrayPointer(self._state[0]), vectors[0].shape
+        )
+        matrix, solver = self._linear_algebra(len(vectors[0]))
+        formulas = [_FORMULAS[options["method"]]] if "method" in options else []
+        self._memory.value = getattr(it, f"{self._prefix}Create")(*formulas, self._context)
+        memories.callback(lambda: getattr(it, f"{self._prefix}Free")(byref(self._memory)))
+        residual, jacobian = self._called = run.callbacks(self._prefix, self._failed)
+        self._do("SetUserData", ctypes.addressof(run.calls))
+        self._do("Init", _address(residual), t0, *self._state)
+        self._do("SVtolerances", options["rtol"], self._vector(options["atol"]))
+        self._do("SetLinearSolver", solver, matrix)
+        self._do("SetJacFn", _address(jacobian))
+        self._do("SetMaxOrd", options["max_order"])
+        self._do("SetMaxNumSteps", _STEPS_IN_A_CALL)
+        self._do("SetStopTime", self._t_end)
 
-    def step(self) -> tuple[float, Float[np.ndarray, " n"]]:
-        step = self._solved("onestep")
-        return float(step.t), step.y
+    def whole(self) -> tuple[float, np.ndarray]:
+        """Solve to the end; the solver stops exactly there, so that nothing is interpolated."""
+        while self._solve(_NORMAL) == _TOO_MUCH_WORK:
+            pass
+        return self._t.value, self._values.copy()
+
+    def step(self) -> tuple[float, np.ndarray]:
+        """Take one step of the solver's own; return the time and the unknowns."""
+        self._solve(_ONE_STEP)
+        return self._t.value, self._values.copy()
+
+    @property
+    def order(self) -> int:
+        """The order of the last step."""
+        return self._number("GetLastOrder", c_int())
 
     def work(self, steps: int) -> Work:
-        counts = self._equations
-        work = Work(steps, residuals=counts.residuals, jacobians=counts.jacobians)
-        if self._run.keeps_no_jacobian:
-            work.factorisations = work.jacobians
-        return work
+        """The counts of the run: steps, residuals and Jacobians by us, the others by SUNDIALS."""
+        names = "LinSolvSetups", "ErrTestFails", "StepSolveFails", "NonlinSolvIters"
+        setups, errors, fails, newton = (self._number(f"GetNum{k}", c_long()) for k in names)
+        calls = self._calls.residuals, self._calls.jacobians
+        return Work(steps, errors + fails, newton, *calls, setups, newton)
 
-    def _solved(self, task: str) -> Any:
-        name = type(self._solver).__name__
-        try:
-            found = self._solver.step(self._t_end, task, self._t_end)
-        except RuntimeError as error:
-            raise EarlyEnd("crashed", f"the solver gave up: {error}") from None
-        except KeyError as unknown:  # scikit-sundae has no words for some flags
-            if isinstance(unknown.args[0], int):
-                check_step(name, unknown.args[0])
-            raise
-        check_step(name, found.status)
-        return found
+    def _vector(self, values: np.ndarray) -> int:
+        """A new vector, whose memory is freed with that of the solver."""
+        it = self._library
+        new = it.N_VNew_Serial(len(values), self._context)
+        self._memories.callback(lambda: it.N_VDestroy(new))
+        np.ctypeslib.as_array(it.N_VGetArrayPointer(new), values.shape)[:] = values
+        return new
+
+    def _linear_algebra(self, n: int) -> tuple[int, int]:
+        """A new matrix and a new linear solver."""
+        it, context, sparsity = self._library, self._context, self._run.given.sparsity
+        if sparsity:
+            matrix = it.SUNSparseMatrix(n, n, len(sparsity[0]), _CSC, context)
+        else:
+            matrix = it.SUNDenseMatrix(n, n, context)
+        self._memories.callback(lambda: it.SUNMatDestroy(matrix))
+        if sparsity:
+            solver = it.SUNLinSol_SuperLUMT(self._state[0], matrix, 1, context)
+        else:
+            solver = it.SUNLinSol_Dense(self._state[0], matrix, context)
+
+        @self._memories.callback
+        def free() -> None:
+            # SuperLU_MT's memory cannot be freed before its first factorisation (SUNDIALS 7.9).
+            if not sparsity or self._calls.jacobians:
+                it.SUNLinSolFree(solver)
+
+        return matrix, solver
+
+    def _solve(self, task: int) -> int:
+        at, end = byref(self._t), self._t_end
+        if self._prefix == "IDA":
+            flag = self._library.IDASolve(self._memory, end, at, *self._state, task)
+        else:
+            flag = self._library.CVode(self._memory, end, *self._state, at, task)
+        if self._failed:
+            raise self._failed[0]
+        if self._calls.ending == _USED_UP:
+            raise EarlyEnd("budget_exceeded", f"{self._calls.most} calls were used up")
+        if self._calls.ending == _NOT_FINITE:
+            raise EarlyEnd("diverged", NOT_FINITE)
+        if task == _ONE_STEP or flag != _TOO_MUCH_WORK:
+            check_step(self._prefix.upper(), flag)
+        return flag
+
+    def _do(self, name: str, *arguments: Any) -> None:
+        getattr(self._library, self._prefix + name)(self._memory, *arguments)
+
+    def _number(self, name: str, number: Any) -> int:
+        self._do(name, byref(number))
+        return number.value
+
+
+def _address(function: Any) -> int:
+    """The address of a function in C."""
+    return ctypes.cast(function, c_void_p).value or 0

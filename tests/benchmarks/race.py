@@ -68,7 +68,7 @@ FREE, LIE = Duffing(), HeavyTopR3SO3()
 SIZES = (1e-3, 1e-4)
 #: Solvers of libraries, the first of each with equations in C; scenes and tolerance.
 SOLVERS = (
-    ("ida", "ida[callbacks=python]", "ida[suppress_algebraic=true]", "bdf_adaptive"),
+    ("ida", "ida[callbacks=python]", "bdf_adaptive"),
     ("cvode", "cvode[callbacks=python]"),
     ("radau", "radau[callbacks=python]"),
 )
