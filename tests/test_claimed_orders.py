@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 from radau2 import Radau2
 
-from bench.check import integrators
-from bench.check.integrators import audited, check_counts
 from bench.check.trials import (
     ORDERS_TAG,
     TRAJECTORY_GROUPS,
-    TRIAL_STEPS,
     ForcedOscillator,
     Trial,
     check_order,
@@ -24,7 +21,6 @@ from bench.check.trials import (
 from bench.check.verdicts import Failed
 from bench.plugins.registry import Registry
 from integrators import (
-    ImplicitStepMethod,
     Integrator,
     PreparedRun,
     Reading,
@@ -33,7 +29,6 @@ from integrators import (
     Trajectory,
     option,
 )
-from integrators.adapters.ida import IDA
 from integrators.methods.hht_i3 import HHTI3
 from integrators.program_costs import NotCounted
 from problems import jax, jnp
@@ -41,7 +36,6 @@ from problems.equations.block_structure import mass_varies
 from problems.equations.formulations import complete, dae_layout, ode_rate
 from problems.scenes.double_pendulum import DoublePendulum
 from problems.scenes.pendulum import Pendulum
-from problems.scenes.spring_mass import SpringMass
 
 SCENES = [Pendulum(), Pendulum(th0=1.0)]
 
@@ -178,39 +172,6 @@ class Heun(_OfODE, StepMethod):
         )
 
 
-@dataclass(frozen=True)
-class Midpoint(_OfODE, ImplicitStepMethod):
-    """The implicit midpoint rule, and a further stage that it does not count."""
-
-    formulation: ClassVar[str] = "ode"
-    further: bool = option(False, "evaluate once more")
-
-    def step(self, scene, state, t, h, work):
-        if self.further:
-            state = state + 1e-9 * ode_rate(scene, t, state)
-        return work.solve(
-            lambda u: u - state - h * ode_rate(scene, t - h / 2, (state + u) / 2), state
-        )
-
-
-def test_two_stages_that_are_counted_as_one_are_found_out():
-    assert audited(Heun(), ForcedOscillator()) == (2 * TRIAL_STEPS, 2 * TRIAL_STEPS)
-    with pytest.raises(Failed, match=r"counts 50 residuals and Jacobians.*linearised 100 times"):
-        check_counts(Heun(counted=1), ForcedOscillator())
-
-
-def test_counts_of_newtons_method_are_true_and_one_evaluation_more_is_found():
-    declared, counted = audited(Midpoint(), ForcedOscillator())
-    assert declared == counted > 2 * TRIAL_STEPS
-    with pytest.raises(Failed, match=r"count them by work\.count"):
-        check_counts(Midpoint(further=True), ForcedOscillator())
-
-
-def test_methods_of_other_libraries_have_no_steps_to_look_into():
-    assert not check_counts(IDA(), ForcedOscillator())
-    assert not check_counts(Heun(counted=0), SpringMass())  # an unknown number of inner iterations
-
-
 def test_a_lie_in_the_counts_does_not_change_the_bill():
     scene, bills = ForcedOscillator(), []
     for counted in (2, 1):
@@ -232,13 +193,3 @@ def test_a_loop_of_its_own_has_no_bill_instead_of_a_guess():
     assert run.status == "ok"
     with pytest.raises(NotCounted, match="turns"):
         prepared.bill(run)
-
-
-def test_the_check_of_the_work_finds_a_lie(monkeypatch):
-    monkeypatch.setattr(
-        integrators, "trials", lambda registry, method: [Trial(method, ForcedOscillator())]
-    )
-    told = integrators.check_runs(Registry([]), Heun())
-    assert "Counts are true on forced_oscillator" in told
-    with pytest.raises(Failed, match="force was evaluated"):
-        integrators.check_runs(Registry([]), Heun(counted=1))

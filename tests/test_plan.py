@@ -99,7 +99,7 @@ def test_work_that_takes_long_is_named_if_no_phase_counts_it(monkeypatch, capsys
 def test_progress_counts_the_cells_that_the_suite_has(tmp_path, capsys):
     suite, registry = suite_of(tmp_path, STUDY), Inventory()
     lost = NoAnswer(status="crashed", message="Lost.")
-    runner = Mock(run=lambda groups: ((task, lost) for group in groups for task in group))
+    runner = Mock(run=lambda groups, offers: ((task, lost) for group in groups for task in group))
     runner.progress = RunProgress()
     with Store(tmp_path, create=True) as store:
         measure_suite(suite, store, registry, runner)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -13,13 +12,12 @@ from bench.check.trials import (
     ORDERS_TAG,
     TRAJECTORY_GROUPS,
     TRIAL_RTOL,
-    TRIAL_STEPS,
     FiniteTimeBlowUp,
     Trial,
-    TrialBall,
     check_order,
     check_tolerance,
     names_of,
+    reference,
     spoilt,
     trials,
 )
@@ -27,24 +25,16 @@ from bench.check.verdicts import DoesNotApply, Failed, round_trip, shortly
 from bench.plugins.registry import Registry
 from bench.results.quantities import PARTS
 from bench.results.records import counted
-from bench.running.measure import ignored_pattern
 from integrators import checks
-from integrators.adapters.counting import run_counted, watch
 from integrators.contract import STATUSES, Integrator, PreparedRun, Trajectory
-from integrators.native.algebra import small_matrices
-from integrators.native.algebra.linear_solvers import DenseSolver, LinearSolver, Once, Residual
-from integrators.native.step.step_program import Numbers, StepProgram
-from integrators.native.step_method import NativeMethod
 from integrators.resolutions import Steps
 from problems.base.checks import FalseAnswer
-from problems.base.runtime import Array, jax, jnp
+from problems.base.runtime import jax
 from problems.base.spec import SpecError
 from problems.equations.initial_values import consistent_start
 from problems.hybrid.phases import Samples
-from problems.system import MechatronicSystem
+from problems.scenes.bouncing_ball import BouncingBall
 
-#: Two steps in turns, by which it is seen whether patterns are followed.
-_PATTERN = (0.3, 0.7)
 #: Times of impact of a method that is exact on parabolas are off by no more, in s; those of others
 #: fall by this factor at least where steps are four times as short, or are at most so many times
 #: the tolerance.
@@ -81,11 +71,10 @@ def check_scenes(registry: Registry, method: Integrator) -> str:
 
 # ---- runs that go well -------------------------------------------------------------------
 def check_runs(registry: Registry, method: Integrator) -> str:
-    """Rows, samples, work and bits of runs are right; a step pattern is followed or refused."""
-    tried, audited = trials(registry, method), []
+    """Rows, samples, work and bits of runs are right."""
+    tried = trials(registry, method)
     for trial in tried:
         one, run = trial.measured(), trial.prepared(trial.resolution())
-        _check_samples(trial, one)
         _check_rows(trial, one)
         _check_execute(trial, run, one)
         two = trial.trajectory(run)
@@ -97,15 +86,21 @@ def check_runs(registry: Registry, method: Integrator) -> str:
                 )
         checks.checked_bill(run.bill(two), PARTS)
         _check_work(trial, one)
-        audited += [trial] * check_counts(method, trial.scene)
-    true = f" Counts are true on {names_of(audited)}." if audited else ""
-    pattern = _follows(tried[0]) if method.controls == "step" else ""
-    return f"Rows and counts are right, run after run, on {names_of(tried)}.{true}{pattern}"
+    return f"Rows and counts are right, run after run, on {names_of(tried)}."
 
 
 def _check_rows(trial: Trial, run: Trajectory) -> None:
-    """Rows start and end exactly, from the scene's start, and lie on the grid of steps."""
+    """Rows start and end exactly, from the scene's start, and lie on the grid of steps, or at each
+    sample of a controller, to the last bit."""
     scene, t, (t0, t_end) = trial.scene, run.t, (trial.scene.interval[0], trial.t_end)
+    samples, at = Samples.of(scene), t0
+    while samples and (at := samples.following(at)) < t_end:
+        if at not in t:
+            near = float(t[np.abs(t - at).argmin()])
+            raise Failed(
+                f"No row on {scene.spec} is at the sample t={at!r} s (the nearest: {near!r}); end "
+                f"a run exactly at t_end."
+            )
     if len(t) < 2 or t[0] != t0 or t[-1] != t_end:
         raise Failed(
             f"Rows on {scene.spec} go from {t[:1]} to {t[-1:]} s; the first has to be at {t0!r} "
@@ -169,47 +164,23 @@ def _check_work(trial: Trial, run: Trajectory) -> None:
         )
 
 
-def _follows(trial: Trial) -> str:
-    """Check that a step pattern is followed, or refused by SpecError."""
-    pattern = Steps(trial.scene.nominal_step, _PATTERN)
-    try:
-        run = trial.solved(pattern)
-    except SpecError as refusal:
-        return f" Step patterns are refused: {str(refusal).rstrip('.')}."
-    if fault := ignored_pattern(run, pattern, trial.scene.interval[0], trial.t_end):
-        raise Failed(f"On {trial.scene.spec}: {fault}")
-    return " A step pattern is followed."
-
-
-# ---- jumps -------------------------------------------------------------------------------
-def _check_samples(trial: Trial, run: Trajectory) -> None:
-    """A step of a run ends at each sample of a controller, to the last bit."""
-    if (samples := Samples.of(trial.scene)) is None:
-        return
-    t = samples.t0
-    while (t := samples.following(t)) < trial.t_end:
-        if t not in run.t:
-            near = run.t[np.abs(run.t - t).argmin()]
-            raise Failed(
-                f"No row on {trial.scene.spec} is at the sample t={t!r} s (the nearest: "
-                f"{float(near)!r}); end a run exactly at t_end."
-            )
-
-
 def check_events(registry: Registry, method: Integrator) -> str:
     """Events are found, at times that are as accurate as the method."""
-    ball = TrialBall()
-    if reason := checks.refusal(method, ball):
-        raise DoesNotApply(f"It does not take a bouncing ball: {reason}")
+    ball = BouncingBall()
+    reason = checks.refusal(method, ball)
+    if reason or method.passes_impacts:
+        reason = reason or "its steps pass impacts."
+        raise DoesNotApply(f"It does not find the impacts of a bouncing ball: {reason}")
     trial, off = Trial(method, ball), []
+    impacts = reference(ball, trial.t_end).events[:, 0]
     for finer in (1.0, 4.0):
         run = trial.measured(finer)
-        if len(run.events) != len(ball.impacts):
+        if len(run.events) != len(impacts):
             raise Failed(
                 f"{len(run.events)} impacts of a ball are found at {trial.words(finer)}, expected "
-                f"{len(ball.impacts)}."
+                f"{len(impacts)}."
             )
-        off.append(float(np.abs(run.events[:, 0] - ball.impacts).max()))
+        off.append(float(np.abs(run.events[:, 0] - impacts).max()))
     allowed = max(_ROUNDING, off[0] / _FALL)
     if method.controls != "step":
         allowed = max(_ROUNDING, _MOST_RTOL * TRIAL_RTOL / 4)
@@ -221,123 +192,41 @@ def check_events(registry: Registry, method: Integrator) -> str:
     return f"All impacts of a ball are found, off by {off[1]:.1e} s at {trial.words(4.0)}."
 
 
-# ---- counts: calls in compiled steps are counted, too ------------------------------------
-def check_counts(method: Integrator, scene: MechatronicSystem) -> bool:
-    """Return whether steps on a scene could be looked into, and count what they declare.
-
-    They are steps written in JAX, on a scene without outputs: with outputs an ODE form evaluates
-    the equations in every iteration that solves for them.
-
-    Raises
-    ------
-    Failed
-        If a step evaluates the equations more often than it counts.
-    """
-    native = None if scene.sizes.ny else method.step_method(scene)
-    if native is None or native.states_only:
-        return False
-    declared, counted = audited(native, scene)
-    if counted > declared:
-        raise Failed(
-            f"In {TRIAL_STEPS} steps on {scene.spec} it counts {declared} residuals and "
-            f"Jacobians, but the scene's force was evaluated or linearised {counted} times; "
-            f"count them by work.count(residuals=..., jacobians=...)."
-        )
-    return True
-
-
-def audited(method: NativeMethod, scene: MechatronicSystem) -> tuple[int, int]:
-    """Return what `TRIAL_STEPS` nominal steps declare, and what they do.
-
-    These are residuals and Jacobians together, and evaluations and linearisations of the scene's
-    force in the compiled program.
-    """
-    program, numbers = method.program(scene, sparse=False)
-    program = _Apart(**vars(program))
-    watched = scene.with_parameters({}, _watched(type(scene)))
-    start, h = jax.tree.map(jnp.asarray, consistent_start(scene)), jnp.asarray(scene.nominal_step)
-
-    @jax.jit
-    def run(count: Any) -> Any:
-        def step(n: Any, carry: tuple) -> tuple:
-            state, sums = carry
-            t = scene.interval[0] + (n + 1) * h
-            state, report = program.step(watched, numbers, state, t, h)
-            return state, sums + jnp.asarray(report.residuals + report.jacobians)
-
-        state = program.begin(watched, numbers, start, h)
-        return jax.lax.fori_loop(0, count, step, (state, jnp.asarray(0)))[1]
-
-    none, all_steps = jnp.asarray(0), jnp.asarray(TRIAL_STEPS)
-    _, before = run_counted(run, none)
-    declared, counts = run_counted(run, all_steps)
-    return int(np.asarray(declared)), sum(counts) - sum(before)
-
-
-class _Apart(StepProgram):
-    """A program that evaluates a residual and its tangent apart: one linearisation that gives both
-    would hide an evaluation that is not counted."""
-
-    def _solver(self, k: int, numbers: Numbers) -> LinearSolver:
-        super()._solver(k, numbers)
-        return _FullMatrices()
-
-
-class _FullMatrices(DenseSolver):
-    def once(self, residual: Residual, u: Array) -> Once:
-        return Once(small_matrices.solve(jax.jacfwd(residual)(u), residual(u)))
-
-
-@cache
-def _watched(cls: type[MechatronicSystem]) -> type[MechatronicSystem]:
-    """The class with a force that is counted; every evaluation of the equations takes it once."""
-
-    def force(self: Any, q: Any, v: Any, t: Any) -> Any:
-        return watch(lambda q, v, t: cls.force(self, q, v, t))(q, v, jnp.asarray(t))
-
-    return type(f"Watched{cls.__name__}", (cls,), {"force": force})
-
-
 # ---- runs that cannot go well ------------------------------------------------------------
 def check_endings(registry: Registry, method: Integrator) -> str:
     """A force that turns NaN and a blow-up end with a status and a time."""
-    trial = trials(registry, method)[0]
-    at = 0.5 * (trial.scene.interval[0] + trial.t_end)
-    nan = trial.scene.with_parameters({}, spoilt(type(trial.scene), at))
-    told = [
-        _ends_badly(Trial(method, scene), what)
-        for scene, what in (
-            (nan, f"A force that is NaN after t={at:g} s"),
-            (FiniteTimeBlowUp(), "A solution that is infinite at t=1 s"),
-        )
-        if checks.refusal(method, scene) is None
-    ]
+    first, told = trials(registry, method)[0], []
+    at = 0.5 * (first.scene.interval[0] + first.t_end)
+    nan = first.scene.with_parameters({}, spoilt(type(first.scene), at))
+    for scene, what in (
+        (nan, f"A force that is NaN after t={at:g} s"),
+        (FiniteTimeBlowUp(), "A solution that is infinite at t=1 s"),
+    ):
+        if checks.refusal(method, scene):
+            continue
+        trial, end = Trial(method, scene), scene.interval[1]
+        try:  # behind the blow-up, however many steps that takes
+            run = trial.trajectory(trial.prepared(trial.resolution(), end), end)
+        except (Failed, SpecError):
+            raise
+        except Exception as error:
+            raise Failed(
+                f"{what} raises {shortly(error)} Return the rows so far with a status such as "
+                f"diverged, and a message with the time."
+            ) from error
+        if run.status == "ok":
+            raise Failed(
+                f"{what} ends with the status {run.status!r}; look at the values of every step and "
+                f"end with one of {', '.join(STATUSES[1:5])}."
+            )
+        time = re.search(r"\bt ?= ?([-+.\deE]*\d)", run.message)
+        if not time or not math.isfinite(float(time[1])):
+            raise Failed(
+                f"{what} ends with {run.status} and the message {run.message!r}; name the time, as "
+                f"in 'diverged at t=0.5 s'."
+            )
+        told.append(f"{what} ends with {run.status} at t={time[1]} s")
     return f"{'; '.join(told)}."
-
-
-def _ends_badly(trial: Trial, what: str) -> str:
-    try:
-        # Behind the blow-up, however many steps that takes.
-        run = trial.solved(trial.resolution(), trial.scene.interval[1])
-    except (Failed, SpecError):
-        raise
-    except Exception as error:
-        raise Failed(
-            f"{what} raises {shortly(error)} Return the rows so far with a status such as "
-            f"diverged, and a message with the time."
-        ) from error
-    if run.status == "ok":
-        raise Failed(
-            f"{what} ends with the status {run.status!r}; look at the values of every step and "
-            f"end with one of {', '.join(STATUSES[1:5])}."
-        )
-    time = re.search(r"\bt ?= ?([-+.\deE]*\d)", run.message)
-    if not time or not math.isfinite(float(time[1])):
-        raise Failed(
-            f"{what} ends with {run.status} and the message {run.message!r}; name the time, as "
-            f"in 'diverged at t=0.5 s'."
-        )
-    return f"{what} ends with {run.status} at t={time[1]} s"
 
 
 INTEGRATOR_CHECKS = {

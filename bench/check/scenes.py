@@ -80,13 +80,21 @@ def check_start(registry: Registry, scene: MechatronicSystem) -> str:
         shape = jax.eval_shape(getattr(scene, block), z).shape if scene.has(block) else (size,)
         if shape != (size,):
             raise Failed(f"{block} has shape {shape}, expected {(size,)}.")
-    rank = _check_mass(scene)
+    told = _check_mass(scene)
     if scene.has("move"):
         _check_move(scene)
+    if scene.has("events") and not np.isfinite(values := np.asarray(scene.events(z))).all():
+        raise Failed(f"events is {values} at the start, expected finite numbers.")
+    jumps = [None] * scene.has("sample")
+    jumps += [*range(len(compiled(scene).jumps))] if scene.has("events") else []
+    Samples.of(scene)
+    for event in jumps:  # new values that cannot be used are refused
+        phase = scene.phase(scene.interval[0], scene.start(), scene.held_values())
+        after(phase, jax.tree.map(np.asarray, z), event)
+    told += f"; {len(jumps)} samples or events give values that can be used" if jumps else ""
     own = sizes._asdict() | {"nh": 0} | ({"nv": 0} if sizes.nv == sizes.nq else {})
     shown = ", ".join(f"{name}={size}" for name, size in own.items() if size)
-    matrix = f"the augmented matrix {rank}{_check_jumps(scene)}"
-    return f"Consistent at t={scene.interval[0]:g} s: {shown}; {matrix}."
+    return f"Consistent at t={scene.interval[0]:g} s: {shown}; the augmented matrix {told}."
 
 
 def _check_mass(scene: MechatronicSystem) -> str:
@@ -110,16 +118,11 @@ def _check_mass(scene: MechatronicSystem) -> str:
         augmented = np.block([[augmented, jacobian.T], [jacobian, np.zeros((nl, nl))]])
     singular = np.linalg.svd(augmented, compute_uv=False)
     missing = np.count_nonzero(singular <= 1e-12 * singular[0])
-    if missing > scene.redundant:
+    if missing != scene.redundant:
         raise Failed(
-            "The matrix [[M, Phi_q^T], [Phi_q, 0]] is singular at the start; remove dependent "
-            "constraints or state how many are `redundant`, or give every coordinate a mass or a "
-            "constraint."
-        )
-    if missing < scene.redundant:
-        raise Failed(
-            f"It states redundant = {scene.redundant}, and {missing} of its constraints depend on "
-            f"the others at the start."
+            f"The matrix [[M, Phi_q^T], [Phi_q, 0]] lacks {missing} rank at the start, and "
+            f"redundant = {scene.redundant} is stated; remove dependent constraints or state how "
+            f"many they are, or give every coordinate a mass or a constraint."
         )
     if scene.has("mass_product"):
         a = jnp.asarray(np.random.default_rng(1).normal(size=scene.sizes.nv))
@@ -144,23 +147,6 @@ def _check_move(scene: MechatronicSystem) -> None:
                 f"{of} differs by {difference:.2g} from what kinematics leads to; let move(q, w) "
                 f"follow dq/ds = kinematics(q, w) for one second."
             )
-
-
-def _check_jumps(scene: MechatronicSystem) -> str:
-    """``events`` is a vector, and ``sample`` and ``jump`` give new values that can be used."""
-    sampled, switched = scene.has("sample"), scene.has("events")
-    if not sampled and not switched:
-        return ""
-    z, count = consistent_start(scene).z, len(compiled(scene).jumps)
-    values = np.asarray(scene.events(z)) if switched else np.zeros(0)
-    if not np.isfinite(values).all():
-        raise Failed(f"events is {values} at the start, expected finite numbers.")
-    Samples.of(scene)
-    phase = scene.phase(scene.interval[0], scene.start(), scene.held_values())
-    for event in [*([None] if sampled else []), *range(count)]:
-        after(phase, jax.tree.map(np.asarray, z), event)
-    told = [*(["sample"] if sampled else []), *([f"{count} events"] if switched else [])]
-    return f"; {' and '.join(told)} give values that can be used"
 
 
 # ---- the motion --------------------------------------------------------------------------
@@ -190,11 +176,17 @@ def _check_closed_form(scene: MechatronicSystem) -> None:
     start, state = consistent_start(scene).z, [values[group] for group in ("q", "v", "x")]
     solved, _ = compiled(scene).complete(scene.parameters(), *state, t)
     rate = np.array([q_rate(scene, q, v) for q, v in zip(*state[:2], strict=True)])
+    slopes: dict[str, list[np.ndarray]] = {"q": [], "v": []}
+    for h in np.multiply(_SLOPE_STEPS, scene.nominal_step):  # quotients of fourth order
+        at = {k: scene.exact(t + k * h) for k in (-2, -1, 1, 2)}
+        for group, found in slopes.items():
+            one, two = (np.subtract(at[k][group], at[-k][group]) for k in (1, 2))
+            found.append((8 * one - two) / (12 * h))
     for name, own, others in (
         *((f"{g} at the start", values[g], [[getattr(start, g), *values[g][1:]]]) for g in "qv"),
         *((f"{g} of the equations", values[g], [getattr(solved, g)]) for g in ("a", "lam")),
-        ("the slope of q", rate, _slopes(scene, t, "q")),
-        ("the slope of v", values["a"], _slopes(scene, t, "v")),
+        ("the slope of q", rate, slopes["q"]),
+        ("the slope of v", values["a"], slopes["v"]),
     ):
         off = min((np.abs(own - o) for o in others), key=lambda off: off.max(initial=0.0))
         size = np.abs(own).max(initial=0.0) or 1.0
@@ -203,15 +195,6 @@ def _check_closed_form(scene: MechatronicSystem) -> None:
                 f"`exact` is no solution: {name} is off by {off.max():.2g} (of {size:.2g}) at "
                 f"t={t[off.max(axis=1).argmax()]:.4g} s; correct `exact` or the blocks."
             )
-
-
-def _slopes(scene: MechatronicSystem, t: np.ndarray, group: str) -> list[np.ndarray]:
-    """Difference quotients of fourth order of a closed form, with several steps."""
-    found = []
-    for h in np.multiply(_SLOPE_STEPS, scene.nominal_step):
-        at = {k: np.asarray(scene.exact(t + k * h)[group]) for k in (-2, -1, 1, 2)}
-        found.append((8 * (at[1] - at[-1]) - (at[2] - at[-2])) / (12 * h))
-    return found
 
 
 def check_published(scene: MechatronicSystem) -> str:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -52,11 +51,6 @@ _FEWEST_RTOLS = 3
 _FALL, _ALMOST = 0.5, 0.9
 #: So many false claims are told one by one.
 _SHOWN = 3
-
-#: Steps with their errors, coarse to fine.
-Levels = list[tuple[float, float]]
-#: Speed that an impact of the trial ball leaves, in parts.
-_REBOUND = 0.8
 #: The groups of a trajectory.
 TRAJECTORY_GROUPS = ("q", "v", "a", "lam", "x", "xdot", "y")
 
@@ -100,35 +94,6 @@ class FiniteTimeBlowUp(MechatronicSystem):
 
     def initial_state(self) -> State:
         return State(q=np.array([np.log(2.0)]), v=np.array([2.0]))
-
-
-@dataclass(frozen=True)
-class TrialBall(MechatronicSystem):
-    """A ball that falls from 1 m and bounces twice: times of impact in closed form."""
-
-    interval = (0.0, 1.3)
-    nominal_step = 0.026
-
-    def mass(self, q: Any) -> Any:
-        return jnp.eye(1)
-
-    def force(self, q: Any, v: Any, t: Any) -> Any:
-        return jnp.full(1, -9.81)
-
-    def events(self, z: Any) -> Any:
-        return z.q
-
-    def jump(self, z: Any, event: int) -> dict[str, Any]:
-        return {"v": -_REBOUND * z.v}
-
-    def initial_state(self) -> State:
-        return State(q=np.ones(1), v=np.zeros(1))
-
-    @property
-    def impacts(self) -> np.ndarray:
-        """Times of impact in s."""
-        fall = np.sqrt(2 / 9.81)
-        return fall * np.array([1.0, 1.0 + 2 * _REBOUND])
 
 
 @cache
@@ -181,19 +146,16 @@ class Trial:
 
     def trajectory(self, run: PreparedRun, t_end: float | None = None) -> Trajectory:
         """Measure a run up to t_end in s; raise ``Failed`` if that gives no trajectory."""
-        end, t0 = self.t_end if t_end is None else t_end, self.scene.interval[0]
+        end = self.t_end if t_end is None else t_end
         try:
-            return checks.checked_trajectory(run.measure(), self.scene.sizes, t0, end)
+            start = self.scene.interval[0]
+            return checks.checked_trajectory(run.measure(), self.scene.sizes, start, end)
         except FalseAnswer as fault:
             raise Failed(f"On {self.scene.spec}: {fault}") from fault
 
-    def solved(self, refined: Steps | Tolerances, t_end: float | None = None) -> Trajectory:
-        """Prepare and measure a run up to t_end in s."""
-        return self.trajectory(self.prepared(refined, t_end), t_end)
-
     def measured(self, finer: float = 1.0) -> Trajectory:
         """Measure a run; raise ``Failed`` if it does not reach the end."""
-        run = self.solved(self.resolution(finer))
+        run = self.trajectory(self.prepared(self.resolution(finer)))
         if run.status != "ok":
             raise Failed(
                 f"On {self.scene.spec} at {self.words(finer)} it ends with {run.status}: "
@@ -211,15 +173,14 @@ def trials(registry: Registry, method: Integrator, *more: str) -> list[Trial]:
     classes = {name: plugin.cls for name, plugin in registry.problems.items() if plugin.cls}
     # Tags of the class itself: a scene that is made from a tagged one may be wrong, and is checked.
     tagged = [registry.problem(n) for n, c in classes.items() if {TAG, *more} & {*_tags(c)}]
-    tried = _taken(method, [ForcedOscillator(), *tagged])
-    tried = tried or _taken(method, map(registry.problem, classes))[:1]
-    if not tried:
+    others = map(registry.problem, classes)
+    of_tags, of_others = (
+        (Trial(method, scene) for scene in scenes if checks.refusal(method, scene) is None)
+        for scenes in ([ForcedOscillator(), *tagged], others)
+    )
+    if not (tried := [*of_tags] or [*islice(of_others, 1)]):
         raise DoesNotApply("It takes no scene.")
     return tried
-
-
-def _taken(method: Integrator, scenes: Iterable[MechatronicSystem]) -> list[Trial]:
-    return [Trial(method, scene) for scene in scenes if checks.refusal(method, scene) is None]
 
 
 def _tags(cls: type) -> tuple[str, ...]:
@@ -252,14 +213,12 @@ def check_order(trials: list[Trial]) -> str:
     faults: list[str] = []
     for scene in (trial.scene for trial in trials if not checks.refusal(steady, trial.scene)):
         claims = checks.checked_orders(steady.claims(scene), "claims()")
-        claims = {g: p for g, p in claims.items() if scene.sizes.of(g)}
-        levels, floors = _refine(Trial(steady, scene), claims) if claims else ({}, {})
-        for group, claimed in claims.items():
-            order = _order(levels[group], floors[group])
-            if order is None and _at_round_off(levels[group], floors[group]):
+        for group, slope in (_refine(Trial(steady, scene), claims) if claims else {}).items():
+            claimed, order = claims[group], slope.order
+            if order is None and slope.at_round_off:
                 continue  # exact, or too accurate to show an order
             if order is None or order < claimed - _allowed(claimed):
-                errors = ", ".join(f"{error:.1e} at {h:.2g} s" for h, error in levels[group][-4:])
+                errors = ", ".join(f"{error:.1e} at {h:.2g} s" for h, error in slope.levels[-4:])
                 found = f"is {order:.2f}" if order and order > _SPREAD else "shows none"
                 told = f"claims order {claimed} in {group} on {scene.spec}, {found}"
                 faults.append(f"{told} (errors {errors})")
@@ -275,56 +234,61 @@ def check_order(trials: list[Trial]) -> str:
     return f"Measured (claimed): {told}."
 
 
-def _refine(trial: Trial, claims: dict[str, int]) -> tuple[dict[str, Levels], dict[str, float]]:
-    """Return errors at ever smaller steps until every order shows, and their floors."""
+@dataclass
+class _Slope:
+    """Steps in s with their errors, coarse to fine, and the floor of these."""
+
+    levels: list[tuple[float, float]]
+    floor: float = 0.0
+
+    @property
+    def at_round_off(self) -> bool:
+        return self.levels[-1][1] <= max(TRUST * self.floor, _ROUND_OFF)
+
+    @property
+    def order(self) -> float | None:
+        """The mean slope of the last errors, if slopes agree."""
+        least = max(10 * self.floor, _ROUNDING)
+        last = [(h, e) for h, e in self.levels if least < e < math.inf][-_LAST_POINTS:]
+        slopes = [math.log(e / f) / math.log(h / k) for (h, e), (k, f) in pairwise(last)]
+        if len(last) < _LAST_POINTS or max(slopes) - min(slopes) > _AGREEMENT:
+            return None
+        return sum(slopes) / len(slopes)
+
+    def shows(self, claimed: int) -> bool:
+        """Whether the order shows, or errors are round-off."""
+        near = (order := self.order) is not None and abs(order - claimed) <= _allowed(claimed)
+        return self.at_round_off or (near and self.levels[-1][1] < _SMALL)
+
+
+def _refine(trial: Trial, claims: dict[str, int]) -> dict[str, _Slope]:
+    """Return errors at ever smaller steps until every order shows."""
     ratio = 2.0 if max(claims.values()) <= _LOW else 2.0**0.5
     length = trial.t_end - trial.scene.interval[0]
     known = reference(trial.scene, trial.t_end)
-    levels: dict[str, Levels] = {group: [] for group in claims}
-    floors, count, trouble = dict.fromkeys(claims, 0.0), float(_FEWEST), ""
+    slopes, count, trouble = {group: _Slope([]) for group in claims}, float(_FEWEST), ""
     while count <= _MOST:
         h = length / round(count)
         count *= ratio
-        run = trial.solved(Steps(h))
+        run = trial.trajectory(trial.prepared(Steps(h)))
         trouble = run.status != "ok" and f"h={h:.2g} s it ends with {run.status}: {run.message}"
         if trouble:
             continue  # coarse steps may be too coarse
         errors, own, *_ = relative_errors(run, known)
-        for group, claimed in claims.items():
-            norm = "settled" if claimed <= _LOW else "max"
+        for group, slope in slopes.items():
+            norm = "settled" if claims[group] <= _LOW else "max"
             error = errors[group][norm]
-            floors[group] = max(floors[group], own[group][norm])
-            levels[group].append((h, math.inf if error is None else error))
-        if all(_shown(levels[group], floors[group], claimed) for group, claimed in claims.items()):
+            slope.floor = max(slope.floor, own[group][norm])
+            slope.levels.append((h, math.inf if error is None else error))
+        if all(slope.shows(claims[group]) for group, slope in slopes.items()):
             break
     if trouble:
         raise Failed(f"On {trial.scene.spec} at {trouble}")
-    return levels, floors
-
-
-def _at_round_off(levels: Levels, floor: float) -> bool:
-    return levels[-1][1] <= max(TRUST * floor, _ROUND_OFF)
-
-
-def _shown(levels: Levels, floor: float, claimed: int) -> bool:
-    """Whether the order shows, or errors are round-off."""
-    if _at_round_off(levels, floor):
-        return True
-    order = _order(levels, floor)
-    small = levels[-1][1] < _SMALL
-    return small and order is not None and abs(order - claimed) <= _allowed(claimed)
+    return slopes
 
 
 def _allowed(claimed: int) -> float:
     return max(_SPREAD, _PART * claimed)
-
-
-def _order(levels: Levels, floor: float) -> float | None:
-    last = [(h, e) for h, e in levels if max(10 * floor, _ROUNDING) < e < math.inf][-_LAST_POINTS:]
-    slopes = [math.log(e / f) / math.log(h / k) for (h, e), (k, f) in pairwise(last)]
-    if len(last) < _LAST_POINTS or max(slopes) - min(slopes) > _AGREEMENT:
-        return None
-    return sum(slopes) / len(slopes)
 
 
 def check_tolerance(trials: list[Trial]) -> str:
@@ -345,7 +309,7 @@ def check_tolerance(trials: list[Trial]) -> str:
         scene, done = trial.scene, []
         errors: dict[str, list[float]] = {"q": [], "v": []}
         for rtol in _RTOLS:
-            run = trial.solved(Tolerances(rtol))
+            run = trial.trajectory(trial.prepared(Tolerances(rtol)))
             if run.status == "budget_exceeded" and len(done) >= _FEWEST_RTOLS:
                 break
             if run.status != "ok":

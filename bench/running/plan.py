@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, TypeVar
 
 from bench.plugins.registry import Sources, Unavailable
 from bench.results.records import IntegratorFacts, Plan, Record, Study
@@ -23,6 +23,7 @@ from problems.base.checks import tidy
 from problems.base.spec import SpecError
 from problems.system import MechatronicSystem
 
+Facts = TypeVar("Facts")
 #: Steps (halvings of the nominal step) and tolerances of a scene if a profile gives none.
 DEFAULT_HALVINGS = 6
 DEFAULT_RTOL = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
@@ -58,19 +59,16 @@ class Cell:
             form = ", ".join(filter(None, (form, method.drift)))
         elif form != "ode":
             form = "unconstrained"
-        known: dict[str, Any] = {}
+        known: dict[str, Any] = {"controls": "tolerance", **vars(r)}
         if isinstance(r, Steps):
             h = (self.t_end - t0) / r.count(t0, self.t_end)
-            known = {"h": h, "pattern": r.pattern}
-        else:
-            known = {"rtol": r.rtol, "atol": r.atol}
+            known = {"controls": "step", "h": h, "pattern": r.pattern}
         return Record(
             key=self.key,
             problem=self.problem,
             integrator=self.integrator,
             family=method.family,
             formulation=form,
-            controls="step" if isinstance(r, Steps) else "tolerance",
             t0=t0,
             t_end=self.t_end,
             status=status,
@@ -95,20 +93,11 @@ class Cell:
 
 @dataclass(frozen=True)
 class Suite:
-    """A plan with its cells.
+    """A plan, the part that is stored, with its cells by key in the order of the studies.
 
-    Parameters
-    ----------
-    plan
-        The part that is stored.
-    cells
-        The cells by key, in the order of the studies.
-    memory_gib
-        The most memory that a cell may take.
-    atlas
-        Experiments of the failure atlas that belong to it (True: all, False: none).
-    lost
-        Sentences on plugins that have no cells, as they gave no facts.
+    A cell may take ``memory_gib`` of memory. Experiments of the failure ``atlas`` belong to it
+    (True: all, False: none). ``lost`` are sentences on plugins that have no cells, as they gave no
+    facts.
     """
 
     plan: Plan
@@ -116,6 +105,10 @@ class Suite:
     memory_gib: float
     atlas: bool | list[str] = False
     lost: tuple[str, ...] = ()
+
+
+#: A study of a profile, one of its scenes, and its integrators.
+_Entry = tuple[StudyFile, SceneFacts, list[MethodFacts]]
 
 
 def make_suite(
@@ -139,37 +132,57 @@ def make_suite(
         If a name, option or number is not known or not allowed, or nothing is left to do.
     """
     lost: list[str] = []
-    scenes = [registry.problem(text) for text in _usable(problems, registry.problem, lost)]
-    integrators = _usable(integrators, registry.integrator, lost)
-    own_method = registry.integrator(mine) if mine is not None else None
-    entries = [
-        _Entry(file, registry.problem(problem), [registry.integrator(text) for text in texts])
+
+    def usable(facts_of: Callable[[str], Facts], names: Sequence[str]) -> list[tuple[str, Facts]]:
+        """Names with their facts; sentences on those that have none are lost."""
+        found = []
+        for text in names:
+            try:
+                found.append((text, facts_of(text)))
+            except Unavailable as error:
+                lost.append(str(error))
+        return found
+
+    scenes = dict(usable(registry.problem, problems)).values()
+    wanted = usable(registry.integrator, integrators)
+    own_method = [] if mine is None else [registry.integrator(mine)]
+    entries: list[_Entry] = [
+        (file, scene, methods)
         for file in profile.study
-        for texts in [_usable(file.integrators, registry.integrator, lost)]
-        for problem in _usable(file.problems, registry.problem, lost)
+        for methods in [[m for _, m in usable(registry.integrator, file.integrators)]]
+        for _, scene in usable(registry.problem, file.problems)
     ]
     lost += registry.broken_files()
     # An integrator that no study of a scene names goes into its first study alone.
     placed: defaultdict[str, set[str]] = defaultdict(set)
-    for entry in entries:
-        placed[entry.scene.spec].update(method.spec for method in entry.methods)
+    for _, scene, methods in entries:
+        placed[scene.spec].update(method.spec for method in methods)
     studies, cells = [], {}
     for file, scene, own in _of_scenes(entries, scenes) if problems else entries:
-        chosen = _select_integrators(own, registry, integrators) if integrators else own
-        if own_method and own_method not in chosen:
-            chosen = [*chosen, own_method]
-        chosen = [i for i in chosen if i in own or i.spec not in placed[scene.spec]]
-        placed[scene.spec].update(i.spec for i in chosen)
-        if chosen:
-            study, more = _expand(file, scene, chosen, registry)
+        chosen = {
+            method.spec: method
+            for text, asked in wanted
+            for method in [
+                i for i in own if i.spec == asked.spec or ("[" not in text and i.name == asked.name)
+            ]
+            or [asked]
+        }
+        every = [*(chosen.values() if integrators else own)]
+        every += [method for method in own_method if method not in every]
+        every = [m for m in every if m in own or m.spec not in placed[scene.spec]]
+        placed[scene.spec].update(method.spec for method in every)
+        if every:
+            study, more = _expand(file, scene, every, registry)
             studies.append(study)
             cells.update(more)
+    told = tuple(dict.fromkeys(lost))
     if not cells:
         reason = "Nothing is left to run; check the names that are given."
-        raise SpecError(" ".join([reason, *dict.fromkeys(lost)]))
+        raise SpecError(" ".join([reason, *told]))
+    part = bool(problems or integrators)  # of the profile, which goes without title and atlas
     plan = Plan(
         name=name,
-        title="" if problems or integrators else profile.title or name,
+        title="" if part else profile.title or name,
         samples=profile.samples,
         budget_s=budget_s or profile.budget_s,
         studies=studies,
@@ -177,31 +190,9 @@ def make_suite(
             text: planned(registry.integrator(text))
             for text in dict.fromkeys(cell.integrator for cell in cells.values())
         },
-        mine=own_method.spec if own_method else "",
+        mine=own_method[0].spec if own_method else "",
     )
-    # A part of the profile goes without the atlas.
-    atlas = not (problems or integrators) and profile.atlas
-    return Suite(plan, cells, profile.memory_gib, atlas, tuple(dict.fromkeys(lost)))
-
-
-class _Entry(NamedTuple):
-    """A scene of a study with the study's integrators."""
-
-    file: StudyFile
-    scene: SceneFacts
-    methods: list[MethodFacts]
-
-
-def _usable(names: Sequence[str], facts_of: Callable[[str], object], lost: list[str]) -> list[str]:
-    """Return the names that have facts; sentences on the others go to ``lost``."""
-    usable = []
-    for text in names:
-        try:
-            facts_of(text)
-            usable.append(text)
-        except Unavailable as error:
-            lost.append(str(error))
-    return usable
+    return Suite(plan, cells, profile.memory_gib, not part and profile.atlas, told)
 
 
 def planned(method: MethodFacts) -> IntegratorFacts:
@@ -215,31 +206,17 @@ def planned(method: MethodFacts) -> IntegratorFacts:
     )
 
 
-def _of_scenes(entries: list[_Entry], scenes: list[SceneFacts]) -> list[_Entry]:
+def _of_scenes(entries: list[_Entry], scenes: Collection[SceneFacts]) -> list[_Entry]:
     """Return the entries of these scenes; one that has none gets one with all integrators."""
-    kept = [entry for entry in entries if entry.scene in scenes]
-    there = [entry.scene for entry in kept]
-    every = {method.spec: method for entry in entries for method in entry.methods}
+    kept = [entry for entry in entries if entry[1] in scenes]
+    there = [scene for _, scene, _ in kept]
+    every = {method.spec: method for *_, methods in entries for method in methods}
     # Scenes of their own show the same as the others, if these agree on it.
-    shown = {entry.file.figures for entry in entries}
-    file = StudyFile(
-        problems=[], integrators=[], figures=shown.pop() if len(shown) == 1 else FIGURES
-    )
+    shown = {file.figures for file, *_ in entries}
+    figures = shown.pop() if len(shown) == 1 else FIGURES
+    file = StudyFile(problems=[], integrators=[], figures=figures)
     extra = {scene.spec: scene for scene in scenes if scene not in there}
-    return kept + [_Entry(file, scene, [*every.values()]) for scene in extra.values()]
-
-
-def _select_integrators(
-    own: list[MethodFacts], registry: Inventory, wanted: Sequence[str]
-) -> list[MethodFacts]:
-    chosen: dict[str, MethodFacts] = {}
-    for text in wanted:
-        asked = registry.integrator(text)
-        bare = "[" not in text
-        found = [i for i in own if i.spec == asked.spec or (bare and i.name == asked.name)]
-        for integrator in found or [asked]:
-            chosen[integrator.spec] = integrator
-    return list(chosen.values())
+    return kept + [(file, scene, [*every.values()]) for scene in extra.values()]
 
 
 def _expand(
@@ -261,31 +238,24 @@ def _expand(
         for resolution in resolutions[integrator.controls]
         if (cell := Cell(scene.spec, integrator.spec, t_end, resolution))
     }
+    names = registry.components(scene.spec) if file.components else {}  # loads JAX
+    for part in (part for text in file.components for part in text.split(":", 1)):
+        match = re.fullmatch(r"(q|v|a|lam|x|y)([1-9]\d{0,8})", part)
+        if not match or int(match[2]) > len(names[match[1]]):
+            raise SpecError(
+                f"{scene.spec} has no component {part!r}; give a group and a number such as "
+                f"q1, or two as q2:q1 for one over the other."
+            )
     study = Study(
         title=file.title or scene.spec,
         note=file.note,
         problem=scene.spec,
         t_end=t_end,
         figures=list(file.figures),
-        components=_components(file, scene, registry),
+        components=list(file.components),
         cells=list(cells),
     )
     return study, cells
-
-
-def _components(file: StudyFile, scene: SceneFacts, registry: Inventory) -> list[str]:
-    if not file.components:
-        return []
-    names = registry.components(scene.spec)  # needs JAX, which takes a while to load
-    for text in file.components:
-        for part in text.split(":", 1):  # "q2:q1" is the second over the first
-            match = re.fullmatch(r"(q|v|a|lam|x|y)([1-9]\d{0,8})", part)
-            if not match or int(match[2]) > len(names[match[1]]):
-                raise SpecError(
-                    f"{scene.spec} has no component {part!r}; give a group and a number such as "
-                    f"q1, or two as q2:q1 for one over the other."
-                )
-    return list(file.components)
 
 
 def resolution_of(
@@ -304,14 +274,12 @@ def resolution_of(
         If options of the other kind are given: steps to a method that chooses its own, or
         tolerances to a method with fixed steps.
     """
-
-    def refuse(takes: str, **given: Any) -> None:
-        for option, value in given.items():
-            if value is not None:
-                raise SpecError(f"{method.spec} takes {takes} instead of --{option}.")
-
-    if method.controls == "step":
-        refuse("fixed steps; give --step", rtol=rtol, atol=atol)
+    fixed = method.controls == "step"
+    takes = "fixed steps; give --step" if fixed else "steps of its own; give --rtol"
+    others = {"rtol": rtol, "atol": atol} if fixed else {"step": step, "pattern": pattern}
+    for option, value in others.items():
+        if value is not None:
+            raise SpecError(f"{method.spec} takes {takes} instead of --{option}.")
+    if fixed:
         return Steps(scene.nominal_step if step is None else step, pattern or (1.0,))
-    refuse("steps of its own; give --rtol", step=step, pattern=pattern)
     return Tolerances(atol=atol) if rtol is None else Tolerances(rtol, atol)

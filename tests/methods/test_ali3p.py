@@ -171,7 +171,7 @@ def test_redundant_constraints_are_taken_where_velocities_are_no_rates():
 
 
 def test_a_wrong_number_of_redundant_constraints_is_told_with_the_right_one():
-    for number, sentence in [(0, "singular at the start"), (2, "1 of its")]:
+    for number, sentence in [(0, "redundant = 0 is"), (2, "redundant = 2 is")]:
         wrong = toy("Wrong", base=Restated, redundant=number)()
         with pytest.raises(Failed, match=sentence):
             check_start(Registry(), wrong)

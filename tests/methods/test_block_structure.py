@@ -5,7 +5,6 @@ import pytest
 from helpers import long, toy
 from proofs import SWING, TWO_RODS
 
-from bench.check.integrators import audited
 from bench.check.trials import ForcedOscillator
 from bench.plugins.registry import Registry
 from integrators import Steps
@@ -125,8 +124,6 @@ def test_so_is_that_of_steppers_of_simulators_and_its_bill(method):
     work = found.work
     counts = work.residuals, work.jacobians, work.factorisations, work.solves
     assert (*counts, work.newton) == (steps,) * 4 + (0,)
-    declared, counted = audited(method, SWING[0])
-    assert counted <= declared
     bill = run.bill(found)
     # Three unknowns in a fixed order (`tests/test_operations.py`).
     assert (bill["factorisations"], bill["solves"]) == (steps * 10, steps * 41)
