@@ -16,7 +16,7 @@ import numpy as np
 from bench.commands import options
 from bench.commands.options import Given
 from bench.results.flat_rows import published_table
-from bench.results.quantities import IMPACTS, NORMS
+from bench.results.quantities import NORMS
 from bench.results.records import Record, Rows
 from bench.results.table import NO_VALUE, Table, formatted
 from problems.base.spec import SpecError
@@ -163,9 +163,7 @@ def _facts(record: Record) -> list[str]:
     lines += [f"note: {note}" for note in record.notes]
     if record.events:
         number, expected, time = (record.events[k] for k in ("events", "expected", "time"))
-        found = f"events: {number:g} of {expected:g}, their times off by at most {time:.3g} s"
-        more = [f"{k} {record.events[k]:.1e}" for k in IMPACTS if k in record.events]
-        lines.append(f"{found}; relative errors: {', '.join(more)}" if more else found)
+        lines.append(f"events: {number:g} of {expected:g}, times off by at most {time:.3g} s")
     if record.history_error is not None:
         lines.append(f"error of the named points, IFToMM's rule: {record.history_error:.3g}")
     if record.energy_drift is not None:

@@ -62,8 +62,6 @@ def point_notes(name: str, count: int) -> list[str]:
 
 #: Titles of the violations of the constraints that are asked for like errors of groups.
 VIOLATIONS = {"constraint": "constraints Φ", "constraint_velocity": "constraint velocities dΦ/dt"}
-#: What impacts give and take, whose errors are told with those of their times.
-IMPACTS = ("impulse", "energy")
 #: All whose errors are compared and asked for, by the name in records, commands and addresses.
 ASKED = (*GROUPS, *VIOLATIONS)
 #: Titles of the errors of a run. The error of a group is that of its worst component.

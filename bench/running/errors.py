@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from bench.results.quantities import GROUPS, IMPACTS, NORMS, VIOLATIONS, error_note, whole
+from bench.results.quantities import GROUPS, NORMS, VIOLATIONS, error_note, whole
 from integrators.contract import Trajectory
 from problems.base.runtime import Float
 from problems.equations.compiled import compiled
-from problems.hybrid.phases import after
-from problems.system import MechatronicSystem
 from problems.truth.published import named_points
 from problems.truth.reference import Reference
-from problems.variables import State, Variables
 
 #: "settled" is the last part of the interval, where the start transient has died out.
 SETTLED_PART = 0.25
@@ -29,8 +26,6 @@ ROUNDING = 1e-15
 THRESHOLD = 1e-3
 #: Times at which the sizes of constraints are taken.
 _SIZED_AT = 65
-#: Impacts whose impulses and energies are compared.
-MOST_IMPACTS = 100
 
 
 class ErrorTable(NamedTuple):
@@ -184,61 +179,16 @@ def _exact(trajectory: Trajectory, reference: Reference) -> dict[str, np.ndarray
 def event_errors(trajectory: Trajectory, reference: Reference) -> dict[str, float]:
     """Compare the events of a run with those of the reference.
 
-    Returns
-    -------
-    dict
-        "events" and "expected" are their numbers up to the end; "time" is the largest difference in
-        s between the times of those that both have. Where velocities jump, "impulse" and "energy"
-        are the largest errors of M (v+ - v-) and of the kinetic energy that it takes, relative to
-        the largest values, of the first `MOST_IMPACTS`. Empty if neither has any events, or the run
-        knows none because it steps over them.
+    "events" and "expected" are their numbers up to the end; "time" is the largest difference in s
+    between the times of those that both have. Empty if neither has any events, or the run knows
+    none because it steps over them.
     """
     own, known = trajectory.events, reference.events
     if not (len(own) or len(known)) or not len(trajectory.phase):
         return {}
     both = min(len(own), len(known))
     off = np.abs(own[:both, 0] - known[:both, 0])
-    found = {"events": len(own), "expected": len(known), "time": float(off.max(initial=0.0))}
-    return found | _impact_errors(trajectory, reference, min(both, MOST_IMPACTS))
-
-
-def _impact_errors(run: Trajectory, reference: Reference, count: int) -> dict[str, float]:
-    """Compare what the first events do to velocities; empty if these do not jump."""
-    ends = np.flatnonzero(np.diff(run.phase))  # last rows of phases
-    at = np.searchsorted(run.t[ends], times := run.events[:count, 0])
-    # Events at one instant share a row: what each does alone is not told by it.
-    kept = np.flatnonzero((at < len(ends)) & (np.diff(at, prepend=-1) > 0))
-    kept = kept[run.t[ends[at[kept]]] == times[kept]]
-    if not len(kept):
-        return {}
-    times, rows = reference.events[kept, 0], ends[at[kept]]
-    exact = reference(times, run.phase[rows])
-    found = {name: getattr(run, name)[rows] for name in exact}
-    pairs = [
-        [
-            _impact(reference.scene, t, {name: own[k] for name, own in values.items()}, event)
-            for values, t in ((found, run.t[rows[k]]), (exact, times[k]))
-        ]
-        for k, event in enumerate(reference.events[kept, 1].astype(int))
-    ]
-    errors = {}
-    for part, name in enumerate(IMPACTS):
-        largest = max(float(np.abs(true[part]).max()) for _, true in pairs)
-        if largest:
-            gaps = (float(np.abs(mine[part] - true[part]).max()) for mine, true in pairs)
-            errors[name] = max(gaps) / largest
-    return errors
-
-
-def _impact(
-    scene: MechatronicSystem, t: Any, values: Mapping[str, Any], event: int
-) -> tuple[Float[np.ndarray, " nv"], float]:
-    """The impulse M (v+ - v-) of an event at values before it, and the energy that it takes."""
-    z = Variables(**{name: values[name] for name in Variables._fields[:-1]}, t=t)
-    held = dict(zip(scene.held_values(), values["xd"], strict=True))
-    phase = scene.phase(float(t), State(values["q"], v := values["v"], values["x"]), held)
-    later, mass = after(phase, z, event).start().v, np.asarray(phase.mass(z.q))
-    return mass @ (later - v), float(v @ mass @ v - later @ mass @ later) / 2
+    return {"events": len(own), "expected": len(known), "time": float(off.max(initial=0.0))}
 
 
 def constraint_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from bench.results.quantities import IMPACTS, NORM, NORMS, quantity
+from bench.results.quantities import NORM, NORMS, quantity
 from bench.results.records import Record
 from bench.results.table import Table
 from reports.formatting import number
@@ -22,24 +22,19 @@ def miscounted(record: Record) -> bool:
 def events_table(series: Sequence[Series]) -> Table | None:
     """The events of the finest run of each integrator; None if the runs have no events."""
     eventful = [s for s in series if any(r.events for r in s.ok)]
-    shown = [n for n in IMPACTS if any(n in r.events for s in eventful for r in s.ok)]
     rows = [
         [
             s.label,
             s.finest.resolution,
             f"{s.finest.events['events']:g} of {s.finest.events['expected']:g}",
             number(s.finest.events["time"]),
-            *(number(s.finest.events.get(name)) for name in shown),
             f"{sum(map(miscounted, s.ok))} of {len(s.ok)}",
         ]
         for s in eventful
     ]
-    note = (
-        "Times off: the largest difference from the time of the same event in the reference. Error "
-        "of impulse and energy, which an impact gives and takes: relative to the largest."
-    )
+    note = "Times off: the largest difference from the time of the same event in the reference."
     head = ["integrator", "finest run", "events found", "times off in s"]
-    head += [*(f"error of {name}" for name in shown), "runs with another number"]
+    head.append("runs with another number")
     return Table("Events", head, rows, note=note) if rows else None
 
 
