@@ -35,8 +35,11 @@ class Run(PreparedRun):
         with suppress(FileNotFoundError):
             HOLD.rename(HELD)
             HELD.write_text(f"{os.getpid()}")
-            getattr(self, self.how, lambda: None)()
+            if self.how == "child":
+                subprocess.Popen([sys.executable, "-c", BUSY])
             while HELD.exists():
+                if self.how == "locks":  # the interpreter, so that no thread runs, in turns
+                    ctypes.PyDLL(None).usleep(900_000)
                 time.sleep(0.02)
         if self.how == "computes":  # half a second
             sum(range(30_000_000))
@@ -46,18 +49,6 @@ class Run(PreparedRun):
 
     def execute(self) -> None:
         pass
-
-    def locks_in_turns(self) -> None:
-        """Hold the interpreter lock, so that no thread runs, most of the time."""
-        while HELD.exists():
-            ctypes.PyDLL(None).usleep(900_000)
-
-    def spins(self) -> None:
-        while HELD.exists():
-            pass
-
-    def child(self) -> None:
-        subprocess.Popen([sys.executable, "-c", BUSY])
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,12 @@ from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators import Steps
 
-ALL = hostile.METHODS | hostile.SCENES
+FATES = {name: fate for name, (*_, fate, _) in (hostile.METHODS | hostile.SCENES).items()}
+WORDS = {name: words for name, (*_, words) in (hostile.METHODS | hostile.SCENES).items()}
+GROUPS = {name: [*plugins] for name, plugins in hostile.GROUPS.items()}
+GROUPS |= {"scenes": [*hostile.SCENES], "": [*hostile.QUICK]}
 NEWMARK = "newmark[beta=0.25,gamma=0.5]"
-GROUPS = dict.fromkeys(plugin.group for plugin in ALL.values())
-CONTROLS, QUICK_CONTROLS = ["spring_mass", "pendulum"], ["oscillator"]
+CONTROLS = ["oscillator", "pendulum"]
 STUDY = (
     "[[study]]\nproblems = {problems}\nintegrators = {integrators}\nt_end = 1.0\nsteps = [0.1]\n"
 )
@@ -45,9 +47,7 @@ class Run(NamedTuple):
     pages: bool
 
 
-def run(
-    folder: Path, names: Sequence[str], samples: int, jobs: int, controls: list[str] = CONTROLS
-) -> Run:
+def run(folder: Path, names: Sequence[str], samples: int, controls: list[str]) -> Run:
     """Run hostile plugins beside the controls."""
     plugins, out = folder / "plugins", folder / "out"
     plugins.mkdir()
@@ -62,11 +62,11 @@ def run(
         if problems and integrators
     ]
     (folder / "profile.toml").write_text("".join([HEAD.format(samples), *studies]))
-    options = ("--out", out, "--jobs", jobs, "--plugins", plugins)
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("COLUMNS", "10000")
         environment.delenv("STEPBENCH_TRACEBACK", raising=False)
-        started = Started(folder, "run", "profile.toml", *options)
+        given = "profile.toml", "--out", out, "--jobs", 2, "--plugins", plugins
+        started = Started(folder, "run", *given)
     code, output = started.finish(580), started.text
     assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", output), output
     with Store(out) as store:
@@ -84,74 +84,30 @@ def run(
 @cache
 def alone(scene: str) -> tuple:
     """A control without plugins, measured here."""
-    worker = Worker(Registry())
-    record, rows = worker.measure(Cell(scene, NEWMARK, 1.0, Steps(0.1)))
+    record, rows = Worker(Registry()).measure(Cell(scene, NEWMARK, 1.0, Steps(0.1)))
     with TemporaryDirectory() as folder, Store(Path(folder), create=True) as store:
         store.save(record, rows)  # which has fewer digits of the rows
         rows = store.rows(record.key)
     return record.status, record.message, record.errors, record.work, rows
 
 
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    """Runs of the groups, made when they are asked for."""
-    made: dict[str, Run] = {}
-
-    def of(group: str) -> Run:
-        if group not in made:
-            names = [n for n, p in ALL.items() if p.group == group] if group else hostile.QUICK
-            how = (2, 8) if group else (0, 1, QUICK_CONTROLS)
-            made[group] = run(tmp_path_factory.mktemp("run"), names, *how)
-        return made[group]
-
-    return of
-
-
-def check_controls(found: Run, controls: list[str] = CONTROLS) -> None:
-    """The controls are those of a run without plugins, and pages are made."""
+@pytest.mark.parametrize(
+    "group", [name and pytest.param(name, marks=pytest.mark.attack) for name in GROUPS], ids=str
+)
+def test_a_hostile_plugin_costs_its_own_cell_and_the_others_are_bit_identical(tmp_path, group):
+    names, controls = GROUPS[group], CONTROLS if group else CONTROLS[:1]
+    found, lost = run(tmp_path, names, 2 if group else 0, controls), set()
+    for name in names:
+        place = ("oscillator", name) if name in hostile.METHODS else (name, "newmark")
+        if place in found.records:
+            status, message = found.records[place].status, found.records[place].message
+        else:
+            status, message = "lost", "".join(s for s in found.output.splitlines() if name in s)
+            lost.add(name)
+        assert status in FATES[name].split(" or "), (name, message)
+        assert WORDS[name] in message
+        assert message or status == "ok"
     assert found.controls == {scene: alone(scene) for scene in controls}
     assert found.pages
-
-
-def check_fate(name: str, found: Run) -> None:
-    """A plugin has the fate that its table says."""
-    plugin = ALL[name]
-    place = ("oscillator", name) if name in hostile.METHODS else (name, "newmark")
-    if place in found.records:
-        status, message = found.records[place].status, found.records[place].message
-    else:
-        status = "lost"
-        message = " ".join(line for line in found.output.splitlines() if name in line)
-        assert message
-    assert plugin.status == "any" or status in plugin.status.split(" or "), message
-    assert plugin.words in message
-    assert message or status == "ok"
-
-
-@pytest.mark.parametrize("name", hostile.QUICK)
-def test_a_hostile_plugin_costs_its_own_cell(runs, name):
-    check_fate(name, runs(""))
-
-
-def test_the_cells_beside_hostile_plugins_are_bit_identical(runs):
-    found = runs("")
-    check_controls(found, QUICK_CONTROLS)
-    lost = any(ALL[name].status == "lost" for name in hostile.QUICK)
-    assert found.code == lost
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize("name", ALL)
-def test_each_hostile_plugin_costs_its_own_cell(runs, name):
-    check_fate(name, runs(ALL[name].group))
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize("group", GROUPS)
-def test_the_cells_beside_a_group_are_bit_identical(runs, group):
-    found = runs(group)
-    check_controls(found)
-    names = {n for n, plugin in ALL.items() if plugin.group == group}
-    with_rows = {n for place in found.records for n in place}
     interrupted = any(record.status == INTERRUPTED for record in found.records.values())
-    assert found.code == (interrupted or bool(names - with_rows))
+    assert found.code == (interrupted or bool(lost))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import resource
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -151,21 +150,6 @@ def test_a_folder_that_is_read_only_is_named_by_every_command(disk, profile):
     assert len(stored(disk / "out")) == 2
 
 
-@attack
-@pytest.mark.parametrize("command", [["list"], ["run"]])
-def test_a_working_directory_that_is_gone_is_a_sentence(tmp_path, command):
-    gone = tmp_path / "gone"
-    gone.mkdir()
-
-    def leave() -> None:
-        os.chdir(gone)
-        shutil.rmtree(gone)
-
-    code, text = ask(*command, limits=leave)
-    assert code == (command == ["run"]), text  # which has nowhere to write
-    assert code == 0 or "No such file or directory" in text
-
-
 # ---- limits ----------------------------------------------------------------------------
 @attack
 @pytest.mark.parametrize(
@@ -187,27 +171,6 @@ def test_too_little_memory_or_time_is_no_success(tmp_path, profile, which, most)
 
 
 # ---- variables -------------------------------------------------------------------------
-#: A cache that the machine's own environment names would be found without a home.
-NO_CACHE = dict.fromkeys(("JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME"))
-VARIABLES = {
-    "no HOME": {"HOME": None} | NO_CACHE,
-    "no TMPDIR": {"TMPDIR": "/not/there"},
-    "locale C in ASCII": {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"},
-    "a cache that is a file": {"JAX_COMPILATION_CACHE_DIR": "/dev/null"},
-}
-
-
-@attack
-@pytest.mark.parametrize("variables", VARIABLES.values(), ids=VARIABLES)
-def test_variables_without_a_sane_value_cost_no_result(tmp_path, profile, variables):
-    out = tmp_path / "out"
-    code, text = ask("run", profile, "--out", out, "--jobs", 1, **variables)
-    assert code == 0, text
-    assert OK in text
-    if variables.get("JAX_COMPILATION_CACHE_DIR"):
-        assert "Compiled programs are not kept, as JAX_COMPILATION_CACHE_DIR=" in text
-
-
 REFUSED = {
     "unknown flag": ("XLA_FLAGS", "--xla_nonsense=1", "Unknown flag in XLA_FLAGS: --xla_nonsense"),
     "no such platform": ("JAX_PLATFORMS", "nonsense", "unset JAX_PLATFORMS=nonsense"),
@@ -239,13 +202,3 @@ def test_broken_programs_in_the_cache_are_compiled_again(tmp_path, profile):
     assert OK in text
     assert text.count(f"empty this folder, or set {next(iter(variable))} to another one.") == 1
     assert stored(tmp_path / "b") == stored(tmp_path / "a")
-
-
-@attack
-def test_a_full_disk_for_compiled_programs_costs_time_alone(disk, profile):
-    script = "mkdir $D/c\nmount -t tmpfs -o size=40k tmpfs $D/c\n"
-    script += "export JAX_COMPILATION_CACHE_DIR=$D/c\n" + RUN
-    (code, text), *_ = in_a_namespace(script, disk, profile)
-    assert code == 0
-    assert OK in text
-    assert text.count("cannot be used or written; empty this folder") == 1

@@ -1,4 +1,4 @@
-"""Signals that end a command, at random moments: it obeys at once, and nothing else is lost."""
+"""Signals, kills, halts at random moments: commands obey at once, and one cell is lost at most."""
 
 from __future__ import annotations
 
@@ -9,28 +9,40 @@ import random
 import shutil
 import signal
 import sqlite3
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 
+import psutil
 import pytest
+from busy_methods import BUSY
 from planted import everything, plant
 from processes import MODULE, STEPBENCH, Started, end_all, promised_seconds
 
 from bench.results.store import FILE
 
-attack = pytest.mark.attack
-INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-PROFILE = """
+attack, long = pytest.mark.attack, pytest.mark.long
+INT, TERM, HUP, KILL = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL
+TESTS = Path(__file__).parents[1]
+SMALL = """
 samples = 3
 [[study]]
 problems = ["oscillator", "pendulum"]
 integrators = ["newmark", "generalized_alpha"]
 steps = [0.1, 0.05, 0.025]
 """
-CELLS = 12
+HELD = """
+samples = 2
+[[study]]
+problems = ["oscillator"]
+integrators = ["newmark", "busy[how={how}]"]
+steps = [0.1, 0.05]
+"""
 RUN = ("run", "small.toml", "--out", "out")
+BUSY_RUN = ("run", "busy.toml", "--plugins", "busy.py", "--out", "out")
 #: Commands that would take hours, most of them in one call of compiled code.
 ENDLESS = {
     "map": "map oscillator newmark --over h,beta --range h:1e-9..1e-8 --grid 10x10",
@@ -42,7 +54,6 @@ ENDLESS = {
     "pages of scenes": "list --draw",
     "check": "check method.py",
 }
-ENTRIES = {"script": STEPBENCH, "module": MODULE}
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +64,10 @@ def planted(tmp_path_factory) -> Path:
 @pytest.fixture
 def folder(tmp_path, planted) -> Iterator[Path]:
     shutil.copytree(planted, tmp_path / "planted")
-    (tmp_path / "small.toml").write_text(PROFILE)
-    method = Path(__file__).parents[1] / "radau2.py"
-    shutil.copy(method, tmp_path / "method.py")
+    (tmp_path / "small.toml").write_text(SMALL)
+    (tmp_path / "busy.toml").write_text(HELD.format(how="well"))
+    shutil.copy(TESTS / "radau2.py", tmp_path / "method.py")
+    shutil.copy(TESTS / "attacks" / "busy_methods.py", tmp_path / "busy.py")
     yield tmp_path
     end_all()
 
@@ -70,57 +82,46 @@ def saved(folder: Path, table: str = "results WHERE kind = 'Record'") -> int:
         return 0
 
 
-def to_all(process: Started, number: int) -> None:
-    """Send a signal as a terminal does, to the whole group."""
-    os.killpg(process.pid, number)
+def send(process: Started, number: int, times: int = 1) -> None:
+    """Send a signal to the group as a terminal does, perhaps again before it can be answered."""
+    for _ in range(times):
+        os.killpg(process.pid, number)
 
 
-def to_one(process: Started, number: int) -> None:
-    process.process.send_signal(number)
-
-
-def twice(process: Started, number: int) -> None:
-    """Send it a second time before the first can be answered, or just then."""
-    for _ in range(2):
-        to_all(process, number)
-
-
-def check_goes_on(folder: Path, kept: int) -> None:
+def check_goes_on(folder: Path, kept: int, line: tuple[str, ...] = RUN, cells: int = 12) -> None:
     """The same command keeps what was saved and measures the rest."""
-    again = Started(folder, *RUN)
+    if kept:
+        export = Started(folder, "report", "out", "--json", "-o", "rows.json")
+        assert export.finish() == 0, export.said
+        assert len(json.loads((folder / "rows.json").read_text())) == kept
+    again = Started(folder, *line)
     assert again.finish() == 0, again.said
-    assert f"{CELLS} ok" in again.said
+    assert f"{cells} ok" in again.said
     assert f"{kept} kept from before" in again.said
 
 
-# ---- commands that would take hours ----------------------------------------------------------
+# ---- signals of a terminal -----------------------------------------------------------------
 @pytest.mark.parametrize(
-    ("name", "number", "send"),
+    ("name", "number"),
     [
-        pytest.param("map", INT, to_all, marks=pytest.mark.long),
-        *(
-            pytest.param(name, *how, marks=attack)
-            for k, name in enumerate(ENDLESS)
-            for how in (((INT, to_one), (TERM, to_one)), ((INT, twice), (HUP, to_all)))[k % 2]
-        ),
+        pytest.param("map", INT, marks=long),
+        *(pytest.param(name, number, marks=attack) for name in ENDLESS for number in (TERM, HUP)),
     ],
 )
-def test_endless_work_ends_at_a_random_moment(folder, name, number, send):
-    moment = random.Random(f"f {name} {number} {send.__name__}").uniform(0, 4)
+def test_endless_work_ends_at_a_random_moment(folder, name, number):
     process = Started(folder, *ENDLESS[name].split())
     process.wait_until_it_obeys()
-    time.sleep(moment)
+    time.sleep(random.Random(f"{name} {number}").uniform(0, 4))
     assert process.process.poll() is None, process.said
-    send(process, number)
+    send(process, number, 2 if number == TERM else 1)
     process.check_obeys(number)
 
 
 def test_nothing_is_imported_before_signals_are_obeyed():
     """Until then Python itself answers Ctrl-C, with a traceback."""
-    bench = Path(__file__).parents[2] / "bench"
     named = set()
     for name in ("__init__", "running/__init__", "running/interrupts", "__main__"):
-        for node in ast.parse((bench / f"{name}.py").read_text()).body:
+        for node in ast.parse((TESTS.parent / "bench" / f"{name}.py").read_text()).body:
             if isinstance(node, ast.Import):
                 named |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom):
@@ -129,20 +130,16 @@ def test_nothing_is_imported_before_signals_are_obeyed():
     assert named == small | {"__future__", "bench.running.interrupts"}
 
 
-# ---- the beginning and the end of all --------------------------------------
 @pytest.mark.parametrize(
     ("entry", "seed"),
-    [
-        ("module", 1),
-        *(pytest.param(entry, n, marks=attack) for entry in ENTRIES for n in range(2, 5)),
-    ],
+    [(MODULE, 1), *(pytest.param(e, n, marks=attack) for e in (MODULE, STEPBENCH) for n in (2, 3))],
+    ids=str,
 )
 def test_imports_end_at_a_random_moment(folder, entry, seed):
-    moment = random.Random(f"{entry} {seed}").uniform(0, 0.25)
-    process = Started(folder, *RUN, entry=ENTRIES[entry])
+    process = Started(folder, *RUN, entry=entry)
     process.wait_until_it_obeys()
-    time.sleep(moment)
-    to_all(process, INT)
+    time.sleep(random.Random(seed).uniform(0, 0.25))
+    send(process, INT)
     process.check_obeys(INT)
 
 
@@ -153,20 +150,19 @@ def test_a_plugin_that_hangs_as_it_is_imported_ends_with_its_command(folder):
     )
     process = Started(folder, "list", "--plugins", plugin)
     process.wait_for(reached.exists)
-    to_all(process, INT)
+    send(process, INT)
     process.check_obeys(INT)
 
 
 def test_pages_in_work_end_with_their_command(folder):
     process = Started(folder, "report", "planted")
     process.wait_for((folder / "planted" / "report.html").exists)  # the second is in work
-    time.sleep(random.Random(0).uniform(0, 0.1))
-    to_all(process, INT)
+    send(process, INT)
     process.check_obeys(INT)
 
 
 @pytest.mark.parametrize(
-    "number", [pytest.param(INT, marks=pytest.mark.long), pytest.param(TERM, marks=attack)]
+    "number", [pytest.param(INT, marks=long), pytest.param(TERM, marks=attack)]
 )
 def test_a_reader_that_reads_nothing_more_holds_nothing_up(folder, number):
     """As a pager does, or a terminal after Ctrl-S."""
@@ -183,48 +179,140 @@ def test_a_reader_that_reads_nothing_more_holds_nothing_up(folder, number):
     process.wait_until_it_obeys()
     time.sleep(1.0)
     assert process.process.poll() is None
-    to_one(process, number)
-    assert process.process.wait(promised_seconds()) == 128 + number
+    process.process.send_signal(INT)
+    assert process.process.wait(promised_seconds()) == 128 + INT
     process.check_nothing_left()
     for end in (reading, writing):
         os.close(end)
 
 
-# ---- a run -------------------------------------------------------------------------------------
-def measured(count: int) -> Callable[[Path, Started], bool]:
-    return lambda folder, _: saved(folder) >= count
-
-
-MOMENTS = {
+MOMENTS: dict[str, Callable[[Path, Started], bool]] = {
     "planning": lambda *_: True,
-    "measuring": measured(1),
-    "later": measured(7),
+    "measuring": lambda folder, _: saved(folder) >= 1,
+    "later": lambda folder, _: saved(folder) >= 7,
     "timing": lambda folder, _: saved(folder, "samples") >= 1,
     "pages": lambda _, process: " in acceleration: " in process.said,
 }
 
 
 @attack
-@pytest.mark.parametrize(
-    ("moment", "number", "send"),
-    [
-        (moment, *how)
-        for k, moment in enumerate(MOMENTS)
-        for how in (((INT, to_all), (TERM, to_one)), ((INT, twice), (HUP, to_all)))[k % 2]
-    ],
-)
-def test_a_run_ends_and_goes_on(folder, moment, number, send):
+@pytest.mark.parametrize("moment", MOMENTS)
+@pytest.mark.parametrize("number", [INT, TERM])
+def test_a_run_ends_and_goes_on(folder, moment, number):
     process = Started(folder, *RUN)
     process.wait_until_it_obeys()
     process.wait_for(lambda: MOMENTS[moment](folder, process))
-    time.sleep(random.Random(f"{moment} {number} {send.__name__}").uniform(0, 0.2))
+    time.sleep(random.Random(f"{moment} {number}").uniform(0, 0.2))
     before = saved(folder)
-    send(process, number)
+    send(process, number, 2 if number == INT else 1)
     process.check_obeys(number)
     kept = saved(folder)
     assert kept >= before
-    if kept:
-        export = Started(folder, "report", "out", "--json", "-o", "rows.json")
-        assert export.finish() == 0, export.said
-        assert len(json.loads((folder / "rows.json").read_text())) == kept
     check_goes_on(folder, kept)
+
+
+# ---- kill -9 -------------------------------------------------------------------------------
+def held(folder: Path, how: str, *more: str) -> tuple[Started, int]:
+    """A run with a method that does its worst, and the worker in which it is."""
+    (folder / "busy.toml").write_text(HELD.format(how=how))
+    (folder / "HOLD").touch()
+    process, told = Started(folder, *BUSY_RUN, *more), folder / "HELD"
+    process.wait_for(lambda: told.exists() and told.read_text())
+    if how == "child":
+        process.wait_for(lambda: busy_children(process))
+    time.sleep(random.Random(how).uniform(0, 0.5))
+    return process, int(told.read_text())
+
+
+def busy_children(process: Started) -> list[int]:
+    lines = {p: Path(f"/proc/{p}/cmdline") for p in process.family()}
+    return [p for p, line in lines.items() if line.exists() and BUSY.encode() in line.read_bytes()]
+
+
+@attack
+@pytest.mark.parametrize("how", ["locks", "child"])
+def test_a_killed_command_leaves_nothing_and_goes_on(folder, how):
+    process, _ = held(folder, how)
+    os.kill(process.pid, KILL)
+    process.process.wait(promised_seconds())
+    process.check_nothing_left()
+    check_goes_on(folder, saved(folder), BUSY_RUN, 4)
+
+
+@pytest.mark.parametrize(
+    ("number", "how"),
+    [
+        pytest.param(KILL, "locks", marks=long),
+        *(pytest.param(number, "child", marks=attack) for number in (KILL, TERM)),
+    ],
+)
+def test_a_killed_worker_costs_one_cell(folder, number, how):
+    process, worker = held(folder, how)
+    before = busy_children(process)
+    os.kill(worker, number)
+    late = time.monotonic() + promised_seconds()
+    while set(before) & set(process.family()):
+        assert time.monotonic() < late, "what the worker started is left"
+        time.sleep(0.02)
+    assert process.finish() == 1, process.said
+    assert "3 ok" in process.said
+    assert "Not complete: 1 run interrupted" in process.said
+    if how == "child":
+        again = Started(folder, *BUSY_RUN)
+        assert again.finish() == 0, again.said
+        assert "1 measured now, 3 kept from before" in again.said
+
+
+@attack
+@pytest.mark.parametrize("name", ["map", "stability"])
+def test_a_command_whose_worker_is_killed_says_so(folder, name):
+    process = Started(folder, *ENDLESS[name].split())
+    process.wait_for(lambda: process.family("worker"))
+    time.sleep(random.Random(name).uniform(0, 3))
+    os.kill(process.family("worker")[0], KILL)
+    assert process.finish() == 1, process.said
+    assert "killed from outside" in process.said
+
+
+@attack
+@pytest.mark.parametrize("number", [KILL, INT])
+def test_workers_of_a_cluster_stop_when_the_command_has_ended(folder, number):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        process, number_of_worker = held(folder, "locks", "--cluster", cluster.scheduler_address)
+        worker = psutil.Process(number_of_worker)
+        process.process.send_signal(number)
+        process.process.wait(promised_seconds())
+        assert "Traceback" not in process.said
+        worker.wait(2 * promised_seconds())
+        process.check_nothing_left()
+
+
+# ---- halts and load ------------------------------------------------------------------------
+@attack
+@pytest.mark.parametrize("who", ["worker", "command"])
+def test_a_halt_changes_no_verdict(folder, who):
+    process, worker = held(folder, "well", "--budget", "1")
+    stopped = worker if who == "worker" else process.pid
+    os.kill(stopped, signal.SIGSTOP)
+    time.sleep(12.0)
+    os.kill(stopped, signal.SIGCONT)
+    (folder / "HELD").unlink()
+    assert process.finish() == 0, process.said
+    assert "4 ok" in process.said
+
+
+@attack
+def test_a_busy_machine_changes_no_verdict(folder):
+    (folder / "busy.toml").write_text(HELD.format(how="computes"))
+    others = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(6)]
+    try:
+        process = Started(folder, *BUSY_RUN, "--budget", "1")
+        assert process.finish() == 0, process.said
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
+    assert "4 ok" in process.said
