@@ -9,12 +9,10 @@ import gc
 import math
 import time
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import InitVar, dataclass
 
-import msgspec
 import numpy as np
 
-from bench.results.records import Count, Name, NotNegative, Positive
 from bench.results.table import NO_VALUE, Table, number
 from bench.running import measure
 from bench.running.errors import finite, relative_errors
@@ -51,31 +49,38 @@ _ERRORS = (
 )
 
 
-class RealTimeRun(msgspec.Struct, kw_only=True):
+@dataclass
+class RealTimeRun:
     """A run at ``rate`` (Hz) over ``asked`` steps, of which ``steps`` have a result.
 
     ``iterations`` is the limit in each call of Newton's method: "none" for a method without any,
     "unlimited" for its own limit, beyond which a step has failed. ``unconverged`` counts the steps
-    that went on without convergence, ``missed`` those that took longer than 1/rate. ``errors`` are
-    the largest ones by group, relative; ``constraint`` has the largest residuals at "position" and
-    "velocity" level. A run that failed has neither.
+    that went on without convergence, ``missed`` those that took longer than 1/rate; times of steps
+    are in µs. ``errors`` are the largest ones by group, relative; ``constraint`` has the largest
+    residuals at "position" and "velocity" level. A run that failed has neither.
     """
 
-    problem: Name
-    integrator: Name
+    problem: str
+    integrator: str
     iterations: str
-    rate: Positive
-    asked: Count
-    steps: Count
-    status: Name
+    rate: float
+    asked: int
+    steps: int
+    status: str
     message: str
-    unconverged: Count
-    median_us: NotNegative
-    p999_us: NotNegative
-    worst_us: NotNegative
-    missed: Count
-    errors: dict[str, NotNegative | None]
+    unconverged: int
+    errors: dict[str, float | None]
     constraint: dict[str, float | None]
+    seconds: InitVar[Float[np.ndarray, " k"]]
+    median_us: float = 0.0
+    p999_us: float = 0.0
+    worst_us: float = 0.0
+    missed: int = 0
+
+    def __post_init__(self, seconds: Float[np.ndarray, " k"]) -> None:
+        quantiles = (np.quantile(seconds, [0.5, 0.999, 1.0]) * 1e6).tolist()
+        self.median_us, self.p999_us, self.worst_us = quantiles
+        self.missed = int((seconds > 1 / self.rate).sum())
 
     @property
     def error(self) -> float:
@@ -90,13 +95,6 @@ class RealTimeRun(msgspec.Struct, kw_only=True):
         return self.integrator + limit
 
 
-def times_of(seconds: Float[np.ndarray, " k"], deadline: float) -> dict[str, Any]:
-    """Return the fields of `RealTimeRun` on the times of k steps; these and a deadline are in s."""
-    values = (np.quantile(seconds, [0.5, 0.999, 1.0]) * 1e6).tolist()
-    times = dict(zip(("median_us", "p999_us", "worst_us"), values, strict=True))
-    return times | {"missed": int((seconds > deadline).sum())}
-
-
 def steps_of(scene: SceneFacts, rate: float, duration: float | None) -> int:
     """Return the number of steps at ``rate`` (Hz) over ``duration`` (s), or the scene's interval.
 
@@ -107,16 +105,12 @@ def steps_of(scene: SceneFacts, rate: float, duration: float | None) -> int:
     """
     length = scene.interval[1] - scene.interval[0]
     duration = length if duration is None else duration
-    if not 0 < duration <= length * (1 + 1e-9):
-        raise SpecError(
-            f"The duration {duration:g} s is not allowed; give a positive one of at most "
-            f"{length:g} s, the interval of {scene.spec}, where the reference is known."
-        )
     steps = duration * rate * (1 + 1e-9)
-    if not 2 <= steps < MOST_STEPS + 1:
+    if not (0 < duration <= length * (1 + 1e-9) and 2 <= steps < MOST_STEPS + 1):
         raise SpecError(
             f"{rate:g} Hz over {duration:g} s is not allowed; give a rate and a duration that make "
-            f"from 2 to {MOST_STEPS} steps."
+            f"from 2 to {MOST_STEPS} steps, in at most {length:g} s, the interval of {scene.spec}, "
+            f"where the reference is known."
         )
     return math.floor(steps)
 
@@ -192,17 +186,16 @@ def realtime_job(
     for most in limits:
         step = SingleStep(*program, scene, 1 / rate, steps, most) if most else own
         seconds, states = timed(step, steps)
-        run, unconverged = step.run(states)
+        (run, unconverged), errors, constraint = step.run(states), {}, {}
         if run.status == "ok" and not reference.missing:
             changes = measure.invariant_changes(scene, run, reference, ["energy"])
             measure.end_at_blow_up(run, reference, changes)
-        errors, constraint, done = {}, {}, len(run.t) - 1
+        done = len(run.t) - 1
         if run.status == "ok":
             violations = measure.violations(scene, run)
             constraint = {k: finite(v.max()) for k, v in violations.items() if k != "acceleration"}
-            if not reference.missing:
-                table = relative_errors(run, reference).errors
-                errors = {name: e["max"] for name, e in table.items() if name[0] != "|"}
+            table = {} if reference.missing else relative_errors(run, reference).errors
+            errors = {name: e["max"] for name, e in table.items() if name[0] != "|"}
         runs.append(
             RealTimeRun(
                 problem=scene.spec,
@@ -216,7 +209,7 @@ def realtime_job(
                 unconverged=min(unconverged, done),
                 errors=errors,
                 constraint=constraint,
-                **times_of(seconds[: max(done, 1)], 1 / rate),
+                seconds=seconds[: max(done, 1)],
             )
         )
     return runs
