@@ -33,7 +33,7 @@ types: .venv/tested  ## check types; half a minute
 test-long: .venv/tested  ## further scenes, members and sweeps of what `make test` proves
 	$(TESTS) -m long
 
-survey: .venv/tested  ## every method on every scene: none is wrong without a note; an hour and a half
+survey: .venv/tested  ## every method on a scene of each kind: none is wrong without a note; 45 minutes of one core
 	$(BIN)/python -m pytest -q -n 2 tests/test_survey.py -m survey
 
 attack: .venv/tested  ## hostile plugins, signals, inputs and machines: tried and held
