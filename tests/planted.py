@@ -17,6 +17,10 @@ from bench.results.records import Environment, Plan, Record, Rows, SceneRecord, 
 from bench.results.store import Store
 
 STEPS = [0.1 / 2**k for k in range(6)]
+MACHINE = Environment(
+    date="2025-03-01T10:00:00+00:00", command="stepbench run planted", cpu="Model 1", cores=8,
+    memory_gib=15.5, platform="Linux", versions={"python": "3.12.1", "numpy": "2.1.0"},
+)  # fmt: skip
 ATTACK = "Newton stopped at t=0.1 s: <script>alert(1)</script> | residual 1e3; take a smaller step."
 
 
@@ -53,7 +57,7 @@ def planted(
         "work": {"steps": steps, "residuals": 3 * steps},
         "rows": steps,
         "compile_s": 1.5,
-        "environment": 1,
+        "environment": MACHINE.number,
     }
     known |= changes
     count = known["work"].get("residuals")
@@ -115,17 +119,7 @@ def plant(folder: Path, records: list[Record], samples: int = 3, plan: bool = Tr
         names.setdefault(record.problem, names["spring_mass"])
         sizes.setdefault(record.problem, sizes["spring_mass"])
     with Store(folder, create=True) as store:
-        store.save_environment(
-            Environment(
-                date="2025-03-01T10:00:00+00:00",
-                command="stepbench run planted",
-                cpu="Model 1",
-                cores=8,
-                memory_gib=15.5,
-                platform="Linux",
-                versions={"python": "3.12.1", "numpy": "2.1.0"},
-            )
-        )
+        store.keep(MACHINE)
         for problem in dict.fromkeys(r.problem for r in records):
             store.keep(
                 SceneRecord(

@@ -8,13 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from bench.results.records import (
-    Environment,
-    Plan,
-    Record,
-    Rows,
-    SceneRecord,
-)
+from bench.results.records import Environment, Plan, Record, Rows, SceneRecord
 from bench.results.store import FILE, Store
 from bench.results.studies import CaseResult, Drift, Expected, ExperimentResult, LongRun, PartResult
 
@@ -121,7 +115,7 @@ def filled(folder: Path) -> Path:
     )
     with Store(folder, create=True) as store:
         store.keep(Plan(name="p", title="", samples=1, budget_s=1.0, studies=[]))
-        store.save_environment(machine)
+        store.keep(machine)
         store.keep(A_SCENE)
         store.keep(AN_EXPERIMENT)
         store.keep(A_LONG_RUN)

@@ -11,54 +11,63 @@ from pathlib import Path
 import msgspec
 import pytest
 from numpy.random import random
-from small_stores import A_SCENE, AN_EXPERIMENT, NO_ROWS, a_record, change, filled
+from planted import MACHINE
+from small_stores import A_LONG_RUN, A_SCENE, AN_EXPERIMENT, NO_ROWS, a_record, change, filled
 
-from bench.results.records import Environment, Plan, Rows, Study
+from bench.results.records import Plan, Rows, Study
 from bench.results.store import FILE, Store, StoreError
 
 NOT_A_DATABASE = "not a database, but long enough to have a header" * 50
 
 
+@pytest.fixture
+def shared() -> Iterator[Path]:
+    """A folder that another user can reach (those of tmp_path are closed to others)."""
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder)
+        os.chmod(folder, 0o700)
+
+
+@contextmanager
+def no_right_to_write(folder: Path) -> Iterator[None]:
+    """The folder is read-only, and the test is not root, to whom that means nothing."""
+    folder.chmod(0o555)
+    for file in folder.iterdir():
+        file.chmod(0o444)
+    user = os.geteuid()
+    if user == 0:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(user)
+
+
 def test_everything_written_is_read_back(tmp_path):
-    plan = Plan(
-        name="p",
-        title="P",
-        samples=3,
-        budget_s=1.0,
-        studies=[
-            Study(title="s", problem="pendulum", t_end=1.35, figures=["convergence"], cells=["k"])
-        ],
-    )
-    machine = Environment(
-        date="now", command="c", cpu="x", cores=2, memory_gib=1.0, platform="p", versions={"a": "1"}
-    )
+    study = Study(title="s", problem="pendulum", t_end=1.35, figures=["orders"], cells=["k"])
+    plan = Plan(name="p", title="P", samples=3, budget_s=1.0, studies=[study])
     rows = Rows(t=[0.0, 0.33333333], values={"q": [[1.0, 2.0], [0.1, 1e-300]]}, notes={"n": [None]})
     long = Rows(t=[0.0, 1 / 3], values=rows.values, notes=rows.notes)  # eight digits are kept
+    number = MACHINE.number
     with Store(tmp_path / "deep" / "er", create=True) as store:
-        store.keep(plan)
-        number = store.save_environment(machine)
-        store.keep(A_SCENE)
-        store.keep(AN_EXPERIMENT)
+        for value in (plan, MACHINE, A_SCENE, AN_EXPERIMENT, A_LONG_RUN):
+            store.keep(value)
         store.save(a_record(environment=number), long)
         for k, seconds in enumerate((0.1, 0.2, 0.05)):
             store.add_sample("k", k, seconds)
     with Store(tmp_path / "deep" / "er") as store:
         assert store.plan() == plan
-        assert store.environments() == {number: machine}
+        assert store.environments() == {number: MACHINE}
         assert store.scenes() == {("pendulum", 1.35): A_SCENE}
         assert store.experiments() == {"e": AN_EXPERIMENT}
+        assert store.long_runs() == {A_LONG_RUN.key: A_LONG_RUN}
         assert store.rows("k") == rows
         assert store.records()["k"] == a_record(
             environment=number, run_s=[0.1, 0.2, 0.05], rounds=[(number, k) for k in range(3)]
         )
         with pytest.raises(KeyError):
             store.rows("other")
-
-
-def test_a_record_that_is_measured_anew_loses_its_old_samples(tmp_path):
-    with Store(tmp_path, create=True) as store:
-        store.save(a_record(), NO_ROWS)
-        store.add_sample("k", 0, 1.0)
+    with Store(tmp_path / "deep" / "er", create=True) as store:  # measured anew
         store.save(a_record(status="diverged"), NO_ROWS)
         assert store.records()["k"].run_s == []
 
@@ -110,30 +119,7 @@ def test_records_come_in_the_order_of_the_plan(tmp_path):
         assert list(store.records()) == ["c", "a", "old"]
 
 
-@pytest.fixture
-def shared() -> Iterator[Path]:
-    """A folder that another user can reach (those of tmp_path are closed to others)."""
-    with tempfile.TemporaryDirectory() as folder:
-        yield Path(folder)
-        os.chmod(folder, 0o700)
-
-
-@contextmanager
-def no_right_to_write(folder: Path) -> Iterator[None]:
-    """The folder is read-only, and the test is not root, to whom that means nothing."""
-    folder.chmod(0o555)
-    for file in folder.iterdir():
-        file.chmod(0o444)
-    user = os.geteuid()
-    if user == 0:
-        os.seteuid(65534)
-    try:
-        yield
-    finally:
-        os.seteuid(user)
-
-
-def test_fresh_forgets_everything_in_a_good_store(tmp_path):
+def test_fresh_replaces_a_store_of_another_schema_and_a_damaged_file_with_its_log(tmp_path):
     change(filled(tmp_path), "PRAGMA user_version = 99")
     for create in (False, True):
         with pytest.raises(StoreError, match=r"its schema is 99, not.*--fresh"):
@@ -141,12 +127,6 @@ def test_fresh_forgets_everything_in_a_good_store(tmp_path):
     with Store(tmp_path, create=True, fresh=True) as store:
         assert store.plan() is None
         assert (store.records(), store.scenes(), store.environments()) == ({}, {}, {})
-        store.save(a_record("new"), NO_ROWS)
-    with Store(tmp_path) as store:
-        assert list(store.records()) == ["new"]
-
-
-def test_fresh_replaces_a_damaged_file_and_its_log(tmp_path):
     (tmp_path / FILE).write_text(NOT_A_DATABASE)
     with pytest.raises(StoreError, match=r"cannot be opened.*--fresh or another --out"):
         Store(tmp_path, create=True)
@@ -156,56 +136,50 @@ def test_fresh_replaces_a_damaged_file_and_its_log(tmp_path):
         seconds.append(tmp_path / f"second{suffix}")
         os.link(tmp_path / (FILE + suffix), seconds[-1])
     with Store(tmp_path, create=True, fresh=True) as store:
-        store.save(a_record(), NO_ROWS)
+        store.save(a_record("new"), NO_ROWS)
     with Store(tmp_path) as store:
-        assert list(store.records()) == ["k"]
+        assert list(store.records()) == ["new"]
     assert [file.read_text() for file in seconds] == [NOT_A_DATABASE] * 3
 
 
-def test_fresh_in_a_folder_that_cannot_be_written_is_refused_and_keeps_it(shared):
-    filled(shared)
-    with no_right_to_write(shared), pytest.raises(StoreError, match="another --out"):
-        Store(shared, create=True, fresh=True)
-    with Store(shared) as store:
-        assert list(store.records()) == ["k"]
-
-
-def test_reading_changes_no_byte_and_cannot_write(tmp_path):
+def test_reading_changes_nothing_and_cannot_write(tmp_path):
     folder = filled(tmp_path / "50% #1?mode=rwc&x ü")  # signs of a URI
-    before = (folder / FILE).read_bytes()
+    before = {file: file.read_bytes() for file in folder.iterdir()}
     with Store(folder) as store:
         assert list(store.records()) == ["k"]
-        with pytest.raises(StoreError, match="readonly"):
-            store.save(a_record("other"), NO_ROWS)
-        with pytest.raises(StoreError, match="readonly"):
-            store.add_sample("k", 1, 1.0)
-    assert (folder / FILE).read_bytes() == before
+        for write in (
+            lambda: store.save(a_record("other"), NO_ROWS),
+            lambda: store.add_sample("k", 1, 1.0),
+        ):
+            with pytest.raises(StoreError, match="readonly"):
+                write()
+    assert {file: file.read_bytes() for file in folder.iterdir()} == before
 
 
-def test_a_store_is_read_while_a_run_writes_it(tmp_path):
+def test_a_store_is_read_while_a_run_writes_it_and_no_other_run_does(tmp_path, stepbench):
     with Store(tmp_path, create=True) as writer, Store(tmp_path) as reader:
         writer.save(a_record(), NO_ROWS)
         assert list(reader.records()) == ["k"]
-
-
-def test_two_runs_do_not_write_into_one_folder(tmp_path, stepbench):
-    with Store(tmp_path, create=True) as store:
-        store.save(a_record(), NO_ROWS)
         for fresh in ([], ["--fresh"]):
             answer = stepbench("run", "quick", "--out", tmp_path, *fresh)
             assert answer.exit_code != 0
             assert f"Another run is writing into {tmp_path}; wait for its end" in answer.output
-        assert set(store.records()) == {"k"}
+        assert set(writer.records()) == {"k"}
     with Store(tmp_path, create=True) as store:
         assert set(store.records()) == {"k"}
 
 
-def test_a_store_in_a_read_only_folder_is_read(shared):
+def test_a_read_only_folder_is_read_and_keeps_its_store(shared):
     filled(shared)
     files = set(shared.iterdir())
-    with no_right_to_write(shared), Store(shared) as store:
-        assert store.records()["k"].run_s == [1.0]
+    with no_right_to_write(shared):
+        with Store(shared) as store:
+            assert store.records()["k"].run_s == [1.0]
+        with pytest.raises(StoreError, match="another --out"):
+            Store(shared, create=True, fresh=True)
     assert set(shared.iterdir()) == files
+    with Store(shared) as store:
+        assert list(store.records()) == ["k"]
 
 
 def test_rows_in_a_log_that_cannot_be_read_are_not_passed_over(shared):

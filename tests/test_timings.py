@@ -11,6 +11,7 @@ import time
 from threading import Event, Thread
 from types import SimpleNamespace
 
+import msgspec
 import pytest
 from small_stores import NO_ROWS, a_record
 
@@ -216,13 +217,17 @@ def test_the_rounds_that_are_missing_are_taken_once(tmp_path):
         (cell,) = suite.cells.values()
         runner = _Clock()
         with Store(tmp_path / str(taken), create=True) as store:
-            first = store.save_environment(environment())
+            machine = environment()
+            store.keep(machine)
+            first = machine.number
             record = cell.record(*cell.facts(registry), "ok")
             record.environment = first
             store.save(record, NO_ROWS)
             for number in taken:
                 store.add_sample(cell.key, number, 1e-3, first)
-            second = store.save_environment(environment())
+            later = msgspec.structs.replace(machine, date="later")
+            store.keep(later)
+            second = later.number
             for _ in range(2):
                 time_suite(suite, store, registry, runner)
             (found,) = store.records().values()
@@ -249,7 +254,7 @@ def test_long_runs_that_may_win_get_as_many_samples_as_an_interval_takes(tmp_pat
     suite = make_suite("x", ProfileFile(study=[study], samples=7), registry)
     cells = {cell.resolution.h: cell for cell in suite.cells.values()}
     with Store(tmp_path, create=True) as store:
-        store.save_environment(environment())
+        store.keep(environment())
         for h, (q, a, seconds, _) in found.items():
             record = cells[h].record(*cells[h].facts(registry), "ok")
             record.errors = {"q": {"max": q}, "a": {"max": a}}

@@ -160,7 +160,7 @@ def compare(o: Given) -> None:
     if o.as_json:
         options.print_json(msgspec.structs.asdict(comparison) | {"regressions": worse})
     else:
-        for line in [*comparison.state(), *comparison.summary()]:
+        for line in [*comparison.state, *comparison.summary()]:
             say(line)
     if worse:
         more = f"\n... and {len(worse) - _NAMED} more" if len(worse) > _NAMED else ""

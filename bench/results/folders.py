@@ -24,17 +24,8 @@ from pathlib import Path
 import msgspec
 
 from bench.results.quantities import GROUPS, NORMS, TRUST
-from bench.results.records import (
-    INTERRUPTED,
-    Environment,
-    Plan,
-    Record,
-    SceneRecord,
-    Study,
-    scene_titles,
-)
+from bench.results.records import INTERRUPTED, Environment, Plan, Record, Study, scene_titles
 from bench.results.store import FILE, Store
-from bench.results.studies import ExperimentResult, LongRun
 from bench.results.timings import LEAST_QUOTIENT, median_interval, quotient_of_medians
 from problems.base.spec import SpecError, one_of
 
@@ -66,52 +57,33 @@ class Change(msgspec.Struct, kw_only=True, frozen=True):
 
     def __str__(self) -> str:
         run = f"{self.integrator} on {self.scene}, {self.resolution}"
-        if self.kind == ENDING:
-            return f"{run}: {self.old} -> {self.new}"
+        if self.kind not in LEAST_CHANGE:
+            there = {VANISHED: "only in the old folder", APPEARED: "only in the new folder"}
+            return f"{run}: {there.get(self.kind, f'{self.old} -> {self.new}')}"
         what = " ".join(filter(None, (self.kind, self.name, self.norm)))
-        return f"{run}: {what} {_shown(self.old)} -> {_shown(self.new)} ({factor(self.ratio)})"
+        values = (
+            "no number" if v is None else f"{v:.4g}" if isinstance(v, float) else str(v)
+            for v in (self.old, self.new)
+        )
+        return f"{run}: {what} {' -> '.join(values)} ({factor(self.ratio)})"
 
 
 class Comparison(msgspec.Struct, kw_only=True, frozen=True):
     """All differences of two run folders.
 
-    ``differences`` name machines and versions, ``edited`` counts the shared cells whose source
-    differs, ``untold`` those whose times cannot be compared for want of two samples each. Ratios
-    of times up to ``noise`` are no change: so far apart are samples of one run, or the times of
-    runs whose source is the same.
+    ``shared`` counts the runs that both have, ``state`` says in sentences how much was compared,
+    and under which conditions. Ratios of times up to ``noise`` are no change: so far apart are
+    samples of one run, or the times of runs whose source is the same.
     """
 
-    old: str
-    new: str
     shared: int
-    edited: int
-    untold: int
     noise: float
-    differences: list[str]
+    state: list[str]
     changes: list[Change]
 
     def of(self, *kinds: str) -> list[Change]:
         """Return the changes of some kinds."""
         return [change for change in self.changes if change.kind in kinds]
-
-    def state(self) -> list[str]:
-        """Say in sentences how much was compared, and under which conditions."""
-        gone, come = (len(self.of(kind)) for kind in (VANISHED, APPEARED))
-        told = [f"{self.shared} runs are in both; {gone} only in {self.old}, {come} only in "
-                f"{self.new}."]  # fmt: skip
-        if self.edited:
-            told.append(f"Of {self.edited} of them the source was edited in between.")
-        if self.differences:
-            told.append(f"Machine or versions differ ({'; '.join(self.differences)}): times are "
-                        "not comparable, and no time is a regression.")  # fmt: skip
-        if self.untold:
-            told.append(f"Times of {self.untold} runs are not compared: they need two samples.")
-        if self.noise > LEAST_CHANGE["time"]:
-            told.append(f"The machine was noisy: times that differ by less than "
-                        f"{factor(self.noise)} are not told apart.")  # fmt: skip
-        if self.shared and not self.of(*LEAST_CHANGE, ENDING):
-            told.append("Nothing changed in the runs that are in both.")
-        return told
 
     def summary(self) -> list[str]:
         """List the changes, a line per integrator, scene and quantity, the worst first.
@@ -137,13 +109,11 @@ def compare_folders(old: Path, new: Path) -> Comparison:
     """Compare the runs of two folders that nothing interrupted."""
     (before, of_old), (after, of_new) = _read(old), _read(new)
     pairs = [(before[key], after[key]) for key in after if key in before]
-    every = [*before.values(), *after.values()]
-    names = scene_titles((r.problem, r.t_end) for r in every)
+    names = scene_titles((r.problem, r.t_end) for r in [*before.values(), *after.values()])
 
     def change_of(r: Record) -> partial[Change]:
-        scene = names[r.problem, r.t_end]
-        return partial(Change, key=r.key, scene=scene, integrator=r.integrator,
-                       resolution=r.resolution)  # fmt: skip
+        about = {"scene": names[r.problem, r.t_end], "resolution": r.resolution}
+        return partial(Change, key=r.key, integrator=r.integrator, **about)
 
     drift = (quotient_of_medians(a.run_s, b.run_s) for a, b in pairs if _unedited(a, b))
     spread = (_upper_quartile(high / low for low, high in (
@@ -157,8 +127,8 @@ def compare_folders(old: Path, new: Path) -> Comparison:
     differences: dict[str, None] = {}
     changes, untold = [], 0
     for one, two in pairs:
-        change, pair = change_of(two), _differences(of_old.get(one.environment),
-                                                    of_new.get(two.environment))  # fmt: skip
+        change = change_of(two)
+        pair = _differences(of_old.get(one.environment), of_new.get(two.environment))
         differences |= dict.fromkeys(pair)
         if one.status != two.status:
             ended = f"{two.status}: {two.message}" if two.message else two.status
@@ -171,17 +141,28 @@ def compare_folders(old: Path, new: Path) -> Comparison:
                 times = {"old": one.seconds, "new": two.seconds, "ratio": found.value}
                 same = not pair and not _unedited(one, two)
                 changes.append(change(kind="time", name="seconds", **times, comparable=same))
-    for kind, here, there in ((VANISHED, before, after), (APPEARED, after, before)):
-        changes += [change_of(r)(kind=kind) for key, r in here.items() if key not in there]
+    quiet = not changes
+    lost = {
+        kind: [change_of(r)(kind=kind) for key, r in here.items() if key not in there]
+        for kind, here, there in ((VANISHED, before, after), (APPEARED, after, before))
+    }
+    edited = sum(one.fingerprint != two.fingerprint for one, two in pairs)
+    sentences = {
+        f"{len(pairs)} runs are in both; {len(lost[VANISHED])} only in {old}, "
+        f"{len(lost[APPEARED])} only in {new}.": True,
+        f"Of {edited} of them the source was edited in between.": edited,
+        f"Machine or versions differ ({'; '.join(differences)}): times are not comparable, and no "
+        "time is a regression.": differences,
+        f"Times of {untold} runs are not compared: they need two samples.": untold,
+        f"The machine was noisy: times that differ by less than {factor(noise)} are not told "
+        "apart.": noise > LEAST_CHANGE["time"],
+        "Nothing changed in the runs that are in both.": pairs and quiet,
+    }
     return Comparison(
-        old=str(old),
-        new=str(new),
         shared=len(pairs),
-        edited=sum(one.fingerprint != two.fingerprint for one, two in pairs),
-        untold=untold,
         noise=noise,
-        differences=list(differences),
-        changes=changes,
+        state=[sentence for sentence, holds in sentences.items() if holds],
+        changes=[*changes, *lost[VANISHED], *lost[APPEARED]],
     )
 
 
@@ -195,19 +176,18 @@ def read_limits(text: str) -> dict[str, float]:
     """
     limits: dict[str, float] = {}
     for item in text.split(","):
-        kind, colon, ratio = (part.strip() for part in item.partition(":"))
+        kind, _, ratio = (part.strip() for part in item.partition(":"))
         if one_of(kind, [*LEAST_CHANGE, VANISHED], "kind of regression") in limits:
             raise SpecError(f"The limit of {kind} is given twice.")
-        if kind == VANISHED and colon:
-            raise SpecError(f"{VANISHED!r} takes no limit; write it without a colon.")
+        least = LEAST_CHANGE.get(kind)
         try:
-            limits[kind] = 1.0 if kind == VANISHED else float(ratio)
+            limits[kind] = float(ratio) if least else 1.0
         except ValueError:
             limits[kind] = math.nan
-        if not LEAST_CHANGE.get(kind, 1.0) <= limits[kind] < math.inf:
-            raise SpecError(
-                f"{item!r} is not of the form {kind}:ratio, a ratio from {LEAST_CHANGE[kind]:g} up."
-            )
+        if ratio and not least:
+            raise SpecError(f"{VANISHED!r} takes no limit; write it without a colon.")
+        if least and not least <= limits[kind] < math.inf:
+            raise SpecError(f"{item!r} is not of the form {kind}:ratio, a ratio from {least:g} up.")
     return limits
 
 
@@ -224,25 +204,25 @@ def regressions(comparison: Comparison, limits: Mapping[str, float]) -> list[str
     if not limits:
         return []
     if not comparison.shared:
-        raise SpecError(
-            f"{comparison.old} and {comparison.new} have no run in common: nothing can be judged."
-        )
+        raise SpecError("The folders have no run in common: nothing can be judged.")
     beyond = [
         (c.ratio / limits[c.kind], f"{c}, limit {factor(limits[c.kind])}")
         for c in comparison.of(*(LEAST_CHANGE.keys() & limits))
         if c.comparable and c.ratio and c.ratio > limits[c.kind]
     ]
-    return [
-        *(str(c) for c in comparison.of(ENDING) if c.old == "ok"),
-        *(text for _, text in sorted(beyond, key=lambda pair: -pair[0])),
-        *(
-            f"{c.integrator} on {c.scene}, {c.resolution}: not in {comparison.new}"
-            for c in (comparison.of(VANISHED) if VANISHED in limits else [])
-        ),
-    ]
+    lost = [str(c) for c in comparison.of(ENDING) if c.old == "ok"]
+    lost += [text for _, text in sorted(beyond, key=lambda pair: -pair[0])]
+    return lost + [str(c) for c in comparison.of(VANISHED) if VANISHED in limits]
 
 
-# ---- parts -----------------------------------------------------------------------------
+def factor(ratio: float | None) -> str:
+    """Return a ratio in words."""
+    if ratio is None:
+        return "counted in one of the two"
+    return f"x{ratio:.4g}" if math.isfinite(ratio) else "without bound"
+
+
+# ---- parts of a comparison ---------------------------------------------------------------
 def _read(folder: Path) -> tuple[dict[str, Record], dict[int, Environment]]:
     with Store(folder) as store:
         records = {k: r for k, r in store.records().items() if r.status != INTERRUPTED}
@@ -300,38 +280,19 @@ def _upper_quartile(ratios: Iterable[float]) -> float:
 
 
 def _ratio(old: float, new: float) -> float:
-    if old == new:
-        return 1.0
-    return new / old if old else math.inf
+    return 1.0 if old == new else new / old if old else math.inf
 
 
 def _changed(ratio: float, least: float) -> bool:
     return ratio > least or ratio < 1 / least
 
 
-def factor(ratio: float | None) -> str:
-    """Return a ratio in words."""
-    if ratio is None:
-        return "counted in one of the two"
-    return f"x{ratio:.4g}" if math.isfinite(ratio) else "without bound"
-
-
-def _shown(value: float | str | None) -> str:
-    if value is None:
-        return "no number"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
+# ---- merging -------------------------------------------------------------------------------
 def merge(folders: Sequence[Path], out: Path) -> tuple[int, int]:
     """Put the stores of the folders into a new one, one after the other.
 
     Of a cell or a scene that several stores hold, that of the folder named last is kept; a run that
-    was interrupted takes no place of another.
-
-    Returns
-    -------
-    tuple
-        Numbers of records and of environments.
+    was interrupted takes no place of another. Returns the numbers of records and of environments.
 
     Raises
     ------
@@ -348,33 +309,20 @@ def merge(folders: Sequence[Path], out: Path) -> tuple[int, int]:
         stores = [opened.enter_context(Store(folder)) for folder in folders]
         plans = [plan for store in stores if (plan := store.plan())]
         cells = [store.records() for store in stores]
+        machines = {number for store in stores for number in store.environments()}
         out.mkdir(parents=True, exist_ok=True)
         # Only a store that is whole takes its place.
         with tempfile.TemporaryDirectory(dir=out, prefix="merging-") as scratch:
+            kept: set[str] = set()
             with Store(Path(scratch), create=True) as new:
+                for store, records in zip(stores, cells, strict=True):
+                    new.take(store, {k for k in kept & records.keys()
+                                     if records[k].status == INTERRUPTED})  # fmt: skip
+                    kept |= records.keys()
                 if plans:
                     new.keep(_united(plans))
-                # A store may hold what it was merged from, or be a copy: one invocation is one.
-                known: dict[bytes, int] = {}
-                kept: set[str] = set()
-                for store, records in zip(stores, cells, strict=True):
-                    new.take(store, (SceneRecord, LongRun, ExperimentResult))
-                    numbers = {0: 0}
-                    for n, machine in store.environments().items():
-                        key = msgspec.json.encode(machine)
-                        numbers[n] = known[key] = known.get(key) or new.save_environment(machine)
-                    for key, record in records.items():
-                        if record.status == INTERRUPTED and key in kept:
-                            continue
-                        kept.add(key)
-                        # Samples have a table of their own.
-                        own = {"environment": numbers.get(record.environment, 0)}
-                        bare = msgspec.structs.replace(record, run_s=[], rounds=[], **own)
-                        new.save(bare, store.rows(key))
-                        for (n, number), s in zip(record.rounds, record.run_s, strict=True):
-                            new.add_sample(key, number, s, numbers.get(n, 0))
             os.replace(Path(scratch) / FILE, out / FILE)
-    return len(kept), len(known)
+    return len(kept), len(machines)
 
 
 def _united(plans: Sequence[Plan]) -> Plan:

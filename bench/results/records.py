@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import statistics
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -10,17 +11,11 @@ from typing import Annotated, Any, TypedDict
 import msgspec
 from msgspec import Meta
 
-from bench.results.quantities import (
-    GROUPS,
-    NORM,
-    TRUST,
-    WRONG,
-    parts,
-)
+from bench.results.quantities import GROUPS, NORM, TRUST, WRONG, parts
 from bench.results.table import short_exponent
 
 #: Version of the records below. A store of another version is refused with a hint.
-SCHEMA = 3
+SCHEMA = 4
 
 #: Status of a cell whose run somebody or something ended from outside; it is run again.
 INTERRUPTED = "interrupted"
@@ -81,6 +76,11 @@ class Environment(msgspec.Struct, kw_only=True):
         """The machine and the start in words, as tables name it."""
         return f"{self.cpu}, {self.cores} cores, {self.date}"
 
+    @property
+    def number(self) -> int:
+        """Its number in all stores: a digest."""
+        return int(hashlib.sha256(msgspec.json.encode(self)).hexdigest()[:8], 16)
+
 
 class Record(msgspec.Struct, kw_only=True):
     """One cell: one integrator on one scene at one resolution.
@@ -108,7 +108,7 @@ class Record(msgspec.Struct, kw_only=True):
     ``stopped`` is the phase in which a budget ran out (bench.running.process), the reference's too;
     the budgets were ``budget_s`` and ``memory_gib``.
     ``run_s`` holds every timing sample in s, and ``rounds`` the invocation and the round in it of
-    each; ``environment`` points to the row of the machine that measured.
+    each; ``environment`` is the number of the one that measured.
     """
 
     key: Name

@@ -1,4 +1,4 @@
-"""The store: one SQLite file (write-ahead log) per run folder.
+"""The store: one SQLite file per run folder.
 
 All results are rows of one table: kind (the name of a record's class), key, and the value as
 compressed JSON. A new study needs no other table. Timing samples, which come one by one, have one
@@ -8,11 +8,10 @@ run killed at any moment has lost nothing but the cell in work.
 
 from __future__ import annotations
 
-import os
 import sqlite3
 import zlib
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,7 +26,7 @@ FILE = "stepbench.sqlite"
 #: Locked by whoever writes; the system takes the lock away from a process that ends in any way.
 #: Not the database itself, whose own locks SQLite would lose when another file object is closed.
 _LOCK = ".stepbench.lock"
-_WAY_OUT = "start again with --fresh or another --out"
+_WAY_OUT = "start again with --fresh or another --out."
 _TABLES = f"""
 BEGIN IMMEDIATE;
 CREATE TABLE results (kind TEXT, key TEXT, value BLOB NOT NULL, PRIMARY KEY (kind, key));
@@ -36,13 +35,21 @@ CREATE TABLE samples (key TEXT, number INTEGER, seconds REAL NOT NULL, invocatio
 PRAGMA user_version = {SCHEMA};
 COMMIT;
 """
-#: Keys of values that hold their own.
+_KEEP = "INSERT OR REPLACE INTO results VALUES (?, ?, ?)"
+_SAMPLE = "INSERT OR REPLACE INTO samples VALUES (?, ?, ?, ?)"
+#: Keys of values that are kept by themselves.
 _KEYS = {
     Plan: lambda plan: "plan",
+    Environment: lambda machine: str(machine.number),
     SceneRecord: lambda scene: f"{scene.problem} | {scene.t_end!r}",
     ExperimentResult: lambda found: found.name,
     LongRun: lambda run: run.key,
 }
+#: What a file, its rows, or a value that no JSON can hold may raise.
+_ERRORS = (
+    *(OSError, sqlite3.Error, zlib.error, msgspec.MsgspecError),
+    *(ValueError, TypeError, OverflowError),
+)
 #: Significant digits of sampled values, which charts show with fewer. Sampled values are most of a
 #: store, and their last digits are noise, which no compression makes smaller.
 _DIGITS = 8
@@ -61,7 +68,7 @@ class Store:
         The run folder.
     create
         Open for writing, and make the folder and the store if they are not there. Without it
-        the store is only read: neither tables nor settings of the file are touched.
+        the store is only read, and nothing in the folder changes.
     fresh
         With ``create``: begin with an empty store, whatever is there now, be it damaged or of
         another schema.
@@ -76,24 +83,37 @@ class Store:
     def __init__(self, folder: Path, create: bool = False, fresh: bool = False) -> None:
         self.folder = Path(folder)
         self._path = self.folder / FILE
+        if not create and not self._path.is_file():
+            raise StoreError(
+                f"{self.folder} holds no stepbench results; run 'stepbench run' first."
+            )
         with ExitStack() as opened:
-            try:
-                self._db = self._writing(opened, fresh) if create else self._reading()
+            with self._errors(f"The store {self._path} cannot be opened"):
+                if create:
+                    self._lock(opened)
+                if fresh:
+                    # The file goes last: a log left without its file would meet the new one.
+                    for suffix in ("-wal", "-shm", "-journal", ""):
+                        self._path.with_name(FILE + suffix).unlink(missing_ok=True)
+                uri = f"{self._path.absolute().as_uri()}?mode={'rwc' if create else 'ro'}"
+                self._db = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=30.0)
                 opened.callback(self._db.close)
+                if create:
+                    self._db.execute("PRAGMA journal_mode=WAL")
+                    opened.callback(self._fold_log)
+                    self._db.execute("PRAGMA synchronous=NORMAL")
+                    if not self._db.execute("SELECT 1 FROM sqlite_master").fetchone():
+                        self._db.executescript(_TABLES)
                 (version,) = self._db.execute("PRAGMA user_version").fetchone()
-            except (OSError, sqlite3.Error) as error:
-                raise StoreError(
-                    f"The store {self._path} cannot be opened ({error}); {_WAY_OUT}."
-                ) from error
             if version != SCHEMA:
                 raise StoreError(
                     f"{self._path} is no stepbench store of this version (its schema is {version}, "
-                    f"not {SCHEMA}); {_WAY_OUT}."
+                    f"not {SCHEMA}); {_WAY_OUT}"
                 )
             self._opened = opened.pop_all()
 
     def close(self) -> None:
-        """Close the file; the write-ahead log is folded in."""
+        """Close the file."""
         self._opened.close()
 
     def __enter__(self) -> Store:
@@ -103,33 +123,10 @@ class Store:
         self.close()
 
     # ---- writing -----------------------------------------------------------------------
-    def keep(self, value: Any, key: str | None = None) -> None:
-        """Keep a value, in the place of an earlier one of its kind and key.
-
-        Parameters
-        ----------
-        value
-            A plan, the description of a scene, a result of a study.
-        key
-            Its key, if it does not hold one.
-
-        Raises
-        ------
-        StoreError
-            If it could not be read again.
-        """
-        self._put([(_KEYS[type(value)](value) if key is None else key, value)])
-
-    def take(self, other: Store, kinds: Iterable[type]) -> None:
-        """Keep all that another store has of some kinds."""
-        for kind in kinds:
-            self._put(other.values(kind).items())
-
-    def save_environment(self, environment: Environment) -> int:
-        """Keep the environment of an invocation; returns its number."""
-        number = max(self.environments(), default=0) + 1
-        self.keep(environment, str(number))
-        return number
+    def keep(self, value: Any) -> None:
+        """Keep an environment, a plan, a scene or the result of a study, in the place of an earlier
+        one of its kind and key; raise StoreError if it could not be read again."""
+        self._put([(_KEYS[type(value)](value), value)])
 
     def save(self, record: Record, rows: Rows) -> None:
         """Keep a finished cell with its rows, in one transaction; forgets older samples."""
@@ -141,34 +138,33 @@ class Store:
     ) -> None:
         """Keep one timing sample of a cell: its round, in an invocation (None: the cell's own)."""
         with self._transaction() as db:
-            row = key, number, seconds, invocation
-            db.execute("INSERT OR REPLACE INTO samples VALUES (?, ?, ?, ?)", row)
+            db.execute(_SAMPLE, (key, number, seconds, invocation))
+
+    def take(self, other: Store, but: Collection[str] = ()) -> None:
+        """Keep all that another store has, but its plan and the cells of some keys."""
+        select = "SELECT * FROM results WHERE kind != 'Plan' ORDER BY rowid"
+        rows = [row for row in other._read(select) if row[1] not in but]
+        samples = [row for row in other._read("SELECT * FROM samples") if row[0] not in but]
+        with self._transaction() as db:
+            db.executemany("DELETE FROM samples WHERE key = ?", {(key,) for _, key, _ in rows})
+            db.executemany(_KEEP, rows)
+            db.executemany(_SAMPLE, samples)
 
     # ---- reading -----------------------------------------------------------------------
     def values(self, kind: type[T], key: str | None = None) -> dict[str, T]:
-        """Return the values of a kind by key, in the order in which they were kept.
-
-        Parameters
-        ----------
-        kind
-            Their class.
-        key
-            The key of the only one that is asked for.
-        """
-        read = f"SELECT key, value FROM results WHERE kind = ?{' AND key = ?' if key else ''}"
-        rows = self._read(f"{read} ORDER BY rowid", kind.__name__, *([key] if key else []))
-        try:
-            return {key: _decoded(raw, kind) for key, raw in rows}
-        except ValueError as error:
-            text = f"A {kind.__name__} in the store {self._path} cannot be read ({error})"
-            raise StoreError(f"{text}; {_WAY_OUT}.") from error
+        """Return the values of a kind by key, in the order in which they were kept; with a ``key``
+        that one alone."""
+        select = f"SELECT key, value FROM results WHERE kind = ?{' AND key = ?' if key else ''}"
+        rows = self._read(f"{select} ORDER BY rowid", kind.__name__, *([key] if key else []))
+        with self._errors(f"A {kind.__name__} in the store {self._path} cannot be read"):
+            return {k: msgspec.json.decode(zlib.decompress(raw), type=kind) for k, raw in rows}
 
     def plan(self) -> Plan | None:
         """The plan of the latest run, or None."""
         return self.values(Plan).get("plan")
 
     def environments(self) -> dict[int, Environment]:
-        """All environments by number."""
+        """All environments by number, the latest last."""
         return {int(number): value for number, value in self.values(Environment).items()}
 
     def scenes(self) -> dict[tuple[str, float], SceneRecord]:
@@ -206,18 +202,12 @@ class Store:
         return records
 
     def rows(self, key: str) -> Rows:
-        """The sampled values of a cell.
-
-        Raises
-        ------
-        KeyError
-            If the cell is not there.
-        """
+        """The sampled values of a cell; KeyError if it is not there."""
         return self.values(Rows, key)[key]
 
     # ---- parts -------------------------------------------------------------------------
-    def _writing(self, opened: ExitStack, fresh: bool) -> sqlite3.Connection:
-        """Open the file, made if it is not there, and lock the folder."""
+    def _lock(self, opened: ExitStack) -> None:
+        """Make the folder, and lock it."""
         from filelock import FileLock, Timeout  # not needed to read, and slow to import
 
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -228,84 +218,45 @@ class Store:
                 f"Another run is writing into {self.folder}; wait for its end, or give another "
                 f"--out."
             ) from None
-        if fresh:
-            # The file goes last: a log left without its file would meet the new one.
-            for suffix in ("-wal", "-shm", ""):
-                self._path.with_name(FILE + suffix).unlink(missing_ok=True)
-        db = sqlite3.connect(self._path, isolation_level=None, timeout=30.0)
-        try:
-            db.execute("PRAGMA journal_mode=WAL")
-            db.execute("PRAGMA synchronous=NORMAL")
-            if not db.execute("SELECT 1 FROM sqlite_master").fetchone():
-                db.executescript(_TABLES)
-        except sqlite3.Error:
-            db.close()
-            raise
-        return db
 
-    def _reading(self) -> sqlite3.Connection:
-        """Open a file that must not change, also in a folder that cannot be written."""
-        if not self._path.is_file():
-            raise StoreError(
-                f"{self.folder} holds no stepbench results; run 'stepbench run' first."
-            )
-        log = self._path.with_name(FILE + "-wal")
-        # In a folder that cannot be written there is no place for the log's index. Nobody writes
-        # there either, so the file stands still, but rows still in a log would be lost.
-        logged = log.exists() and log.stat().st_size > 0
-        as_user = os.access in os.supports_effective_ids
-        written = os.access(self.folder, os.W_OK, effective_ids=as_user)
-        still = "" if written or logged else "&immutable=1"
-        uri = f"{self._path.absolute().as_uri()}?mode=ro{still}"
-        return sqlite3.connect(uri, uri=True, isolation_level=None, timeout=30.0)
+    def _fold_log(self) -> None:
+        """Leave one file that can be read where nothing can be written, unless somebody reads."""
+        with suppress(sqlite3.Error):
+            self._db.execute("PRAGMA busy_timeout=0")
+            self._db.execute("PRAGMA journal_mode=DELETE")
 
     def _put(self, values: Iterable[tuple[str, Any]], forget_samples: str | None = None) -> None:
-        try:
-            rows = [(type(value).__name__, key, _encoded(value)) for key, value in values]
-        except ValueError as error:
-            raise StoreError(f"A result cannot be stored in {self.folder}: {error}.") from error
+        words = "Earlier results are intact."
+        with self._errors(f"A result cannot be stored in {self.folder}", words):
+            rows = []
+            for key, value in values:
+                text = msgspec.json.encode(value)
+                msgspec.json.decode(text, type=type(value))  # it has to be read again
+                rows.append((type(value).__name__, key, zlib.compress(text, 9)))
         with self._transaction() as db:
             db.execute("DELETE FROM samples WHERE key = ?", (forget_samples,))
-            db.executemany("INSERT OR REPLACE INTO results VALUES (?, ?, ?)", rows)
+            db.executemany(_KEEP, rows)
 
     def _read(self, sql: str, *parameters: object) -> list[tuple]:
         """All rows of a query."""
-        try:
+        with self._errors(f"The store {self._path} cannot be read"):
             return self._db.execute(sql, parameters).fetchall()
-        except sqlite3.Error as error:
-            text = f"The store {self._path} cannot be read ({error}); {_WAY_OUT}."
-            raise StoreError(text) from error
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
-        """All or nothing, with the store's own error."""
+        """All or nothing."""
+        advice = "free some space or choose another --out. Earlier results are intact."
+        with self._errors(f"The store in {self.folder} cannot be written", advice), self._db:
+            self._db.execute("BEGIN IMMEDIATE")
+            yield self._db
+
+    @contextmanager
+    def _errors(self, words: str, advice: str = _WAY_OUT) -> Iterator[None]:
+        """Tell every error in a sentence."""
         try:
-            with self._db:
-                self._db.execute("BEGIN IMMEDIATE")
-                yield self._db
-        except sqlite3.Error as error:
-            raise StoreError(
-                f"The store in {self.folder} cannot be written ({error}); free some space or "
-                "choose another --out. Earlier results are intact."
-            ) from error
-
-
-def _encoded(value: Any) -> bytes:
-    """Write a value; ValueError if it could not be read again."""
-    try:
-        raw = zlib.compress(msgspec.json.encode(value), 9)
-    except (TypeError, OverflowError) as error:
-        raise ValueError(str(error)) from error
-    _decoded(raw, type(value))
-    return raw
-
-
-def _decoded(raw: bytes, kind: type[T]) -> T:
-    """Read a value; ValueError if it is not of this kind."""
-    try:
-        return msgspec.json.decode(zlib.decompress(raw), type=kind)
-    except (zlib.error, msgspec.DecodeError, TypeError) as error:
-        raise ValueError(str(error)) from error
+            yield
+        except _ERRORS as error:
+            raise StoreError(f"{words} ({error}); {advice}") from error
 
 
 def _short(values: Any) -> Any:

@@ -82,7 +82,9 @@ def measure_suite(
     records = store.records()
     due = any(_samples_due(suite, records, last) for last in (False, True))
     if cells or further or due:
-        number = store.save_environment(environment())
+        machine = environment()
+        number = machine.number
+        store.keep(machine)
 
     def keep(cell: Cell, answer: CellResult | NoAnswer) -> None:
         record, rows = result_of(cell, answer, *cell.facts(registry))
@@ -127,7 +129,7 @@ def time_suite(suite: Suite, store: Store, registry: Inventory, runner: Runner) 
         if not due:
             continue
         have = {key: _samples_of(records[key]) for key in due}
-        invocation = max(store.environments(), default=0)  # kept as there are samples to be taken
+        invocation = [*store.environments()][-1]  # kept as there are samples to be taken
         tasks = [
             time_task(cell, cell.sources(registry)) for cell in (suite.cells[key] for key in due)
         ]

@@ -152,7 +152,7 @@ class Report:
                     }
                 ],
             )
-            for number, e in self.stored.environments.items()
+            for number, e in enumerate(self.stored.environments.values(), 1)
         ]
         return Chapter(
             "measured.html",
