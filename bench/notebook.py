@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.commands.options import BUDGET_S, RESULTS, usable_registry
+from bench.commands.options import BUDGET_S, RESULTS, budget_of, usable_registry
 from bench.commands.suite import run_suite, suite_of_orders, write_reports
 from bench.results.flat_rows import flatten
 from bench.results.orders import order_summary
@@ -19,7 +19,7 @@ from bench.results.records import Record, Rows, endings
 from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
-from bench.running.profiles import LARGEST_BUDGET, read_profile
+from bench.running.profiles import read_profile
 from bench.running.progress import OnStandardError
 from bench.running.session import solve as run_one
 from problems.base.spec import SpecError
@@ -95,12 +95,11 @@ class Orders:
         """A pandas frame with a row for each group and norm."""
         columns = {"order": self.orders, "window": self.window, "points": self.points}
         columns["verdict"] = self.verdict
-        rows = [
+        return _pandas().DataFrame(
             {"group": group, "norm": norm} | {k: v[group][norm] for k, v in columns.items()}
             for group, by_norm in self.orders.items()
             for norm in by_norm
-        ]
-        return _pandas().DataFrame(rows)
+        )
 
     def _repr_svg_(self) -> str | None:
         from reports.figures import orders_chart
@@ -160,10 +159,11 @@ def solve(
     >>> found.errors["q"]["max"] < 1e-3
     True
     """
-    _check(budget=budget, samples=samples)
+    if samples < 0:
+        raise SpecError(f"{samples} samples are not allowed; give 0 at least.")
     fractions = tuple(pattern) if pattern else None
     sizes = {"step": step, "pattern": fractions, "rtol": rtol, "atol": atol, "t_end": t_end}
-    asked = problem, integrator, plugins, budget, OnStandardError()
+    asked = problem, integrator, plugins, budget_of(budget), OnStandardError()
     (record, rows), names = run_one(*asked, parameters=parameters, samples=samples, **sizes)
     return Solution(
         problem=record.problem,
@@ -206,10 +206,9 @@ def order(
     """
     from bench.running.session import solve_cells
 
-    _check(budget=budget)
     registry = usable_registry(plugins)
     scene = registry.problem(problem, **(parameters or {}))
-    suite = suite_of_orders(registry, scene, [integrator], budget, steps, pattern, t_end)
+    suite = suite_of_orders(registry, scene, [integrator], budget_of(budget), steps, pattern, t_end)
     cells = [*suite.cells.values()]
     records = [r for r, _ in solve_cells(cells, registry, budget, progress=OnStandardError())]
     return Orders(**order_summary(records), _records=records)
@@ -240,10 +239,11 @@ def run(
     >>> results = run("quick", "first", problems=["pendulum"])  # doctest: +SKIP
     >>> results.runs.pivot(index="h", columns="integrator", values="error_a_max")  # doctest: +SKIP
     """
-    _check(budget=budget, jobs=jobs)
+    if jobs < 1:
+        raise SpecError(f"{jobs} jobs are not allowed; give 1 at least.")
     _pandas()  # before the work
     registry, profile = Inventory(plugins), read_profile(str(suite))
-    planned = make_suite(*profile, registry, problems, integrators, budget, mine)
+    planned = make_suite(*profile, registry, problems, integrators, budget_of(budget), mine)
     for sentence in run_suite(planned, registry, Path(out), fresh, jobs).sentences:
         print(sentence)
     write_reports(Path(out))
@@ -281,16 +281,6 @@ def load(folder: str | Path = RESULTS) -> Results:
 
 
 # ---- parts -------------------------------------------------------------------------------
-def _check(budget: float | None, samples: int = 0, jobs: int = 1) -> None:
-    """Refuse numbers that the command line refuses."""
-    if budget is not None and not 0 < budget <= LARGEST_BUDGET:
-        raise SpecError(
-            f"The budget is {budget}; give a time in s above 0, at most {LARGEST_BUDGET:g}."
-        )
-    if samples < 0 or jobs < 1:
-        raise SpecError(f"{samples} samples by {jobs} jobs are not allowed; give 0 and 1 at least.")
-
-
 def _array(rows: Rows, group: str) -> np.ndarray:
     """The values of a group, a row per time; without columns if the scene lacks the group."""
     values = rows.values.get(group) or [[] for _ in rows.t]

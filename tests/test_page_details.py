@@ -15,7 +15,7 @@ from planted import Document, edited, everything, page_data, plant
 from test_questions import costing as run
 from test_questions import scenes_of
 
-from bench.results.records import IntegratorFacts, Plan
+from bench.results.records import MethodFacts, Plan
 from bench.results.store import Store
 from problems.base.spec import SpecError
 from reports.charts.maps import method_strip
@@ -42,7 +42,7 @@ def folder(tmp_path_factory) -> Path:
     planted = plant(tmp_path_factory.mktemp("details") / "first", everything())
     folder = edited(planted, planted.with_name("out"), edit)
     with Store(folder, create=True) as store:
-        facts = IntegratorFacts(title="Mine.", files=["my method.py"])
+        facts = MethodFacts(title="Mine.", sources=frozenset({"/of/mine/my method.py"}))
         plan = store.plan()
         known = {r.integrator: facts for r in store.records().values() if r.integrator != LONG}
         store.keep(msgspec.structs.replace(plan, integrators=known, mine=LONG))

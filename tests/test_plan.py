@@ -7,7 +7,6 @@ from unittest.mock import Mock
 
 import pytest
 
-from bench.commands import terminal
 from bench.commands.terminal import RunProgress
 from bench.results.store import Store
 from bench.running.inventory import Inventory
@@ -80,20 +79,6 @@ def test_built_in_profiles_name_only_what_there_is(name):
     for text in {cell.integrator for cell in suite.cells.values()}:
         assert registry.integrator(text).spec == text
     assert suite.plan.title
-
-
-def test_work_that_takes_long_is_named_if_no_phase_counts_it(monkeypatch, capsys):
-    monkeypatch.setattr(terminal, "_LINE_EVERY_SECONDS", 0.01)
-    with RunProgress() as progress:
-        progress.working("making the reference of pendulum")
-        progress._wait.join()
-        progress.phase("measuring", 2)
-        progress.working("pendulum ida")
-        progress._wait.join()
-    assert capsys.readouterr().err.splitlines() == [
-        "Waiting: making the reference of pendulum",
-        "measuring: 0 of 2",
-    ]
 
 
 def test_progress_counts_the_cells_that_the_suite_has(tmp_path, capsys):

@@ -7,7 +7,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from planted import planted
 
-from bench.results.records import IntegratorFacts
+from bench.results.records import MethodFacts
 from reports.questions import FIRST, TABLE_TARGETS
 from reports.ranking import answers, told_apart
 from reports.series import series_of
@@ -214,7 +214,7 @@ def test_the_ranking_equals_a_direct_query():
 
 
 def test_each_integrator_is_described_by_its_claims():
-    known = {"slow": IntegratorFacts(title="A method.", orders={"q": 2, "a": 2}, source="me")}
+    known = {"slow": MethodFacts(title="A method.", orders={"q": 2, "a": 2}, source="me")}
     (slow, other) = integrators_table(["slow", "other"], known).rows
     assert (slow, other) == (["slow", "A method", "q 2; a 2", "me"], ["other", "", "", ""])
 

@@ -270,7 +270,7 @@ def test_a_class_belongs_to_its_module_and_can_be_inherited_from(tmp_path):
     (tmp_path / "cart.py").write_text(code)
     problems = Registry([tmp_path / "cart.py"]).problems
     assert problems["cart"].cls.__mro__[1] is problems["cart_pendulum"].cls
-    assert problems["cart"].summary == "A cart."
+    assert problems["cart"].paragraphs[0] == "A cart."
 
 
 @pytest.mark.long

@@ -200,7 +200,7 @@ def test_the_command_prints_what_is_in_its_json_and_refuses_in_a_sentence(
     shown = " ".join(stepbench(*asked).output.split())
     assert found["sentence"] in shown
     assert "Cost of poor as a multiple of that of good 0.8" in shown
-    asked = "versus", "good 0.8", "good 0.5", folder, "--group", "a,lam", "--target", "0.05"
+    asked = "versus", "good 0.8", "good 0.5", folder, "--error", "a,lam", "--target", "0.05"
     (other,) = json.loads(stepbench(*asked, "--json").output)
     assert other["group"] == "a,lam"
     assert other["scenes"]["pendulum"]["ratio"] == EXACT(1.0)
@@ -208,8 +208,8 @@ def test_the_command_prints_what_is_in_its_json_and_refuses_in_a_sentence(
         ("goodd poor", "There is no integrator 'goodd' in the store; known: adaptive, fragile"),
         ("good poor", "'good' are several; name one of good[rho_inf=0.8], good[rho_inf=0.5]"),
         ("poor adaptive", "poor and adaptive have no scene in common"),
-        ("poor fragile --group a,b", "There is no group 'b'"),
-        ("poor fragile --norm most", "There is no norm 'most'"),
+        ("poor fragile --error a,b", "There is no group 'b'"),
+        ("poor fragile --error a:most", "There is no norm 'most'"),
         ("poor fragile --cost second", "There is no cost 'second'"),
         ("poor fragile --target 2", "2 is no accuracy; give one between 0 and 1"),
     ):

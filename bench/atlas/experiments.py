@@ -17,8 +17,9 @@ from typing import Any, NamedTuple
 import msgspec
 
 from bench.results.quantities import GROUPS, LEVELS, NORMS
+from bench.results.records import MethodFacts
 from bench.results.studies import BASES, Expected
-from bench.running.inventory import Inventory, MethodFacts
+from bench.running.inventory import Inventory
 from bench.running.plan import Cell
 from integrators.resolutions import Steps, Tolerances, check_end
 from problems.base import spec

@@ -15,11 +15,11 @@ import numpy as np
 from bench.atlas.experiments import COMPONENT, Case, Experiment, Part, Settings, Sweep, sweep_of
 from bench.plugins.fingerprint import fingerprint
 from bench.results.quantities import NORM, NORMS, TRUST
-from bench.results.records import INTERRUPTED, Record, Rows
+from bench.results.records import INTERRUPTED, MethodFacts, Record, Rows
 from bench.results.store import Store
 from bench.results.studies import CaseResult, ExperimentResult, PartResult
 from bench.running.errors import finite
-from bench.running.inventory import Inventory, MethodFacts
+from bench.running.inventory import Inventory
 from bench.running.process import Limits, NoAnswer
 from bench.running.progress import Progress
 from bench.running.runner import Runner, Task, measure_task

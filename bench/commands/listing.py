@@ -1,9 +1,13 @@
-"""The command `stepbench list`: scenes, integrators and suites, or all about some of them."""
+"""The commands on scenes and integrators themselves: `list`, `show`, `new` and `check`."""
 
 from __future__ import annotations
 
+import keyword
+import re
+import shlex
 from collections.abc import Mapping
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -12,28 +16,36 @@ import msgspec
 
 from bench.commands import options
 from bench.commands.options import BUDGET_S, Given
-from bench.plugins.registry import Plugin
+from bench.plugins.registry import KINDS, SUFFIXES, Plugin
 from bench.results.table import Table
-from bench.running.inventory import Inventory, SceneFacts
+from bench.running.inventory import Inventory
 from bench.running.profiles import built_in_profiles, read_profile, suite_titles
-from problems.base.spec import SpecError, split_spec, suggest
+from integrators.resolutions import check_end
+from problems.base.spec import START, SpecError, snake_case, split_spec, suggest
 
 #: What there is, by the word for one of it, and the words for all.
 WORDS = {"problems": "scene", "integrators": "integrator", "suites": "suite"}
 _ALL_OF = {"scenes": "problems", "integrators": "integrators", "suites": "suites"}
 #: Names are padded to the longest one, but not to more characters.
 _LONGEST_NAME = 40
+#: Number of pictures in an animation: enough for 12 s of smooth motion.
+_FRAMES = 240
+_SKELETONS = {"integrator": "NewIntegrator", "problem": "NewProblem"}
+_FROM_MODEL = '''\
+"""The scene {name}, made of a model."""
+
+from problems import from_mjcf
+
+{cls} = from_mjcf(
+    {file!r},
+    name={name!r},
+    interval=(0.0, 2.0),
+    nominal_step=0.01,
+{more})
+'''
 
 
-@options.command(
-    "list",
-    options.argument("names", "[KIND|NAME]...", nargs=-1),
-    options.flag("--draw", "Write pages of these scenes, or of all."),
-    options.folder("Folder of the pages.", "stepbench-catalogue"),
-    *options.SET,
-    options.PLUGINS,
-    options.JSON,
-)
+@options.command("list", "listed draw out settings plugins as_json", out="stepbench-catalogue")
 def list_(o: Given) -> None:
     """List scenes, integrators and suites.
 
@@ -48,18 +60,18 @@ def list_(o: Given) -> None:
       stepbench list integrators
       stepbench list pendulum generalized_alpha
       stepbench list pendulum --set th0=3.0
-      stepbench list --json
-      stepbench list --draw
       stepbench list pendulum car_axis --draw --out mechanisms
     """
+    from bench.commands.terminal import RunProgress, say, show
+
     registry = options.usable_registry(o.plugins) if o.draw else Inventory(o.plugins)
     every = {kind: getattr(registry, kind, built_in_profiles()) for kind in WORDS}
     words = [*_ALL_OF, *(name for own in every.values() for name in own)]
-    for text in o.names:
+    for text in o.listed:
         if text not in words:
             raise SpecError(f"There is no {text!r} to list; {suggest(text, words)}.")
-    whole = [kind for word, kind in _ALL_OF.items() if not o.names or word in o.names]
-    names = {kind: [n for n in dict.fromkeys(o.names) if n in every[kind]] for kind in WORDS}
+    whole = [kind for word, kind in _ALL_OF.items() if not o.listed or word in o.listed]
+    names = {kind: [n for n in dict.fromkeys(o.listed) if n in every[kind]] for kind in WORDS}
     if o.settings:
         if whole or not names["problems"]:
             raise SpecError("--set belongs to scenes: name one.")
@@ -68,13 +80,20 @@ def list_(o: Given) -> None:
             of = replace(every["problems"][name], name=spec, values=split_spec(spec)[1])
             every["problems"] = {**every["problems"], name: of}
     if o.draw:
-        if o.as_json or not {*o.names} <= {"scenes", *every["problems"]}:
+        from bench.running.session import describe_scenes
+        from reports.pages.catalogue import write_catalogue
+
+        if o.as_json or not {*o.listed} <= {"scenes", *every["problems"]}:
             raise SpecError(
                 "--draw writes pages of scenes alone; name scenes, and leave out --json."
             )
-        usable = [name for name, plugin in registry.problems.items() if not plugin.reason]
-        drawn = names["problems"] or usable
-        _draw([registry.problem(name, **o.settings) for name in drawn], o.out)
+        drawn = names["problems"] or [n for n, p in registry.problems.items() if not p.reason]
+        scenes = [registry.problem(name, **o.settings) for name in drawn]
+        with RunProgress() as progress:
+            records = describe_scenes(scenes, BUDGET_S, progress)
+        if not records:
+            raise SpecError("No scene could be described.")
+        click.echo(f"Catalogue: {write_catalogue(records, o.out)}")
         return
     options.refuse("goes with --draw.", "out")
     if o.as_json:
@@ -83,30 +102,19 @@ def list_(o: Given) -> None:
             {kind: [_row(kind, n, every[kind]) for n in own] for kind, own in shown.items() if own}
         )
         return
-    from bench.commands.terminal import show
-
-    for kind in whole:
-        plugins = getattr(registry, kind, {}).values()
-        lines = {p.name: _reason(p) or p.summary for p in plugins} or suite_titles()
-        _show_lines("scenes" if kind == "problems" else kind, lines)
+    for word, kind in _ALL_OF.items():
+        if kind in whole:
+            plugins = getattr(registry, kind, {}).values()
+            lines = {p.name: _reason(p) or p.paragraphs[0] for p in plugins} or suite_titles()
+            longest = min(_LONGEST_NAME, max(map(len, lines), default=0))
+            say((word, "bold"))
+            for name, text in lines.items():
+                say((f"{name:{longest}}", "cyan"), f"  {text}", cut=True)
     if whole:
         show("Options and documentation of one: stepbench list NAME")
     for kind, own in names.items():
         for name in own:
             show(*(_suite(name) if kind == "suites" else _plugin(kind, every[kind][name])))
-
-
-def _draw(scenes: list[SceneFacts], out: Path) -> None:
-    """Write a page of scenes."""
-    from bench.commands.terminal import RunProgress
-    from bench.running.session import describe_scenes
-    from reports.pages.catalogue import write_catalogue
-
-    with RunProgress() as progress:
-        records = describe_scenes(scenes, BUDGET_S, progress)
-    if not records:
-        raise SpecError("No scene could be described.")
-    click.echo(f"Catalogue: {write_catalogue(records, out)}")
 
 
 def _row(kind: str, name: str, known: Mapping[str, Plugin]) -> dict[str, Any]:
@@ -115,27 +123,13 @@ def _row(kind: str, name: str, known: Mapping[str, Plugin]) -> dict[str, Any]:
         suite = msgspec.to_builtins(read_profile(name)[1])
         return {"name": name, "available": True, "reason": ""} | suite
     plugin = known[name]
-    facts = ("name", "summary", "description", "origin", "reason", "options")
-    return {key: getattr(plugin, key) for key in facts} | {"available": not plugin.reason}
-
-
-def _show_lines(title: str, lines: Mapping[str, str]) -> None:
-    """Print a line for each name, cut where the terminal's line ends."""
-    from rich.text import Text
-
-    from bench.commands.terminal import say
-
-    say(Text(title, style="bold"))
-    longest = min(_LONGEST_NAME, max(map(len, lines), default=0))
-    for name, text in lines.items():
-        say(Text.assemble((f"{name:{longest}}", "cyan"), f"  {text}"), cut=True)
+    (summary, *more), facts = plugin.paragraphs, ("name", "origin", "reason", "options")
+    row = {"available": not plugin.reason, "summary": summary, "description": more}
+    return {key: getattr(plugin, key) for key in facts} | row
 
 
 def _plugin(kind: str, plugin: Plugin) -> list[Table | str]:
     """All about a scene or an integrator: description, and options with limits and meaning."""
-    first = f"{WORDS[kind]} {plugin.name} ({plugin.origin})"
-    parts: list[Table | str] = [first, _reason(plugin) or plugin.summary]
-    parts += [f"\n{text}" for text in plugin.description]
     rows = []
     for o in plugin.options:
         ends = (("from", o.get("low")), ("to", o.get("high")))
@@ -143,11 +137,15 @@ def _plugin(kind: str, plugin: Plugin) -> list[Table | str]:
         allowed = ", ".join(filter(None, [*map(str, o.get("choices", ())), reach]))
         unit = f" in {o['unit']}" if o.get("unit", "-") not in ("", "-") else ""
         rows.append([o["name"], _text(o["default"]), allowed, f"{o['doc']}{unit}"])
-    if rows:
-        word = "parameter" if kind == "problems" else "option"
-        head = [word, "value" if "[" in plugin.name else "default", "allowed", "meaning"]
-        parts += ["", Table("", head, rows)]
-    return [*parts, ""]
+    (summary, *more), word = plugin.paragraphs, "parameter" if kind == "problems" else "option"
+    head = [word, "value" if "[" in plugin.name else "default", "allowed", "meaning"]
+    return [
+        f"{WORDS[kind]} {plugin.name} ({plugin.origin})",
+        _reason(plugin) or summary,
+        *(f"\n{text}" for text in more),
+        *(["", Table("", head, rows)] if rows else []),
+        "",
+    ]
 
 
 def _reason(plugin: Plugin) -> str:
@@ -165,3 +163,140 @@ def _suite(name: str) -> list[Table | str]:
     limits = f"{suite.samples} timings per run, at most {suite.budget_s:g} s of processor time each"
     table = Table("", ["study", "scenes", "integrators"], rows)
     return [f"suite {name}", suite.title, limits, "", table]
+
+
+@options.command(
+    "show", "problem file animate t_end settings budget plugins",
+    file={"help": "File; NAME.svg or NAME.html if not given."},
+)  # fmt: skip
+def show_(o: Given) -> None:
+    """Draw or animate a scene.
+
+    A picture (SVG or PNG) shows it at several times, an animation is a page (HTML).
+
+    \b
+    Examples:
+      stepbench show slider_crank
+      stepbench show pendulum --set th0=3.0 -o pendulum.png
+      stepbench show slider_crank --animate
+    """
+    from bench.running.scene_records import GHOSTS
+    from bench.running.worker import Worker
+    from reports.pages.catalogue import write_animation, write_picture
+
+    scene = options.usable_registry(o.plugins).problem(o.problem, **o.settings)
+    start, end = scene.interval
+    end = check_end(start, end if o.t_end is None else o.t_end)
+    ending, count = ("html", _FRAMES) if o.animate else ("svg", GHOSTS)
+    about, task = f"{scene.spec} cannot be shown", (scene.spec, end, count)
+    drawings = options.guarded(about, Worker.pictures, scene.sources, o.budget, *task)
+    write = write_animation if o.animate else write_picture
+    click.echo(f"Picture: {write(scene.spec, drawings, o.file or Path(f'{scene.name}.{ending}'))}")
+
+
+@options.command(
+    "new", "kind name file model meshes settings", file={"help": "File; NAME.py if not given."}
+)
+def new(o: Given) -> None:
+    """Write a small scene or integrator, which runs at once.
+
+    \b
+    Examples:
+      stepbench new integrator my_method
+      stepbench new problem my_scene --out scenes/my_scene.py
+      stepbench new problem my_robot --from robot.xml --set contacts=left_out
+      stepbench new problem my_robot --from robot.xml --set keyframe=home --set start.hip=0.3
+    """
+    if o.model is not None and (o.kind != "problem" or o.model.suffix not in SUFFIXES):
+        raise SpecError(f"--from takes a model ({', '.join(SUFFIXES)}) for a new problem.")
+    if o.model is None:
+        options.refuse("belongs to a model: name it by --from.", "settings", "meshes")
+    if not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", o.name) or keyword.iskeyword(o.name):
+        raise SpecError(
+            f"{o.name!r} is not a name in small letters, digits and '_', such as my_method."
+        )
+    registry = Inventory()
+    for plugin in (getattr(registry, kind).get(o.name) for kind in KINDS):
+        if plugin:
+            raise SpecError(f"The name {o.name!r} is taken by {plugin.origin}; try 'my_{o.name}'.")
+    path = o.file or Path(f"{o.name}.py")
+    if path.suffix != ".py":
+        raise SpecError(f"{path} is not the name of a Python file; give one that ends with .py.")
+    # The name of a class that the registry lists under the name given.
+    parts = [part.capitalize() for part in o.name.split("_")]
+    cls = "".join(parts) if snake_case("".join(parts)) == o.name else "_".join(parts)
+    if o.model is None:
+        skeleton = resources.files("bench.plugins.skeletons") / f"{o.kind}.py"
+        text = skeleton.read_text(encoding="utf-8").replace(_SKELETONS[o.kind], cls)
+    else:
+        starts = {key: value for key, value in o.settings.items() if key.startswith(START)}
+        given: dict[str, Any] = {
+            "keyframe": o.settings.pop("keyframe", None),
+            "meshes": o.meshes and str(o.meshes.resolve()),
+            "start": {key.removeprefix(START): _number(key, text) for key, text in starts.items()},
+            "defaults": {key: value for key, value in o.settings.items() if key not in starts},
+        }
+        more = "".join(f"    {key}={value!r},\n" for key, value in given.items() if value)
+        file = str(o.model.resolve())
+        text = _FROM_MODEL.format(cls=cls, name=o.name, file=file, more=more)
+    try:
+        with path.open("x", encoding="utf-8") as written:
+            written.write(text)
+    except FileExistsError:
+        raise SpecError(f"{path} is there already; give another name or --out.") from None
+    mine, file = o.kind == "integrator", shlex.quote(str(path))
+    then = (
+        f"solve {f'pendulum {o.name}' if mine else f'{o.name} newmark'} --plugins {file}",
+        f"check {file}",
+        f"run --mine {o.name} --plugins {file}" if mine else f"recommend {file} --error a:1e-3",
+    )
+    click.echo("\n  stepbench ".join((f"{path} is written. Next:", *then)))
+
+
+def _number(key: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise SpecError(f"{key}={text} is not a number.") from None
+
+
+@options.command("check", "checked everything budget plugins as_json")
+def check(o: Given) -> None:
+    """Check scenes and integrators against the rules for plugins.
+
+    A name may have options; of a Python file everything in it is checked. One line per check
+    tells the result, and how to mend a fault. The exit code is 1 if a check fails.
+
+    \b
+    Examples:
+      stepbench check pendulum "generalized_alpha[rho_inf=0.5]"
+      stepbench check my_method.py my_scene.py
+      stepbench check --all --json
+    """
+    from bench.check.checker import chosen, is_file, run_checks
+    from bench.check.verdicts import FAILED, NOT_APPLICABLE, PASSED
+    from bench.commands.terminal import say
+
+    signs = {PASSED: ("\u2713", "green"), FAILED: ("\u2717", "red"), NOT_APPLICABLE: ("-", "dim")}
+    registry = Inventory([*o.plugins, *filter(is_file, o.checked)])
+    answers, verdicts = [], []
+    for kind, text in chosen(registry, o.checked, o.everything):
+        if not o.as_json:
+            say(f"{WORDS[kind]} {text}")
+        results = []
+        for result in run_checks(registry, kind, text, o.budget):
+            results.append(result)
+            if not o.as_json:
+                (sign, style), why = signs[result.verdict], result.verdict == NOT_APPLICABLE
+                said = "does not apply: " * why + result.text
+                say((f"  {sign} {result.check}: ", style), said)
+        own = [result.verdict for result in results]
+        verdicts += own
+        about = {"name": text, "kind": WORDS[kind], "passed": FAILED not in own}
+        answers.append(about | {"checks": [vars(result) for result in results]})
+    if o.as_json:
+        options.print_json(answers)
+    if failed := verdicts.count(FAILED):
+        raise click.ClickException(f"{failed} of {len(verdicts)} checks failed.")
+    if not o.as_json:
+        click.echo(f"All {len(verdicts)} checks passed or do not apply.")

@@ -1,15 +1,14 @@
-"""Options and arguments: one list, of which each command takes its own.
+"""Arguments and options of all commands, in one table, and what commands share.
 
 A command is a function of one namespace, which has the values of all its parameters by name.
 """
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import stat
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,8 +19,12 @@ import msgspec
 from click.core import ParameterSource
 
 from bench.plugins.registry import Sources
-from bench.running.inventory import Inventory, MethodFacts, SceneFacts
+from bench.results.folders import read_limits
+from bench.results.quantities import COSTS
+from bench.results.records import MethodFacts
+from bench.running.inventory import Inventory, SceneFacts
 from bench.running.profiles import LARGEST_BUDGET
+from bench.running.recommend import PARTS, RULES
 from integrators.resolutions import Tolerances
 from problems.base.spec import SpecError
 
@@ -29,50 +32,24 @@ from problems.base.spec import SpecError
 RESULTS = "stepbench-results"
 #: Processor time in s after which a run is stopped, if nothing else is said.
 BUDGET_S = 300.0
-#: Most worker processes that can be asked for.
-_MOST_JOBS = 1000
+#: Most points of a map, and members of an ensemble: all are in memory.
+MOST_MEMBERS = 1_000_000
+#: Linear test systems of `stepbench stability`.
+SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
 
 
 class Given(SimpleNamespace):
     """The values of a command line by the names of parameters."""
 
 
-def command(
-    name: str, *parameters: click.Parameter, **more: Any
-) -> Callable[[Callable[[Given], None]], click.Command]:
-    """Make a command of a function, whose docstring is its help."""
-
-    def made(function: Callable[[Given], None]) -> click.Command:
-        call = wraps(function)(lambda **values: function(Given(**values)))
-        return click.command(name, params=[*parameters], **more)(call)
-
-    return made
-
-
-def argument(name: str, metavar: str | None = None, **more: Any) -> click.Argument:
-    """Return an argument of a command."""
-    return click.Argument([name], metavar=metavar, **more)
-
-
-def option(names: str, words: str, **more: Any) -> click.Option:
-    """Return an option of a command, with the words of its help; a default is shown there."""
-    more.setdefault("show_default", more.get("default") is not None)
-    return click.Option(names.split(), help=words, **more)
-
-
-def flag(names: str, words: str) -> click.Option:
-    """Return an option without a value."""
-    return click.Option(names.split(), help=words, is_flag=True)
-
-
 # ---- values of options -------------------------------------------------------------------
 class PathName(click.Path):
-    """The path of a regular ``kind``, a file or a folder, which need not be there yet; a new file
-    needs its folder."""
+    """The path of a regular ``kind``, a file or a folder, which need not be there yet unless it is
+    ``read``; a new file needs its folder."""
 
-    def __init__(self, kind: Literal["file", "folder"]) -> None:
+    def __init__(self, kind: Literal["file", "folder"], read: bool = False) -> None:
         super().__init__(path_type=Path)
-        self.kind = kind
+        self.kind, self.read = kind, read
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Path:
         """Return the path; another kind of thing in its place is refused, and is never opened."""
@@ -82,6 +59,8 @@ class PathName(click.Path):
             if not text.strip() or not is_right(path.stat().st_mode):
                 self.fail(f"{text!r} is no {self.kind}; name one.", param, ctx)
         except FileNotFoundError:
+            if self.read:
+                self.fail(f"there is no {self.kind} {text!r}.", param, ctx)
             if self.kind == "file" and not path.parent.is_dir():
                 self.fail(f"there is no folder {str(path.parent)!r}; make it first.", param, ctx)
         except (OSError, ValueError) as error:
@@ -104,14 +83,11 @@ def _numbers(_: click.Context, __: click.Parameter, text: str | None) -> tuple[f
         raise click.BadParameter(f"{text!r} is not a list of numbers such as 0.1,0.05.") from None
 
 
-def _settings(
-    context: click.Context, parameter: click.Parameter, items: Sequence[str]
-) -> dict[str, str]:
-    """Read name=value pairs, each name once, and the keyframe, which is such a pair."""
-    keyframe = context.meta.get("keyframe")
+def _settings(_: click.Context, __: object, items: Sequence[str]) -> dict[str, str]:
+    """Read name=value pairs, each name once."""
     pairs: dict[str, str] = {}
-    for item in items if keyframe is None else [*items, f"keyframe={keyframe}"]:
-        name, _, value = map(str.strip, item.partition("="))
+    for item in items:
+        name, __, value = map(str.strip, item.partition("="))
         if not (name and value):
             raise click.BadParameter(f"{item!r} is not of the form name=value.")
         if name in pairs:
@@ -120,94 +96,169 @@ def _settings(
     return pairs
 
 
-def _not_nan(_: click.Context, __: click.Parameter, value: float | None) -> float | None:
-    """Refuse NaN, which every comparison with a limit lets through."""
-    if value is not None and math.isnan(value):
-        raise click.BadParameter("nan is not a number of seconds.")
+def budget_of(value: float | None) -> float | None:
+    """Return a budget in s, or None for none; raise SpecError if it is not allowed."""
+    if value is not None and not 0 < value <= LARGEST_BUDGET:
+        raise SpecError(
+            f"The budget is {value}; give a time in s above 0, at most {LARGEST_BUDGET:g}."
+        )
     return value
 
 
 # ---- arguments and options ---------------------------------------------------------------
-PROBLEM = argument("problem", "SCENE")
-INTEGRATOR = argument("integrator")
-METHODS = argument("names", "INTEGRATOR...", nargs=-1, required=True)
-FOLDER = argument("folder", type=PathName("folder"), default=RESULTS)
-STEP = option("--step", "Step size h in s (with --pattern: the macro step H).", type=float)
-PATTERN = option(
-    "--pattern", "Divide each macro step into these fractions, for example 0.3,0.7.",
-    callback=_numbers, metavar="F1,F2,...",
-)  # fmt: skip
-TOLERANCES = (
-    option("--rtol", f"Relative tolerance; {Tolerances().rtol:g} if not given.", type=float),
-    option("--atol", "Absolute tolerance; rtol/100 if not given.", type=float),
-)
-T_END = option("--t-end", "End time in s; the scene's own if not given.", type=float)
-SET = (
-    option(
-        "--set settings", "Set a parameter of the scene, or start.NAME, a coordinate at its start; "
-        "repeatable.", multiple=True, callback=_settings, metavar="NAME=VALUE",
-    ),
-    option(  # it is read before the settings, of which it is one
-        "--keyframe", "Keyframe at which a model of MuJoCo starts.", metavar="NAME",
-        callback=lambda context, _, value: context.meta.update(keyframe=value),
-        is_eager=True, expose_value=False,
-    ),
-)  # fmt: skip
-SCENES = option("-p --problem problems", "Only this scene; repeatable.", multiple=True)
-FRESH = flag("--fresh", "Forget earlier results in that folder.")
-PLUGINS = option(
-    "--plugins", "Python file, or folder of them, with more scenes or integrators; repeatable.",
-    multiple=True, metavar="FILE_OR_FOLDER",
-)  # fmt: skip
-JSON = flag("--json as_json", "Print JSON instead of a table.")
+def _is(kind: Any = None, metavar: str | None = None, **more: Any) -> dict[str, Any]:
+    return {"type": kind, "metavar": metavar} | more
 
 
-def numbers(name: str, metavar: str, words: str) -> click.Option:
-    """Return an option for a list of numbers."""
-    return option(name, words, callback=_numbers, metavar=metavar)
+_MANY: dict[str, Any] = {"nargs": -1}
+_FOLDER, _FILE = PathName("folder"), PathName("file")
+_NAME, _REAL, _FLAG = _is(), _is(float), _is(is_flag=True)
+_RANGES = _is(metavar="NAME:LOW..HIGH", multiple=True)
+_LIMITS = {"callback": lambda _, __, text: {} if text is None else read_limits(text)}
+#: Arguments by the names of their values.
+_ARGUMENTS = {
+    "problem": _is(metavar="SCENE"),
+    "integrator": _NAME,
+    "names": _is(metavar="INTEGRATOR...", required=True) | _MANY,
+    "methods": _is(metavar="[INTEGRATOR]...") | _MANY,
+    "listed": _is(metavar="[KIND|NAME]...") | _MANY,
+    "checked": _is(metavar="NAME_OR_FILE...") | _MANY,
+    "experiments": _is(metavar="[EXPERIMENT]...") | _MANY,
+    "kind": _is(click.Choice(["integrator", "problem"])),
+    "name": _NAME,
+    "subject": _is(metavar="SCENE|FILE|SUITE"),
+    "suite": _is(required=False),
+    "folder": _is(_FOLDER, default=RESULTS),
+    "old": _is(_FOLDER),
+    "new": _is(_FOLDER),
+    "folders": _is(_FOLDER, "FOLDER FOLDER...") | _MANY,
+    "first": _is(metavar="A"),
+    "second": _is(metavar="B"),
+}
+#: Options by the names of their values: how they are written, what they mean, what they take.
+_OPTIONS = {
+    # of runs
+    "step": ("--step", "Step size h in s (with --pattern: the macro step H).", _REAL),
+    "pattern": ("--pattern", "Divide each macro step into these fractions, such as 0.3,0.7.",
+                _is(metavar="F1,F2,...", callback=_numbers)),
+    "rtol": ("--rtol", f"Relative tolerance; {Tolerances().rtol:g} if not given.", _REAL),
+    "atol": ("--atol", "Absolute tolerance; rtol/100 if not given.", _REAL),
+    "t_end": ("--t-end", "End time in s; the scene's own if not given.", _REAL),
+    "settings": ("--set", "Set a parameter of the scene, or start.NAME, a coordinate at its start, "
+                 "or the keyframe of a model of MuJoCo; repeatable.",
+                 _is(metavar="NAME=VALUE", multiple=True, callback=_settings)),
+    "budget": ("--budget", "Processor time in s after which a run is stopped.",
+               _is(float, default=BUDGET_S, callback=lambda _, __, value: budget_of(value))),
+    "plugins": ("--plugins", "Python file, or folder of them, with more scenes or integrators; "
+                "repeatable.", _is(metavar="FILE_OR_FOLDER", multiple=True)),
+    "problems": ("-p --problem", "Only this scene; repeatable.", _is(multiple=True)),
+    "integrators": ("-i --integrator", "Only this integrator, or one more; repeatable.",
+                    _is(multiple=True)),
+    "mine": ("--mine", "Your integrator: it is run beside the others, and the report opens with it "
+             "highlighted.", _is(metavar="INTEGRATOR")),
+    "steps": ("--steps", "Step sizes in s; five halvings of the scene's nominal step if not given.",
+              _is(metavar="H1,H2,...", callback=_numbers)),
+    "count": ("--steps", "Number of steps.", _is(click.IntRange(2, 10**9), default=100_000)),
+    "rate": ("--rate", "Steps per second.", _is(click.FloatRange(0, min_open=True), required=True)),
+    "iterations": ("--iterations", "Most iterations in each call of Newton's method; 1 and "
+                   "unlimited side by side if not given.", _is(click.IntRange(1, 1000))),
+    "duration": ("--duration", "Length of the run in s; the scene's interval if not given.", _REAL),
+    # of many runs as one program
+    "ensemble": ("--ensemble", "Run N members, a million at most, in one compiled program; needs "
+                 "--vary. --budget is that of some 1000 members.",
+                 _is(click.IntRange(1, MOST_MEMBERS), "N")),
+    "vary": ("--vary", "Draw h, a parameter or an option of each member evenly from this range (in "
+             "the logarithm if it is wide); repeatable.", _RANGES),
+    "seed": ("--seed", "Seed of the random draw.", _is(click.IntRange(min=0), default=0)),
+    "over": ("--over", "Two quantities: the step h (or rtol or atol of a method that chooses its "
+             "steps), an option of the integrator, or a parameter of the scene.",
+             _is(metavar="X,Y", required=True)),
+    "ranges": ("--range", "Range of one of them; repeatable. An option is taken over all allowed "
+               "values, a parameter over a tenth to tenfold, h around the scene's nominal step, "
+               "rtol from 1e-6 to 1e-1, if not given.", _RANGES),
+    "grid": ("--grid", "Points along both; 100x100 if not given, 25 along a parameter of a scene "
+             "without a closed form.", _is(metavar="NXxNY")),
+    "threshold": ("--threshold", "A run with a larger error is called inaccurate.",
+                  _is(float, default=0.1)),
+    # of stability
+    "at": ("--at", "Values of omega h to report.", _is(metavar="WH1,...", callback=_numbers)),
+    "zeta": ("--zeta", "Damping ratio of the oscillator; 0 if not given.", _REAL),
+    "system": ("--system", "Linear test system; for relaxation, omega is the decay rate.",
+               _is(click.Choice(SYSTEMS), default=SYSTEMS[0])),
+    "ratios": ("--ratios/--no-ratios", "Seek the largest safe ratio of two steps in turns, which "
+               "takes seconds.", _is(default=True)),
+    # of questions
+    "error": ("--error", "Relative error that counts.", _is(metavar="GROUP:NORM")),
+    "errors": ("--error", "Largest error that is allowed, such as a:1e-3 (if not given), "
+               "q:end:1e-6, energy:1e-4 or points:1e-3; repeatable where integrators are named.",
+               _is(metavar="QUANTITY:LIMIT", multiple=True)),
+    "targets": ("--target", "Error at which costs are compared; repeatable; 1e-2, 1e-4 and 1e-6 if "
+                "not given.", _is(float, multiple=True)),
+    "rule": ("--rule", "Errors that are asked for if none is given; iftomm: of the named points, "
+             "0.1 and 0.001.", _is(click.Choice([*RULES]), default="work-precision")),
+    "cost": ("--cost", "Cost that counts; seconds if they scatter little, else operations.",
+             _is(metavar="|".join(COSTS))),
+    "ranked_by": ("--cost", "Cost by which integrators are ranked.",
+                  _is(click.Choice([*PARTS]), default="seconds")),
+    "limits": ("--fail-on", "Exit with 1 if an error, work or time is more than RATIO times the "
+               "old one, as in error:1.1,work:1.05,time:1.5, or a run no longer reaches the end; "
+               "with 'vanished', also if NEW lacks a run.",
+               _is(metavar="KIND:RATIO,...") | _LIMITS),
+    # of reports
+    "single_file": ("--single-file", "One HTML file that holds all pages, to mail.", _FLAG),
+    "opened": ("--open", "Open the pages in the browser, too.", _FLAG),
+    "as_csv": ("--csv", "Write all records as comma-separated rows.", _FLAG),
+    "figure": ("--figure", "Write one figure for a paper, as wide as a column: work_precision, "
+               "convergence, trajectory or errors_over_time.", _is(metavar="KIND")),
+    "scene": ("--scene", "Figure: the scene; may be left out if the folder has one.", _NAME),
+    "component": ("--component", "Figure: what a trajectory shows, as a:Y; q:1 if not given.",
+                  _is(metavar="GROUP:PLACE")),
+    # of files, processes and answers
+    "draw": ("--draw", "Write pages of these scenes, or of all.", _FLAG),
+    "animate": ("--animate", "Write a page that plays the motion, offline.", _FLAG),
+    "everything": ("--all", "Check all scenes and integrators.", _FLAG),
+    "model": ("--from", "Model of MuJoCo or URDF that the scene is made of.",
+              _is(PathName("file", read=True))),
+    "meshes": ("--meshes", "Folder in which meshes of the model are looked for, too.",
+               _is(PathName("folder", read=True))),
+    "file": ("--out -o", "File of the answer.", _is(_FILE)),
+    "out": ("--out", "Folder of the results and pages.", _is(_FOLDER)),
+    "fresh": ("--fresh", "Forget earlier results in that folder.", _FLAG),
+    "jobs": ("--jobs", "Worker processes; timing is done by one at a time.",
+             _is(click.IntRange(1, 1000), default=2)),
+    "cluster": ("--cluster", "Measure on the workers of a dask scheduler, such as tcp://host:8786; "
+                "timing stays here.", _is(metavar="ADDRESS", callback=_address)),
+    "as_json": ("--json", "Print JSON instead of a table.", _FLAG),
+}  # fmt: skip
 
 
-def integrators(words: str) -> click.Option:
-    """Return -i, which may be repeated."""
-    names = "-i --integrator integrators"
-    return option(names, words, multiple=True)
+def command(
+    name: str, parameters: str, **changes: Any
+) -> Callable[[Callable[[Given], None]], click.Command]:
+    """Make a command of a function, whose docstring is its help.
 
+    ``parameters`` are the names of the values of its arguments and options; ``changes`` are, by
+    such a name, a default of its own, or other words and attributes.
+    """
 
-def folder(words: str, default: str) -> click.Option:
-    """Return --out for a folder."""
-    return option("--out", words, type=PathName("folder"), default=default)
+    def parameter(key: str) -> click.Parameter:
+        if key in _ARGUMENTS:
+            return click.Argument([key], **_ARGUMENTS[key])
+        declared, words, more = _OPTIONS[key]
+        change = changes.get(key, {})
+        own = change if isinstance(change, dict) else {"default": change}
+        more = {"help": words, **more, **own}
+        shown = more.get("default") is not None
+        return click.Option([*declared.split(), key], show_default=shown, **more)
 
+    def made(function: Callable[[Given], None]) -> click.Command:
+        call = wraps(function)(lambda **values: function(Given(**values)))
+        return click.command(name, params=[*map(parameter, parameters.split())])(call)
 
-def file(words: str) -> click.Option:
-    """Return --out for a file."""
-    return option("--out -o", words, type=PathName("file"))
-
-
-def jobs(words: str) -> click.Option:
-    """Return --jobs."""
-    return option("--jobs", words, type=click.IntRange(1, _MOST_JOBS), default=2)
-
-
-def cluster(words: str) -> click.Option:
-    """Return --cluster."""
-    return option("--cluster", words, callback=_address, metavar="ADDRESS")
-
-
-def budget(
-    words: str = "Processor time in s after which a run is stopped.",
-    default: float | None = BUDGET_S,
-) -> click.Option:
-    """Return --budget; without a default where a file may state one."""
-    seconds = click.FloatRange(0, LARGEST_BUDGET, min_open=True)
-    return option("--budget", words, type=seconds, callback=_not_nan, default=default)
+    return made
 
 
 # ---- what commands share -----------------------------------------------------------------
-def is_given(name: str) -> bool:
-    """Return whether the command line gives a parameter."""
-    return click.get_current_context().get_parameter_source(name) is ParameterSource.COMMANDLINE
-
-
 def refuse(why: str, *names: str) -> None:
     """Refuse the first of these parameters that the command line gives, with the reason why.
 
@@ -216,8 +267,10 @@ def refuse(why: str, *names: str) -> None:
     SpecError
         If one of them is given.
     """
-    for parameter in click.get_current_context().command.params:
-        if parameter.name in names and is_given(parameter.name):
+    context = click.get_current_context()
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if parameter.name in names and source is ParameterSource.COMMANDLINE:
             raise SpecError(f"{max(parameter.opts, key=len)} {why}")
 
 
@@ -244,10 +297,17 @@ def sizes(o: Given) -> dict[str, Any]:
     return {name: getattr(o, name) for name in ("step", "pattern", "rtol", "atol")}
 
 
-def asked_for(o: Given) -> tuple[SceneFacts, MethodFacts]:
-    """Return the facts of the scene with its parameters and of the integrator that are named."""
+def asked_for(o: Given) -> tuple[SceneFacts | None, list[MethodFacts]]:
+    """Return the facts of the scene with its parameters, if there is one, and of the integrators
+    that are named; SpecError if one is named twice."""
     registry = usable_registry(o.plugins)
-    return registry.problem(o.problem, **o.settings), registry.integrator(o.integrator)
+    scene = registry.problem(o.problem, **o.settings) if hasattr(o, "problem") else None
+    methods: list[MethodFacts] = []
+    for name in o.names if hasattr(o, "names") else [o.integrator]:
+        if (method := registry.integrator(name)) in methods:
+            raise SpecError(f"{method.spec} is named twice.")
+        methods.append(method)
+    return scene, methods
 
 
 def guarded(
@@ -270,3 +330,29 @@ def guarded(
     advice = "give it less to do, or a larger --budget"
     limits = Limits(budget_s, processors=processors, advice=advice)
     return answer_of(about, job, arguments, sources, limits)
+
+
+def measured(
+    job: Callable[..., Any],
+    scene: SceneFacts | None,
+    methods: Sequence[MethodFacts],
+    budget_s: float,
+    faults: list[str],
+    *task: Any,
+) -> Iterator[Any]:
+    """Yield what a job of a worker gives of each integrator, on a scene if there is one; the
+    reasons of those that give nothing become ``faults``."""
+    for method in methods:
+        parts = [scene, method] if scene else [method]
+        sources = Sources().union(*(part.sources for part in parts))
+        named = [part.spec for part in parts]
+        try:
+            yield guarded(method.spec, job, sources, budget_s, *named, *task)
+        except SpecError as error:
+            faults.append(str(error))
+
+
+def fail_with(faults: Sequence[str]) -> None:
+    """End with exit code 1 if there are faults, and tell each once."""
+    if faults:
+        raise click.ClickException(" ".join(dict.fromkeys(faults)))

@@ -7,14 +7,14 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 import msgspec
 import numpy as np
 
 from bench.commands import options
-from bench.commands.options import Given
+from bench.commands.options import MOST_MEMBERS, Given
 from bench.results.flat_rows import published_table
 from bench.results.quantities import NORMS
 from bench.results.records import Record, Rows
@@ -24,46 +24,20 @@ from problems.base.spec import SpecError
 if TYPE_CHECKING:
     from bench.sweeps.ensemble import Ensemble
 
-#: Most points of a map, and members of an ensemble: all are in memory.
-_MOST = 1_000_000
 #: Components of a group that a table has at most: those of a planar mechanism of three bodies.
 _SHOWN = 9
 #: Facts of a record that are answered in JSON, before its values and after them.
 _BEFORE = ("problem", "integrator", "resolution", "formulation", "status", "message", "notes")
 _AFTER = ("events", "points", "errors", "reference_error", "constraint", "energy_drift")
 _AFTER += ("history_error", "work")
-#: Options of an ensemble.
-ENSEMBLE = (
-    options.option(
-        "--ensemble", "Run N members, a million at most, in one compiled program; needs --vary. "
-        "--budget is that of some 1000 members.", type=click.IntRange(1, _MOST), metavar="N",
-    ),
-    options.option(
-        "--vary", "Draw h, a parameter or an option of each member evenly from this range (in the "
-        "logarithm if it is wide); repeatable.", multiple=True, metavar="NAME:LOW..HIGH",
-    ),
-    options.option("--seed", "Seed of the random draw.", type=click.IntRange(min=0), default=0),
-    options.cluster(
-        "Run the members on the workers of a dask scheduler, such as tcp://host:8786."
-    ),
-    options.file("File for the members, .csv, a flat row each."),
-)  # fmt: skip
 
 
-# ---- single runs -------------------------------------------------------------------------
 @options.command(
     "solve",
-    options.PROBLEM,
-    options.INTEGRATOR,
-    options.STEP,
-    options.PATTERN,
-    *options.TOLERANCES,
-    options.T_END,
-    *options.SET,
-    *ENSEMBLE,
-    options.budget(),
-    options.PLUGINS,
-    options.JSON,
+    "problem integrator step pattern rtol atol t_end settings ensemble vary seed cluster file "
+    "budget plugins as_json",
+    cluster={"help": "Run the members on the workers of a dask scheduler, such as tcp://h:8786."},
+    file={"help": "File for the members, .csv, a flat row each."},
 )
 def solve_(o: Given) -> None:
     """Run one integrator on one scene.
@@ -76,12 +50,11 @@ def solve_(o: Given) -> None:
       stepbench solve spring_mass "generalized_alpha[rho_inf=0.8]" --step 0.1 --t-end 5
       stepbench solve pendulum ida --rtol 1e-8 --set th0=3.0 --json
       stepbench solve quarter_car generalized_alpha --ensemble 1000 --vary k:2e4..3e4 -o cars.csv
-      stepbench solve quarter_car newmark --ensemble 1000000 --vary k:2e4..3e4 -o cars.csv
     """
     if o.ensemble is not None:
         solve_ensemble(o)
         return
-    options.refuse("is for an ensemble; give --ensemble N, too.", "vary", "seed", "cluster", "out")
+    options.refuse("is for an ensemble; give --ensemble N, too.", "vary", "seed", "cluster", "file")
     from bench.commands.terminal import RunProgress, show
     from bench.running.session import solve
 
@@ -90,27 +63,23 @@ def solve_(o: Given) -> None:
     with RunProgress() as progress:
         (record, rows), names = solve(*asked, progress, **more)
     if o.as_json:
-        options.print_json(_solution(record, rows))
+        last = {name: values[-1] for name, values in rows.values.items() if rows.t}
+        options.print_json({
+            **{name: getattr(record, name) for name in _BEFORE},
+            "t": rows.t[-1] if rows.t else None,
+            **{name: last.get(name, []) for name in ("q", "v", "a", "lam", "x", "xdot", "y", "xd")},
+            **{name: getattr(record, name) for name in _AFTER},
+            "published": [
+                msgspec.to_builtins(d) | {"difference": d.difference} for d in record.published
+            ],
+            "time": {"compile_s": record.compile_s, "run_s": record.run_s,
+                     "run_s_median": record.seconds},
+        })  # fmt: skip
     else:
         published = published_table(record.published)
         show(_end_values(record, rows, names), *filter(None, [published]), *_facts(record))
     if record.status != "ok":
         raise click.ClickException(f"{record.status}: {record.message}")
-
-
-def _solution(record: Record, rows: Rows) -> dict[str, Any]:
-    """Return end values, errors, work and times of a run, for JSON."""
-    last = {name: values[-1] for name, values in rows.values.items() if rows.t}
-    digits = [msgspec.to_builtins(d) | {"difference": d.difference} for d in record.published]
-    seconds = {"compile_s": record.compile_s, "run_s": record.run_s, "run_s_median": record.seconds}
-    return {
-        **{name: getattr(record, name) for name in _BEFORE},
-        "t": rows.t[-1] if rows.t else None,
-        **{name: last.get(name, []) for name in ("q", "v", "a", "lam", "x", "xdot", "y", "xd")},
-        **{name: getattr(record, name) for name in _AFTER},
-        "published": digits,
-        "time": seconds,
-    }
 
 
 def _end_values(record: Record, rows: Rows, names: Mapping[str, Sequence[str]]) -> Table:
@@ -168,11 +137,11 @@ def _facts(record: Record) -> list[str]:
         lines.append(f"error of the named points, IFToMM's rule: {record.history_error:.3g}")
     if record.energy_drift is not None:
         lines.append(f"energy drift: {record.energy_drift:.3g}")
-    prepared = f"prepared in {formatted(record.compile_s, '.2g')} s of processor time"
-    if record.run_s:
-        lines.append(f"{prepared}, run in {record.seconds:.3g} s (median of {len(record.run_s)})")
-    elif record.compile_s:
-        lines.append(f"{prepared}; `stepbench run` takes the times of runs")
+    if record.compile_s:
+        timed = "`stepbench run` takes the times of runs"
+        if record.run_s:
+            timed = f"run in {record.seconds:.3g} s (median of {len(record.run_s)})"
+        lines.append(f"prepared in {record.compile_s:.2g} s of processor time; {timed}")
     return lines
 
 
@@ -186,13 +155,14 @@ def solve_ensemble(o: Given) -> None:
     from bench.sweeps import ensemble
     from problems.base.usage import cores
 
-    scene, method = options.asked_for(o)
+    scene, (method,) = options.asked_for(o)
+    assert scene is not None
     common = scene.spec, method.spec, options.sizes(o), o.t_end
     request = ensemble.EnsembleRequest(*common, o.ensemble, o.vary, o.seed)
     if not o.vary:
         raise SpecError("An ensemble needs something in which its members differ; give --vary.")
-    if o.out and o.out.suffix != ".csv":
-        raise SpecError(f"{o.out.name} is no table; give a name that ends in .csv.")
+    if o.file and o.file.suffix != ".csv":
+        raise SpecError(f"{o.file.name} is no table; give a name that ends in .csv.")
     began = time.perf_counter()
     limits = Limits(o.budget, processors=1 if o.cluster else cores())
     make = partial(ClusterRunner, o.cluster) if o.cluster else partial(Runner, 1)
@@ -204,9 +174,9 @@ def solve_ensemble(o: Given) -> None:
         options.print_json({name: getattr(found, name) for name in facts} | counts)
     else:
         show(*_shown(found, time.perf_counter() - began))
-    if o.out:
-        found.write(o.out)
-        click.echo(f"{len(found.status)} members in {o.out}", err=o.as_json)
+    if o.file:
+        found.write(o.file)
+        click.echo(f"{len(found.status)} members in {o.file}", err=o.as_json)
     if "ok" not in found.status:
         raise click.ClickException(f"No member succeeded. The first: {found.message[0]}")
     if lost := o.ensemble - len(found.status):
@@ -217,64 +187,38 @@ def solve_ensemble(o: Given) -> None:
 
 def _shown(found: Ensemble, seconds: float) -> list[Table | str]:
     """Least, median and largest end values; then statuses, work and times."""
-    count = len(found.status)
-    title = f"{found.integrator} on {found.problem}: {count} members at t={found.t_end:g} s"
+    count, statuses = len(found.status), Counter(found.status)
     columns = ("min", "median", "max")
     rows = [
         [name, *(f"{numbers[column]:.9g}" for column in columns)]
         for name, numbers in found.summary().items()
     ]
-    statuses = Counter(found.status)
-    lines = [", ".join(f"{number} {status}" for status, number in statuses.items())]
-    for status in statuses:
-        k = found.status.index(status)
-        member = found.values["member"][k]
-        if status != "ok":
-            lines.append(f"{status}, first member {member}: {found.message[k]}")
-    work = ", ".join(f"{name} {counts}" for name, counts in found.work.items())
-    times = (
+    first = {status: found.status.index(status) for status in statuses if status != "ok"}
+    return [
+        Table(
+            f"{found.integrator} on {found.problem}: {count} members at t={found.t_end:g} s",
+            ["value", *columns],
+            rows,
+        ),
+        ", ".join(f"{number} {status}" for status, number in statuses.items()),
+        *(
+            f"{status}, first member {found.values['member'][k]}: {found.message[k]}"
+            for status, k in first.items()
+        ),
+        "work of all: " + ", ".join(f"{name} {counts}" for name, counts in found.work.items()),
         f"{count} members in {seconds:.3g} s: {count / seconds:.3g} members/s (all parts together: "
-        f"prepared in {found.compile_s:.2g} s, run in {found.run_s:.3g} s)"
-    )
-    return [Table(title, ["value", *columns], rows), *lines, f"work of all: {work}", times]
+        f"prepared in {found.compile_s:.2g} s, run in {found.run_s:.3g} s)",
+    ]
 
 
 # ---- maps --------------------------------------------------------------------------------
 @options.command(
     "map",
-    options.PROBLEM,
-    options.INTEGRATOR,
-    options.option(
-        "--over", "Two quantities: the step h (or rtol or atol of a method that chooses its "
-        "steps), an option of the integrator, or a parameter of the scene.", required=True,
-        metavar="X,Y",
-    ),
-    options.option(
-        "--range ranges", "Range of one of them; repeatable. An option is taken over all allowed "
-        "values, a parameter over a tenth to tenfold, h around the scene's nominal step, rtol "
-        "from 1e-6 to 1e-1, if not given.", multiple=True, metavar="NAME:LOW..HIGH",
-    ),
-    options.option(
-        "--grid", "Points along both; 100x100 if not given, 25 along a parameter of a scene "
-        "without a closed form.", metavar="NXxNY",
-    ),
-    options.option("--step", "Step size h in s, if h does not vary.", type=float),
-    options.PATTERN,
-    *options.TOLERANCES,
-    options.option(
-        "--error", "Relative error to show, as in the report.", metavar="GROUP:NORM",
-        default="a:end",
-    ),
-    options.option(
-        "--threshold", "A run with a larger error is called inaccurate.", type=float, default=0.1,
-    ),
-    options.T_END,
-    *options.SET,
-    options.budget(),
-    options.folder("Folder of the page.", "stepbench-map"),
-    options.PLUGINS,
-    options.JSON,
-)  # fmt: skip
+    "problem integrator over ranges grid step pattern rtol atol error threshold t_end settings "
+    "budget out plugins as_json",
+    error={"help": "Relative error to show, as in the report.", "default": "a:end"},
+    out="stepbench-map",
+)
 def map_(o: Given) -> None:
     """Map where a method works, over two quantities.
 
@@ -288,15 +232,23 @@ def map_(o: Given) -> None:
       stepbench map pendulum generalized_alpha --over h,rho_inf
       stepbench map stiff_bar newmark --over h,ea --range h:1e-3..0.1 --grid 60x40
       stepbench map soft_impact generalized_alpha_adaptive --over rtol,d --error q:end
-      stepbench map pendulum "kvaerno5[steps=constant]" --over h,th0 --error q:max --json
     """
     names = tuple(name.strip() for name in o.over.split(","))
     if len(names) != 2 or not all(names) or names[0] == names[1]:
         raise SpecError(
             f"--over {o.over!r} is not allowed; give two different numbers as h,rho_inf."
         )
-    counts = None if o.grid is None else _read_grid(o.grid)
-    scene, method = options.asked_for(o)
+    counts = None
+    if o.grid is not None:
+        match = re.fullmatch(r"(\d{1,9})x(\d{1,9})", o.grid.replace(" ", ""))
+        counts = tuple(map(int, match.groups())) if match else (0, 0)
+        if min(counts) < 2 or counts[0] * counts[1] > MOST_MEMBERS:
+            raise SpecError(
+                f"--grid {o.grid!r} is not allowed; give two numbers of at least 2 as 200x200, "
+                f"and at most {MOST_MEMBERS} points."
+            )
+    scene, (method,) = options.asked_for(o)
+    assert scene is not None
 
     from bench.commands.terminal import show
     from bench.sweeps.outcome_map import map_job
@@ -321,14 +273,3 @@ def map_(o: Given) -> None:
         f"Prepared in {plain['compile_s']:.2g} s, run in {plain['run_s']:.2g} s.",
     )
     click.echo(f"Page: {write_map_page(plain, o.out)}")
-
-
-def _read_grid(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d{1,9})x(\d{1,9})", text.replace(" ", ""))
-    counts = tuple(map(int, match.groups())) if match else (0, 0)
-    if min(counts) < 2 or counts[0] * counts[1] > _MOST:
-        raise SpecError(
-            f"--grid {text!r} is not allowed; give two numbers of at least 2 as 200x200, and at "
-            f"most {_MOST} points."
-        )
-    return counts[0], counts[1]

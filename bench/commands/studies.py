@@ -6,71 +6,20 @@ A job of a worker gives the data of a study, from which a table and a page are m
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from typing import Any
 
 import click
 
 from bench.commands import options
-from bench.commands.options import Given
+from bench.commands.options import SYSTEMS, Given
 from bench.running.interrupts import remark
-from bench.running.inventory import MethodFacts, SceneFacts
 from integrators.resolutions import Steps, check_end
 from problems.base.spec import SpecError
 
-#: Most steps of a long run that can be asked for.
-_MOST_STEPS = 10**9
-#: Largest limit of iterations that can be asked for.
-_MOST_ITERATIONS = 1000
-_SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
 
-
-class _Study:
-    """A scene, if there is one, and integrators, each of which a worker measures."""
-
-    def __init__(self, o: Given) -> None:
-        self._budget, self.faults = o.budget, list[str]()
-        registry = options.usable_registry(o.plugins)
-        self.scenes: list[SceneFacts] = []
-        if hasattr(o, "problem"):
-            self.scenes = [registry.problem(o.problem, **o.settings)]
-        self._methods: list[MethodFacts] = []
-        for name in o.names:
-            if (method := registry.integrator(name)) in self._methods:
-                raise SpecError(f"{method.spec} is named twice.")
-            self._methods.append(method)
-
-    def measured(self, job: Callable[..., Any], *task: Any) -> Iterator[Any]:
-        """Yield what a job gives of each integrator; the reasons of others become faults."""
-        for method in self._methods:
-            parts = [*self.scenes, method]
-            sources = frozenset().union(*(part.sources for part in parts))
-            named = [part.spec for part in parts]
-            try:
-                yield options.guarded(method.spec, job, sources, self._budget, *named, *task)
-            except SpecError as error:
-                self.faults.append(str(error))
-
-    def end(self) -> None:
-        """Tell what failed, each once, with exit code 1."""
-        if self.faults:
-            raise click.ClickException(" ".join(dict.fromkeys(self.faults)))
-
-
-# ---- long runs ---------------------------------------------------------------------------
 @options.command(
-    "drift",
-    options.PROBLEM,
-    options.METHODS,
-    options.option(
-        "--steps", "Number of steps.", type=click.IntRange(2, _MOST_STEPS), default=100_000,
-    ),
-    options.option("--step", "Step size h in s; the scene's nominal one if not given.", type=float),
-    *options.SET,
-    options.budget(),
-    options.folder("Folder of the long runs and their page.", "stepbench-drift"),
-    options.PLUGINS,
-    options.JSON,
+    "drift", "problem names count step settings budget out plugins as_json",
+    step={"help": "Step size h in s; the scene's nominal one if not given."},
+    out="stepbench-drift",
 )  # fmt: skip
 def drift(o: Given) -> None:
     """Measure what drifts over many constant steps.
@@ -87,57 +36,36 @@ def drift(o: Given) -> None:
       stepbench drift pendulum "dopri8[constraints=projected]" dopri8 --step 0.02 --out drift
       stepbench drift oscillator newmark bdf2 --json > drift.json
     """
-    study = _Study(o)
-    (scene,) = study.scenes
+    scene, methods = options.asked_for(o)
+    assert scene is not None
     if o.step is not None:
-        check_end(scene.interval[0], scene.interval[0] + o.steps * Steps(o.step).h)
+        check_end(scene.interval[0], scene.interval[0] + o.count * Steps(o.step).h)
     from bench.commands.terminal import show
     from bench.results.store import Store
     from bench.results.studies import drift_table
     from bench.running.drift import drift_job
     from reports.pages.drift import write_drift_page
 
-    results = []
+    results, faults = [], list[str]()
+    task = drift_job, scene, methods, o.budget, faults, o.step, o.count
     with Store(o.out, create=True) as store:
-        for run in study.measured(drift_job, o.step, o.steps):
+        for run in options.measured(*task):
             store.keep(run)
             results.append(run)
+            if run.status != "ok":
+                faults.append(f"{run.integrator}: {run.status}: {run.message}")
         if results:
             if o.as_json:
                 options.print_json(results)
             else:
                 show(f"{scene.spec}, h={results[0].h:g} s", drift_table(results))
             click.echo(f"Page: {write_drift_page(store.long_runs(), o.out)}", err=o.as_json)
-            if store.plan():
-                said = "The report of this folder has it as a chapter after `stepbench report`."
-                click.echo(said, err=o.as_json)
-    study.faults += [
-        f"{r.integrator}: {r.status}: {r.message}" for r in results if r.status != "ok"
-    ]
-    study.end()
+    options.fail_with(faults)
 
 
-# ---- runs at a fixed rate ----------------------------------------------------------------
 @options.command(
-    "realtime",
-    options.PROBLEM,
-    options.METHODS,
-    *options.SET,
-    options.option(
-        "--rate", "Steps per second.", required=True,
-        type=click.FloatRange(0, min_open=True),
-    ),
-    options.option(
-        "--iterations", "Most iterations in each call of Newton's method; 1 and unlimited side by "
-        "side if not given.", type=click.IntRange(1, _MOST_ITERATIONS),
-    ),
-    options.option(
-        "--duration", "Length of the run in s; the scene's interval if not given.", type=float,
-    ),
-    options.budget(),
-    options.PLUGINS,
-    options.JSON,
-)  # fmt: skip
+    "realtime", "problem names settings rate iterations duration budget plugins as_json"
+)
 def realtime(o: Given) -> None:
     """Run methods with a fixed budget per step, as in real time.
 
@@ -152,49 +80,26 @@ def realtime(o: Given) -> None:
       stepbench realtime quarter_car bdf2 --rate 500 --iterations 2
       stepbench realtime pendulum half_explicit_euler stormer_verlet --rate 1000 --duration 1 --json
     """
-    study = _Study(o)
+    scene, methods = options.asked_for(o)
     from bench.commands.terminal import show
-    from bench.running.realtime import (
-        realtime_job,
-        realtime_sentence,
-        realtime_tables,
-        steps_of,
-    )
+    from bench.running.realtime import realtime_job, realtime_sentence, realtime_tables, steps_of
 
-    (scene,) = study.scenes
-    steps = steps_of(scene, o.rate, o.duration)
-    runs = [
-        run for runs in study.measured(realtime_job, o.rate, steps, o.iterations) for run in runs
-    ]
+    assert scene is not None
+    faults: list[str] = []
+    task = o.rate, steps_of(scene, o.rate, o.duration), o.iterations
+    answers = options.measured(realtime_job, scene, methods, o.budget, faults, *task)
+    runs = [run for runs in answers for run in runs]
     if runs and o.as_json:
         options.print_json({"runs": runs, "summary": realtime_sentence(runs)})
     elif runs:
         show(*realtime_tables(runs), realtime_sentence(runs))
-    study.faults += [
-        f"{run.name}: {run.status}: {run.message}" for run in runs if run.status != "ok"
-    ]
-    study.end()
+    faults += [f"{run.name}: {run.status}: {run.message}" for run in runs if run.status != "ok"]
+    options.fail_with(faults)
 
 
-# ---- stability ---------------------------------------------------------------------------
 @options.command(
-    "stability",
-    options.METHODS,
-    options.numbers("--at", "WH1,WH2,...", "Values of omega h to report."),
-    options.PATTERN,
-    options.option("--zeta", "Damping ratio of the oscillator; 0 if not given.", type=float),
-    options.option(
-        "--system", "Linear test system; for relaxation, omega is the decay rate.",
-        type=click.Choice(_SYSTEMS), default=_SYSTEMS[0],
-    ),
-    options.option(
-        "--ratios/--no-ratios", "Seek the largest safe ratio of two steps in turns, which takes "
-        "seconds.", default=True,
-    ),
-    options.budget(),
-    options.folder("Folder of the page.", "stepbench-stability"),
-    options.PLUGINS,
-    options.JSON,
+    "stability", "names at pattern zeta system ratios budget out plugins as_json",
+    out="stepbench-stability",
 )  # fmt: skip
 def stability(o: Given) -> None:
     """Analyse stability at constant steps.
@@ -208,23 +113,23 @@ def stability(o: Given) -> None:
     Examples:
       stepbench stability "generalized_alpha[rho_inf=0.8]" newmark kvaerno5
       stepbench stability "generalized_alpha[gamma=updated]" --pattern 0.3,0.7 --at 4.47
-      stepbench stability "generalized_alpha[gamma=guarded]" --pattern 0.3,0.7 --at 4.47
       stepbench stability "newmark[beta=0]" --at 1,1.9,2.1 --json
       stepbench stability my_method --plugins my_method.py
     """
     for value in o.at or ():
         if not 0 < value < math.inf:
             raise SpecError(f"omega h = {value:g} is not allowed; give a positive number.")
-    if o.zeta is not None and o.system != _SYSTEMS[0]:
+    if o.zeta is not None and o.system != SYSTEMS[0]:
         raise SpecError(f"--zeta damps the oscillator; the system {o.system} has no such number.")
-    study = _Study(o)
+    _, methods = options.asked_for(o)
     from bench.commands.terminal import show
     from bench.stability.analysis import analysis_job
     from bench.stability.tables import stability_tables
     from reports.pages.stability import write_stability_page
 
+    faults: list[str] = []
     task = o.system, o.zeta, o.pattern or (1.0,), o.at or (), o.ratios
-    results = [*study.measured(analysis_job, *task)]
+    results = [*options.measured(analysis_job, None, methods, o.budget, faults, *task)]
     if results and o.as_json:
         options.print_json(results)
     elif results:
@@ -234,21 +139,13 @@ def stability(o: Given) -> None:
             show(f"{name}, {results[0]['system']}", *lines)
         show(*tables)
         click.echo(f"Page: {write_stability_page(results, o.out)}")
-    study.end()
+    options.fail_with(faults)
 
 
-# ---- the failure atlas -------------------------------------------------------------------
 @options.command(
-    "atlas",
-    options.argument("names", "[EXPERIMENT]...", nargs=-1),
-    options.integrators("Put this integrator through every experiment, too; repeatable."),
-    options.flag("--list only_list", "Name the experiments and stop."),
-    options.folder("Folder of the results and the page.", "stepbench-atlas"),
-    options.FRESH,
-    options.jobs("Worker processes."),
-    options.budget(default=60.0),
-    options.PLUGINS,
-    options.JSON,
+    "atlas", "experiments integrators out fresh jobs budget plugins as_json",
+    integrators={"help": "Put this integrator through every experiment, too; repeatable."},
+    out="stepbench-atlas", budget=60.0,
 )  # fmt: skip
 def atlas(o: Given) -> None:
     """Show where methods fail, and what helps.
@@ -268,14 +165,9 @@ def atlas(o: Given) -> None:
     from bench.commands.terminal import RunProgress, show
     from bench.results.store import Store
     from bench.results.studies import part_table
-    from bench.results.table import Table
     from reports.pages.atlas import write_atlas_page
 
-    experiments = read_experiments(o.names)
-    if o.only_list:
-        rows = [[str(e.number), e.name, e.title] for e in experiments]
-        show(Table("Failure atlas", ["", "name", "what fails"], rows))
-        return
+    experiments = read_experiments(o.experiments)
     registry = options.usable_registry(o.plugins)
     added = [registry.integrator(name).spec for name in o.integrators]
     with Store(o.out, create=True, fresh=o.fresh) as store, RunProgress() as progress:

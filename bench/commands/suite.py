@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from bench.commands import options
-from bench.commands.options import BUDGET_S, Given
+from bench.commands.options import BUDGET_S, RESULTS, Given
 from bench.plugins.registry import SUFFIXES
 from bench.results.records import INTERRUPTED, Record, counted, endings
 from bench.results.store import Store
@@ -19,7 +19,7 @@ from bench.running.interrupts import remark
 from bench.running.inventory import Inventory, SceneFacts
 from bench.running.plan import Suite, make_suite
 from bench.running.profiles import ProfileFile, StudyFile, read_profile
-from bench.running.recommend import PARTS, RULES, Recommendation
+from bench.running.recommend import Recommendation
 from problems.base.cache import put
 from problems.base.spec import SpecError
 from problems.base.text import said
@@ -41,24 +41,18 @@ class Outcome:
     lost: tuple[str, ...]
 
     @property
-    def interrupted(self) -> int:
-        """Number of cells that something ended from outside."""
-        return sum(record.status == INTERRUPTED for record in self.records)
-
-    @property
     def sentences(self) -> list[str]:
         """Sentences that count what was run."""
-        again = ", which the same command runs again" if self.interrupted else ""
-        count, kept = len(self.records), len(self.records) - self.measured
+        cut = any(record.status == INTERRUPTED for record in self.records)
+        again = ", which the same command runs again" if cut else ""
+        count, many = len(self.records), len(self.experiments)
         said = [
             f"{counted(count, 'cell')}: {endings(self.records)}{again}; "
-            f"{self.measured} measured now, {kept} kept from before."
+            f"{self.measured} measured now, {count - self.measured} kept from before."
         ]
-        if self.experiments:
-            held = sum(result.as_predicted for result in self.experiments)
-            many = len(self.experiments)
-            said.append(f"{many} experiments of the failure atlas: {held} as predicted.")
-        return said
+        held = sum(result.as_predicted for result in self.experiments)
+        atlas = f"{many} experiments of the failure atlas: {held} as predicted."
+        return [*said, *[atlas] * (many > 0)]
 
 
 def run_suite(
@@ -121,26 +115,10 @@ def write_reports(folder: Path, single_file: bool = False) -> None:
 # ---- suites ------------------------------------------------------------------------------
 @options.command(
     "run",
-    options.argument("suite", default="quick"),
-    options.SCENES,
-    options.integrators("Only this integrator; repeatable. One that the suite lacks is added."),
-    options.option(
-        "--mine", "Your integrator: it is run beside the others, and the report opens with it "
-        "highlighted.", metavar="INTEGRATOR"
-    ),
-    *options.SET,
-    options.folder("Folder of the results.", options.RESULTS),
-    options.FRESH,
-    options.jobs("Worker processes; timing is done by one at a time."),
-    options.cluster(
-        "Measure on the workers of a dask scheduler, such as tcp://host:8786; timing stays here."
-    ),
-    options.budget(
-        "Processor time of a run in s, after which it is stopped; the suite's if not given. Runs "
-        "that a smaller budget stopped are run again.",
-        None,
-    ),
-    options.PLUGINS,
+    "suite problems integrators mine settings out fresh jobs cluster budget plugins",
+    budget={"help": "Processor time of a run in s, after which it is stopped; the suite's if not "
+            "given. Runs that a smaller budget stopped are run again.", "default": None},
+    out=RESULTS,
 )  # fmt: skip
 def run_(o: Given) -> None:
     """Run a suite and write its report.
@@ -157,34 +135,35 @@ def run_(o: Given) -> None:
       stepbench run --mine my_method --plugins my_method.py
       stepbench run full --cluster tcp://head:8786
     """
+    if not o.problems:
+        options.refuse("belongs to scenes; name them with -p.", "settings")
     registry = Inventory(o.plugins)  # a file that cannot be used costs its own cells
-    if o.settings and not o.problems:
-        raise SpecError("--set and --keyframe belong to scenes; name them with -p.")
     scenes = [registry.problem(p, **o.settings).spec if o.settings else p for p in o.problems]
-    suite = make_suite(*read_profile(o.suite), registry, scenes, o.integrators, o.budget, o.mine)
-    if not options.is_given("suite"):
+    profile = read_profile("quick" if o.suite is None else o.suite)
+    suite = make_suite(*profile, registry, scenes, o.integrators, o.budget, o.mine)
+    if o.suite is None:
         click.echo(
             f"The suite quick: {len(suite.cells)} runs, which take about a minute; results go to "
             f"{o.out}. Other suites: stepbench list suites",
             err=True,
         )
     outcome = run_suite(suite, registry, o.out, o.fresh, o.jobs, o.cluster)
-    from bench.commands.terminal import say
     from reports.verdicts import method_card
 
     answer, *others = method_card(o.out, "")
     for line in method_card(o.out, suite.plan.mine) if suite.plan.mine else [answer]:
-        say(line)
+        click.echo(line)
     mine = "" if suite.plan.mine else "; stepbench run --mine METHOD puts yours beside these"
     try:
         write_reports(o.out)
-        say(f"Next: stepbench report {o.out} --open shows it{mine}.")
+        click.echo(f"Next: stepbench report {o.out} --open shows it{mine}.")
     finally:
         for line in (*[answer] * bool(suite.plan.mine), *others, *outcome.sentences):
-            say(line)
-    if not any(record.status == "ok" for record in outcome.records):
+            click.echo(line)
+    statuses = [record.status for record in outcome.records]
+    if "ok" not in statuses:
         raise click.ClickException(f"No cell succeeded. {in_common(outcome.records)}")
-    if cut := outcome.interrupted:
+    if cut := statuses.count(INTERRUPTED):
         raise click.ClickException(
             f"Not complete: {counted(cut, 'run')} interrupted; the same command runs what is "
             "missing."
@@ -203,21 +182,8 @@ def in_common(records: Sequence[Record]) -> str:
 
 # ---- orders ------------------------------------------------------------------------------
 @options.command(
-    "order",
-    options.PROBLEM,
-    options.METHODS,
-    options.numbers(
-        "--steps", "H1,H2,...",
-        "Step sizes in s; five halvings of the scene's nominal step if not given.",
-    ),
-    options.PATTERN,
-    options.T_END,
-    *options.SET,
-    options.budget(),
-    options.PLUGINS,
-    options.folder("Folder of the runs and their report.", "stepbench-orders"),
-    options.FRESH,
-    options.jobs("Worker processes."),
+    "order", "problem names steps pattern t_end settings budget plugins out fresh jobs",
+    out="stepbench-orders",
 )  # fmt: skip
 def order_(o: Given) -> None:
     """Measure the order of integrators at constant steps.
@@ -287,33 +253,10 @@ def suite_of_orders(
 # ---- recommendations ---------------------------------------------------------------------
 @options.command(
     "recommend",
-    options.argument("name", "SCENE|FILE|SUITE"),
-    options.argument("methods", "[INTEGRATOR]...", nargs=-1),
-    options.option(
-        "--error errors", "Largest error that is allowed, such as a:1e-3 (if not given), "
-        "q:end:1e-6, energy:1e-4 or points:1e-3; repeatable where integrators are named.",
-        multiple=True, metavar="QUANTITY:LIMIT",
-    ),
-    options.option(
-        "--rule", "Errors that are asked for if none is given; iftomm: of the named points, 0.1 "
-        "and 0.001.", type=click.Choice([*RULES]), default="work-precision",
-    ),
-    options.option(
-        "--cost", "Cost by which integrators are ranked.", type=click.Choice([*PARTS]),
-        default="seconds",
-    ),
-    options.budget(
-        "Time in s for all runs together; where integrators are named, processor time after which "
-        "a run is stopped.",
-        60.0,
-    ),
-    options.T_END,
-    *options.SET,
-    options.folder("Folder of the results.", "stepbench-recommendation"),
-    options.FRESH,
-    options.jobs("Worker processes; timing is done by one at a time."),
-    options.PLUGINS,
-    options.JSON,
+    "subject methods errors rule ranked_by budget t_end settings out fresh jobs plugins as_json",
+    budget={"help": "Time in s for all runs together; where integrators are named, processor time "
+            "after which a run is stopped.", "default": 60.0},
+    out="stepbench-recommendation",
 )  # fmt: skip
 def recommend_(o: Given) -> None:
     """Find the integrator, and its step or tolerance, that reaches an accuracy at the least cost.
@@ -335,15 +278,22 @@ def recommend_(o: Given) -> None:
       stepbench recommend robot.xml --set contacts=left_out
       stepbench recommend quarter_car --error a:settled:1e-3 --budget 20
       stepbench recommend pendulum generalized_alpha ida --error a:1e-3
-      stepbench recommend quick --error q:1e-4 --error energy:1e-5
       stepbench recommend iftomm --rule iftomm
     """
     from bench.commands.terminal import RunProgress, show
 
-    own = [o.name] if o.name.endswith((".py", *SUFFIXES)) else []
+    name, own = o.subject, [o.subject] if o.subject.endswith((".py", *SUFFIXES)) else []
     registry = options.usable_registry([*o.plugins, *own])
-    name = _scene_in(registry, o.name) if own else o.name
-    asked = {name: getattr(o, name) for name in ("errors", "rule", "cost", "budget")}
+    for path in own:
+        file = str(Path(path).absolute())
+        names = [name for name, plugin in registry.problems.items() if file in plugin.sources]
+        if len(names) != 1:
+            there = f"the scenes {', '.join(names)}" if names else "no scene"
+            raise SpecError(
+                f"{path} has {there}; name one scene, and give the file with --plugins."
+            )
+        (name,) = names
+    asked = {"errors": o.errors, "rule": o.rule, "cost": o.ranked_by, "budget": o.budget}
     found = Recommendation(registry, name, o.methods, **asked, t_end=o.t_end, settings=o.settings)
     for sentence in found.remarks:
         click.echo(sentence, err=True)
@@ -364,13 +314,3 @@ def recommend_(o: Given) -> None:
         write_reports(o.out)
     if not any(race.order for race in found.races):
         raise click.ClickException(f"No integrator reaches {found.about} on {found.name}.")
-
-
-def _scene_in(registry: Inventory, file: str) -> str:
-    """Return the name of the one scene of a file."""
-    path = str(Path(file).absolute())
-    names = [name for name, facts in registry.problems.items() if path in facts.sources]
-    if len(names) != 1:
-        told = f"the scenes {', '.join(names)}" if names else "no scene"
-        raise SpecError(f"{file} has {told}; name one scene, and give the file with --plugins.")
-    return names[0]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import threading
 import time
 from typing import Any, TextIO
 
@@ -35,54 +34,47 @@ _LINE_EVERY_SECONDS = 5.0
 def _console(file: TextIO) -> Console:
     """A console that is never too narrow for a table."""
     console = Console(file=file)
-    if console.width < _LEAST_WIDTH:
-        console.width = _LEAST_WIDTH
+    console.width = max(console.width, _LEAST_WIDTH)
     return console
 
 
+def say(*parts: str | tuple[str, str], cut: bool = False) -> None:
+    """Print a line of texts, some with a style; it is ``cut`` where the terminal's line ends."""
+    how: dict[str, Any] = {"no_wrap": True, "overflow": "ellipsis"} if cut else {"soft_wrap": True}
+    _console(sys.stdout).print(Text.assemble(*parts), highlight=False, **how)
+
+
 def show(*parts: Table | str) -> None:
-    """Print tables with their notes and texts on standard output, within its width."""
+    """Print tables with their notes and texts on standard output, within its width.
+
+    Tables have no lines; a name that the row above begins with is left out.
+    """
     console = _console(sys.stdout)
     for part in parts:
         if isinstance(part, str):
             console.print(Text(part))
             continue
-        console.print(_drawn(part))
+        drawn = rich_table.Table(
+            title=Text(part.caption) if part.caption else None, title_justify="left",
+            title_style="bold", box=None, pad_edge=False, padding=(0, 2, 0, 0),
+        )  # fmt: skip
+        for j, head in enumerate(part.head):
+            number = j in part.numbers
+            longest = max(len(cell) for cell in (head, *(row[j] for row in part.rows)))
+            drawn.add_column(
+                Text(head), style="" if j else "cyan", justify="right" if number else "left",
+                no_wrap=number, overflow="fold",
+                min_width=None if number else min(_LEAST_TEXT, longest),
+            )  # fmt: skip
+        above = ""
+        for i, (name, *others) in enumerate(part.rows):
+            cells = ["" if name == above else name, *others]
+            styles = ["bold" if (i, j) in part.best else "" for j in range(len(cells))]
+            drawn.add_row(*map(Text, cells, styles))
+            above = name
+        console.print(drawn)
         if part.note:
             console.print(Text(part.note))
-
-
-def _drawn(table: Table) -> rich_table.Table:
-    """A table without lines; a name that the row above begins with is left out."""
-    drawn = rich_table.Table(
-        title=Text(table.caption) if table.caption else None,
-        title_justify="left",
-        title_style="bold",
-        box=None,
-        pad_edge=False,
-        padding=(0, 2, 0, 0),
-    )
-    for j, head in enumerate(table.head):
-        style, number = "" if j else "cyan", j in table.numbers
-        justify = "right" if number else "left"
-        longest = max(len(cell) for cell in (head, *(row[j] for row in table.rows)))
-        drawn.add_column(
-            Text(head), style=style, justify=justify, no_wrap=number, overflow="fold",
-            min_width=None if number else min(_LEAST_TEXT, longest),
-        )  # fmt: skip
-    above = ""
-    for i, (name, *others) in enumerate(table.rows):
-        cells = ["" if name == above else name, *others]
-        styles = ["bold" if (i, j) in table.best else "" for j in range(len(cells))]
-        drawn.add_row(*map(Text, cells, styles))
-        above = name
-    return drawn
-
-
-def say(line: Text | str, cut: bool = False) -> None:
-    """Print a line, however long: the terminal wraps it, unless it is ``cut`` where that ends."""
-    how: dict[str, Any] = {"no_wrap": True, "overflow": "ellipsis"} if cut else {"soft_wrap": True}
-    _console(sys.stdout).print(line, markup=False, highlight=False, **how)
 
 
 class RunProgress(progress.Progress):
@@ -91,8 +83,7 @@ class RunProgress(progress.Progress):
     Parameters
     ----------
     lines
-        Whether, without a terminal, phases, and work that belongs to none and takes long, have
-        lines; and whether the first result has one.
+        Whether phases, without a terminal, and the first result have a line.
     """
 
     def __init__(self, lines: bool = True) -> None:
@@ -100,31 +91,22 @@ class RunProgress(progress.Progress):
         self._console, self._first = _console(sys.stderr), lines
         self._lines = lines and not self._console.is_terminal
         self._bar = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.fields[phase]}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            TextColumn("[dim]{task.description}[/dim]"),
-            console=self._console,
-            transient=True,
+            SpinnerColumn(), TextColumn("{task.fields[phase]}"), BarColumn(), MofNCompleteColumn(),
+            TimeElapsedColumn(), TimeRemainingColumn(),
+            TextColumn("[dim]{task.description}[/dim]"), console=self._console, transient=True,
             disable=not self._console.is_terminal,
-        )
+        )  # fmt: skip
         self._spoken = 0.0
-        self._wait = threading.Timer(0.0, lambda: None)
 
     def __enter__(self) -> RunProgress:
         self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._wait.cancel()
         self._bar.stop()
 
     def phase(self, name: str, total: int | None) -> None:
         """Begin a phase of this many steps, or of an unknown number."""
-        self._wait.cancel()
         for earlier in self._bar.task_ids:
             self._bar.remove_task(earlier)
         self._bar.add_task("", total=total, phase=name)
@@ -134,15 +116,7 @@ class RunProgress(progress.Progress):
         """Show the name of the work in hand, which may belong to no phase."""
         if not self._bar.tasks:
             self._bar.add_task("", total=None, phase="")
-        task = self._bar.tasks[0]
-        if task.description == escape(text):
-            return
-        self._bar.update(task.id, description=escape(text))
-        self._wait.cancel()
-        if self._lines and not task.fields["phase"]:
-            self._wait = threading.Timer(_LINE_EVERY_SECONDS, self.note, [f"Waiting: {text}"])
-            self._wait.daemon = True
-            self._wait.start()
+        self._bar.update(self._bar.tasks[0].id, description=escape(text))
 
     def advance(self) -> None:
         """Count one step as done."""

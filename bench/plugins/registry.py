@@ -120,17 +120,8 @@ class Plugin:
         return self._found[1]
 
     @property
-    def summary(self) -> str:
-        """First paragraph of the class's docstring, on one line."""
-        return self._paragraphs[0]
-
-    @property
-    def description(self) -> list[str]:
-        """The other paragraphs, a line each."""
-        return self._paragraphs[1:]
-
-    @property
-    def _paragraphs(self) -> list[str]:
+    def paragraphs(self) -> list[str]:
+        """The paragraphs of the class's docstring, a line each; the first is the summary."""
         doc = (inspect.getdoc(self.cls) if self.cls else None) or ""
         return [tidy(paragraph) for paragraph in doc.split("\n\n")]
 
@@ -153,14 +144,10 @@ class Registry:
     Parameters
     ----------
     paths
-        Python files, or folders of them, that define scenes or integrators.
+        Python files, or folders of them, that define scenes or integrators; PluginError if one is
+        empty or not there.
     loading
         Told the file that is loaded next.
-
-    Raises
-    ------
-    PluginError
-        If a path is empty or not there.
     """
 
     def __init__(
@@ -170,7 +157,6 @@ class Registry:
     ) -> None:
         self.problems: dict[str, Plugin] = {}
         self.integrators: dict[str, Plugin] = {}
-        self.files = plugin_files(paths)
         for kind in KINDS:
             entries = [
                 (_origin(e.dist), e.name, e) for e in entry_points(group=f"stepbench.{kind}")
@@ -178,28 +164,17 @@ class Registry:
             entries.sort(key=lambda e: (e[0].split()[0] != PROJECT, *e[:2]))
             for origin, name, entry in entries:
                 self._add(Plugin(kind, name, origin, entry.load))
-        for file in self.files:
+        for file in plugin_files(paths):
             loading(file)
             self._add_file(Path(file))
 
     def problem(self, text: str, **parameters: Any) -> MechatronicSystem:
-        """Make the scene ``name[parameter=value,...]``.
-
-        Raises
-        ------
-        SpecError
-            If the name, a parameter or a value is not known or not allowed.
-        """
+        """Make the scene ``name[parameter=value,...]``; raise SpecError if the name, a parameter or
+        a value is not known or not allowed."""
         return self._make("problems", "scene", text, parameters)
 
     def integrator(self, text: str) -> Integrator:
-        """Make the integrator ``name[option=value,...]``.
-
-        Raises
-        ------
-        SpecError
-            If the name, an option or a value is not known or not allowed.
-        """
+        """Make the integrator ``name[option=value,...]``; raise SpecError as `problem` does."""
         return self._make("integrators", "integrator", text, {})
 
     def _make(self, kind: str, word: str, text: str, more: dict[str, Any]) -> Any:
@@ -211,9 +186,10 @@ class Registry:
         plugin = plugins[name]
         if plugin.cls is None:
             raise Unavailable(f"The {word} {name!r} is unavailable: {plugin.reason}")
-        twice = next((key for key in more if key in options), None)
-        if twice:
-            raise SpecError(f"{twice!r} is given in {text!r} and again by itself; give it once.")
+        if twice := more.keys() & options:
+            raise SpecError(
+                f"{min(twice)!r} is given in {text!r} and again by itself; once is enough."
+            )
         return spec.build(plugin.cls, options | more, name)
 
     def _add(self, plugin: Plugin) -> None:
@@ -225,30 +201,33 @@ class Registry:
         plugins[plugin.name] = plugin
 
     def _add_file(self, file: Path) -> None:
-        module, fault, sources = None, "", Sources({str(file)})
+        module: Any = None
+        sources = Sources({str(file)})
+        fault = "it defines no MechatronicSystem and no Integrator."
         try:
             module = _import_file(file)
         except BaseException as error:  # a plugin may even call sys.exit
             fault = explain(error)
-        pairs = ((_kind_of(cls, module), cls) for cls in (vars(module).values() if module else ()))
-        kinds = [(kind, cls) for kind, cls in pairs if kind]
-        for kind, cls in kinds:
+        own: list[tuple[str, Any]] = [
+            (kind, cls)
+            for cls in (vars(module).values() if module else ())
+            if inspect.isclass(cls)
+            and cls.__module__ == module.__name__
+            and not inspect.isabstract(cls)
+            for kind, base in KINDS.items()
+            if issubclass(cls, base)
+        ]
+        for kind, cls in own:
             # A class whose name is of no use is listed, with the reason, under its own.
             name = cls.name if spec.is_name(cls.name) else cls.__name__
             self._add(Plugin(kind, name, str(file), lambda cls=cls: cls, sources))
-        for kind in () if kinds else KINDS:  # its kind is not known: it is listed under both
-            why = fault or "it defines no MechatronicSystem and no Integrator."
-            self._add(Plugin(kind, file.stem, str(file), None, sources, why))
+        for kind in () if own else KINDS:  # its kind is not known: it is listed under both
+            self._add(Plugin(kind, file.stem, str(file), None, sources, fault))
 
 
 def plugin_files(paths: Sequence[str | Path]) -> list[str]:
-    """List the Python files that are named, and those in folders that are named.
-
-    Raises
-    ------
-    PluginError
-        If a path is empty or not there.
-    """
+    """List the Python files and models that are named, and the files in folders that are named;
+    raise PluginError if a path is empty or not there."""
     files: list[str] = []
     for name in paths:
         # An empty path, as from an unset shell variable, would mean the current folder.
@@ -296,12 +275,6 @@ def _import_file(file: Path) -> Any:
         del sys.modules[name]
         raise
     return module
-
-
-def _kind_of(cls: Any, module: Any) -> str | None:
-    if not inspect.isclass(cls) or cls.__module__ != module.__name__ or inspect.isabstract(cls):
-        return None
-    return next((kind for kind, base in KINDS.items() if issubclass(cls, base)), None)
 
 
 @cache  # a package reads its metadata anew each time, and has many entry points

@@ -11,8 +11,12 @@ from typing import Any
 import msgspec
 
 from bench.results.quantities import ASKED, LEVELS, NORM, NORMS, PARTS, VIOLATIONS, whole
-from bench.results.records import Digits, Environment, Record, median
+from bench.results.records import Digits, Environment, Record
 from bench.results.table import Table
+
+
+#: Fields of a record that have columns of their own, a number each.
+_NESTED = "errors", "later", "reference_error", "components", "constraint", "work", "rounds"
 
 
 def flatten(record: Record, environments: Mapping[int, Environment]) -> dict[str, Any]:
@@ -22,57 +26,35 @@ def flatten(record: Record, environments: Mapping[int, Environment]) -> dict[str
     components' errors, ``pattern`` and ``run_s`` are lists; ``environment`` is a name.
     """
     row = msgspec.to_builtins(record)
+    row = {name: value for name, value in row.items() if name not in _NESTED}
     machine = environments.get(record.environment)
-    row["environment"] = machine.name if machine else None
-    row["pattern"] = list(record.pattern)
+    row |= {"environment": machine.name if machine else None, "pattern": list(record.pattern)}
     for group in ASKED:
         for norm in NORMS:
             row[f"error_{group}_{norm}"] = record.error(group, norm)
             floor = record.reference_error.get(group, {}).get(norm)
             row[f"reference_error_{group}_{norm}"] = floor
-            if group in VIOLATIONS:
-                continue
-            row[f"error_{group}_2norm_{norm}"] = record.error(whole(group), norm)
-            each = record.components.get(group, {}).get(norm, [])
-            row[f"error_{group}_components_{norm}"] = each
+            if group not in VIOLATIONS:
+                row[f"error_{group}_2norm_{norm}"] = record.error(whole(group), norm)
+                each = record.components.get(group, {}).get(norm, [])
+                row[f"error_{group}_components_{norm}"] = each
         row[f"error_{group}_{NORM}_later"] = [errors.get(group) for errors in record.later]
-    for level in LEVELS:
-        row[f"constraint_{level}"] = record.constraint.get(level)
-    for name, value in record.work.items():
-        row[f"work_{name}"] = value
-    row["operations"] = record.cost("operations")
-    for part in PARTS:
-        row["operations_" + part.replace(" ", "_")] = record.operations.get(part)
-    samples = sorted(record.run_s)
-    row["run_s_median"] = median(samples)
-    row["run_s_min"] = samples[0] if samples else None
-    row["run_s_max"] = samples[-1] if samples else None
-    for nested in (
-        "errors",
-        "later",
-        "reference_error",
-        "components",
-        "constraint",
-        "work",
-        "rounds",
-    ):
-        del row[nested]
-    return row
+    row |= {f"constraint_{level}": record.constraint.get(level) for level in LEVELS}
+    row |= {f"work_{name}": value for name, value in record.work.items()}
+    bill = {f"operations_{part}".replace(" ", "_"): record.operations.get(part) for part in PARTS}
+    ends = {f"run_s_{end.__name__}": end(record.run_s, default=None) for end in (min, max)}
+    row |= {"operations": record.cost("operations")} | bill
+    return row | {"run_s_median": record.seconds} | ends
 
 
 def published_table(digits: Sequence[Digits]) -> Table | None:
     """A row for each value; None if there are none."""
     rows = [
-        [
-            f"{one.t:g}",
-            f"{one.quantity} {k}",
-            *(f"{value:.13g}" for value in (stated, computed)),
-            f"{computed - stated:.1e}",
-            f"{one.tolerance:.0e}",
-        ]
+        [f"{one.t:g}", f"{one.quantity} {k}", f"{stated:.13g}", f"{computed:.13g}",
+         f"{computed - stated:.1e}", f"{one.tolerance:.0e}"]
         for one in digits
         for k, (stated, computed) in enumerate(zip(one.published, one.computed, strict=True), 1)
-    ]
+    ]  # fmt: skip
     head = ["t [s]", "component", "published", "computed", "difference", "they hold to"]
     return Table("Published digits", head, rows) if rows else None
 
@@ -81,14 +63,8 @@ def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None
     """Write rows as CSV with a header line; return the table, every line ended by a line feed.
 
     The numbers of a list are a text with a space in between, "nan" where there is none. Other
-    values with parts are JSON.
-
-    Parameters
-    ----------
-    rows
-        One mapping per row; a column that a row lacks stays empty.
-    columns
-        Names of the columns; all names of the rows, in order of first appearance, if None.
+    values with parts are JSON. ``columns`` are all names of the rows, in order of first appearance,
+    if None; one that a row lacks stays empty.
     """
     if columns is None:
         columns = list(dict.fromkeys(name for row in rows for name in row))
@@ -96,9 +72,8 @@ def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None
     writer = csv.DictWriter(buffer, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows({name: _plain(value) for name, value in row.items()} for row in rows)
-    text = buffer.getvalue()
     # The writer leaves carriage returns without quotes, and readers end a line at them.
-    return text.replace("\r", " ")
+    return buffer.getvalue().replace("\r", " ")
 
 
 def _plain(value: object) -> object:

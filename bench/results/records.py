@@ -293,15 +293,27 @@ class Study(msgspec.Struct, kw_only=True, frozen=True):
     demands: list[Name] = []
 
 
-class IntegratorFacts(msgspec.Struct, kw_only=True, frozen=True):
-    """An integrator's own statements: title, claimed order per group, formulation, source; and the
-    names of the plugin files it came from, if it is no part of the project."""
+class MethodFacts(msgspec.Struct, kw_only=True, frozen=True):
+    """An integrator's own statements (see `integrators.contract.Integrator`), and fingerprint.
 
+    ``sources`` are the plugin files it came from, if it is no part of the project, ``fault`` is the
+    sentence on a false statement, ``keeping_tangents`` the printed name where tangents are dear.
+    """
+
+    spec: str = ""
+    name: str = ""
     title: str
-    orders: dict[str, int] = {}
+    family: str = ""
     formulation: str = ""
+    drift: str = ""
+    controls: str = "step"
+    affinity: str = ""
+    orders: dict[str, int] = {}
     source: str = ""
-    files: list[str] = []
+    fingerprint: str = ""
+    sources: frozenset[str] = frozenset()
+    fault: str = ""
+    keeping_tangents: str = ""
 
 
 class Plan(msgspec.Struct, kw_only=True, frozen=True):
@@ -314,7 +326,7 @@ class Plan(msgspec.Struct, kw_only=True, frozen=True):
     samples: int
     budget_s: float
     studies: list[Study]
-    integrators: dict[str, IntegratorFacts] = {}
+    integrators: dict[str, MethodFacts] = {}
     mine: str = ""
 
     def heading(self, records: Iterable[Record]) -> str:

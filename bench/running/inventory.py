@@ -12,10 +12,11 @@ import msgspec
 
 from bench.plugins.fingerprint import fingerprint, reference_file
 from bench.plugins.registry import Plugin, PluginError, Registry, Sources, Unavailable, why
+from bench.results.records import MethodFacts
 from bench.running.process import LOADING, REFERENCE, WAITING, Notify
 from integrators import checks
 from problems.base import spec
-from problems.base.checks import FalseAnswer, number, refused, tidy
+from problems.base.checks import FalseAnswer, number
 from problems.base.checks import text as text_of
 from problems.base.spec import SpecError
 from problems.truth.reference import keep_references
@@ -40,27 +41,6 @@ class SceneFacts(msgspec.Struct, frozen=True, kw_only=True):
     sources: Sources = Sources()
 
 
-class MethodFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """An integrator's own statements (see `integrators.contract.Integrator`), and fingerprint;
-    ``fault`` is the sentence on a false one, ``keeping_tangents`` the printed name where tangents
-    are dear."""
-
-    spec: str
-    name: str
-    title: str
-    family: str
-    formulation: str
-    drift: str
-    controls: str
-    affinity: str
-    orders: dict[str, int]
-    source: str
-    fingerprint: str
-    sources: Sources = Sources()
-    fault: str = ""
-    keeping_tangents: str = ""
-
-
 class Inventory:
     """All scenes and integrators by name, as facts.
 
@@ -70,19 +50,14 @@ class Inventory:
     Parameters
     ----------
     paths
-        Python files, or folders of them, that define scenes or integrators.
+        Python files, or folders of them, that define scenes or integrators; PluginError if one is
+        empty or not there.
     registry
         Has loaded them, if they are loaded.
-
-    Raises
-    ------
-    PluginError
-        If a path is empty or not there.
     """
 
     def __init__(self, paths: Sequence[str | Path] = (), registry: Registry | None = None) -> None:
         self._registry = registry or Registry(paths)
-        self.files = self._registry.files
         self.problems, self.integrators = self._registry.problems, self._registry.integrators
         self._known: dict[Any, Any] = {}
 
@@ -92,7 +67,7 @@ class Inventory:
         def ask() -> SceneFacts:
             scene = self._registry.problem(text, **parameters)
             return SceneFacts(
-                spec=_own_spec(scene),
+                spec=text_of(scene.spec, "spec"),
                 name=scene.name,
                 interval=scene.interval,
                 nominal_step=number(scene.nominal_step, "nominal_step", positive=True),
@@ -118,10 +93,10 @@ class Inventory:
             except Exception as error:
                 fault = why(error)
             return MethodFacts(
-                spec=_own_spec(method),
+                spec=text_of(method.spec, "spec"),
                 name=method.name,
-                keeping_tangents=_own_spec(method.keeping_tangents()),
-                title=tidy(plugin.summary),
+                keeping_tangents=text_of(method.keeping_tangents().spec, "spec"),
+                title=plugin.paragraphs[0],
                 fingerprint=fingerprint(type(method)),
                 sources=plugin.sources,
                 fault=fault,
@@ -132,8 +107,7 @@ class Inventory:
 
     def integrator_on(self, method: MethodFacts, scene: SceneFacts) -> MethodFacts:
         """Return the facts of an integrator with what its defaults choose on a scene."""
-        kept = method.keeping_tangents if scene.dear_tangents else ""
-        return self.integrator(kept) if kept else method
+        return self.integrator(method.keeping_tangents) if scene.dear_tangents else method
 
     def refusals(self, text: str, methods: Sequence[str]) -> dict[str, str]:
         """Return why integrators do not take a scene, by their names.
@@ -189,14 +163,6 @@ class Inventory:
 
 def _unusable(plugin: Plugin) -> str:
     return f"Plugin {plugin.origin} cannot be used: {plugin.reason}"
-
-
-def _own_spec(made: Any) -> str:
-    """Return the printed name of a scene or an integrator, which has to be its own."""
-    stated = text_of(made.spec, "spec")
-    if stated.partition("[")[0] != made.name:
-        raise refused("spec", stated, f"{made.name!r}, or {made.name!r} with options")
-    return stated
 
 
 def load_registry(notify: Notify, sources: Sources) -> Registry:

@@ -10,12 +10,11 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, TypeVar
 
 from bench.plugins.registry import Sources, Unavailable
-from bench.results.records import IntegratorFacts, Plan, Record, Study
-from bench.running.inventory import Inventory, MethodFacts, SceneFacts
+from bench.results.records import MethodFacts, Plan, Record, Study
+from bench.running.inventory import Inventory, SceneFacts
 from bench.running.profiles import FIGURES, ProfileFile, StudyFile
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances, check_end
@@ -187,23 +186,12 @@ def make_suite(
         budget_s=budget_s or profile.budget_s,
         studies=studies,
         integrators={
-            text: planned(registry.integrator(text))
+            text: registry.integrator(text)
             for text in dict.fromkeys(cell.integrator for cell in cells.values())
         },
         mine=own_method[0].spec if own_method else "",
     )
     return Suite(plan, cells, profile.memory_gib, not part and profile.atlas, told)
-
-
-def planned(method: MethodFacts) -> IntegratorFacts:
-    """Return the facts of an integrator that a plan keeps."""
-    return IntegratorFacts(
-        title=method.title,
-        orders=method.orders,
-        formulation=method.formulation,
-        source=method.source,
-        files=[Path(file).name for file in sorted(method.sources)],
-    )
 
 
 def _of_scenes(entries: list[_Entry], scenes: Collection[SceneFacts]) -> list[_Entry]:

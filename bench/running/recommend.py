@@ -18,7 +18,7 @@ from bench.results.store import Store
 from bench.results.table import Table
 from bench.running.interrupts import remark
 from bench.running.inventory import Inventory, SceneFacts
-from bench.running.plan import Cell, Suite, make_suite, planned
+from bench.running.plan import Cell, Suite, make_suite
 from bench.running.process import Limits
 from bench.running.profiles import FIGURES, ProfileFile, StudyFile, is_suite, read_profile
 from bench.running.progress import Progress
@@ -230,7 +230,7 @@ class Recommendation:
             )
             for (problem, t_end), own in places.items()
         ]
-        methods = {c.method.spec: planned(c.method) for c in self.candidates}
+        methods = {c.method.spec: c.method for c in self.candidates}
         plan = msgspec.structs.replace(self._suite.plan, studies=studies, integrators=methods)
         return replace(self._suite, plan=plan, cells=cells)
 

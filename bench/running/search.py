@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from bench.results.demands import Demand, bracket
-from bench.results.records import UNSUPPORTED, Record
-from bench.running.inventory import MethodFacts, SceneFacts
+from bench.results.records import UNSUPPORTED, MethodFacts, Record
+from bench.running.inventory import SceneFacts
 from bench.running.plan import Cell
 from integrators.resolutions import Steps, Tolerances
 

@@ -14,11 +14,18 @@ from typing import Any
 from bench.plugins.fingerprint import environment
 from bench.plugins.registry import Sources, plugin_files
 from bench.results.quantities import NORM, NORMS
-from bench.results.records import INTERRUPTED, TIMING_SECONDS, Record, Rows, SceneRecord
+from bench.results.records import (
+    INTERRUPTED,
+    TIMING_SECONDS,
+    MethodFacts,
+    Record,
+    Rows,
+    SceneRecord,
+)
 from bench.results.store import Store
 from bench.results.timings import FEWEST, contenders
 from bench.running.cluster import ClusterRunner
-from bench.running.inventory import Inventory, MethodFacts, SceneFacts
+from bench.running.inventory import Inventory, SceneFacts
 from bench.running.plan import Cell, Suite, resolution_of
 from bench.running.process import PREPARING, Limits, NoAnswer
 from bench.running.progress import Progress

@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from bench.results.quantities import COSTS, GROUPS, NORM, NORMS, WRONG
-from bench.results.records import NOT_TRIED, IntegratorFacts
+from bench.results.records import NOT_TRIED, MethodFacts
 from bench.results.studies import ExperimentResult, spared
 from bench.results.table import Table
 from reports.charts.maps import method_strip
@@ -56,7 +57,7 @@ class MethodChapter:
         runs = [r for s in by_scene.values() for r in s.records]
         name = first.records[0].integrator
         facts = stored.plan.integrators.get(name) if stored.plan else None
-        files = facts.files if facts else []
+        files = sorted(Path(file).name for file in facts.sources) if facts else []
         self.label = label
         self.plugins = "".join(f" --plugins {shlex.quote(file)}" for file in files)
         self.title = facts.title.rstrip(".") if facts else ""
@@ -100,7 +101,7 @@ class MethodChapter:
         ]
 
 
-def _facts(name: str, series: Series, facts: IntegratorFacts | None) -> dict[str, str]:
+def _facts(name: str, series: Series, facts: MethodFacts | None) -> dict[str, str]:
     """Texts by name: options, formulation, claimed orders, choice of steps, source."""
     options = re.search(r"\[(.*)\]$", name)
     steps = "at constant steps" if series.controls == "step" else "chosen by the method"

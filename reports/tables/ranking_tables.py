@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from bench.results.quantities import COST, COSTS, NORM, NORMS, RANKED_COSTS
-from bench.results.records import IntegratorFacts
+from bench.results.records import MethodFacts
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, tie_text
 from reports.questions import TABLE_GROUPS, TABLE_TARGETS, Names, Question
@@ -100,12 +100,12 @@ def standings_table(found: Answer) -> Table | None:
     )
 
 
-def claims_text(facts: IntegratorFacts | None) -> str:
+def claims_text(facts: MethodFacts | None) -> str:
     """The orders that an integrator claims in general, by group."""
     return "; ".join(f"{g} {p}" for g, p in facts.orders.items()) if facts else ""
 
 
-def integrators_table(labels: Sequence[str], known: Mapping[str, IntegratorFacts]) -> Table | None:
+def integrators_table(labels: Sequence[str], known: Mapping[str, MethodFacts]) -> Table | None:
     """Each integrator with its title, orders claimed and source."""
     rows = []
     for label in labels:

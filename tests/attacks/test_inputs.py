@@ -54,7 +54,7 @@ NEEDED = {
 #: Not wrong there: these commands tell of a plugin that is of no use, and any seed will do.
 TOLD = re.compile(
     r"(list|check) plugins (text|binary)|run plugins binary|"
-    r"check names (number|half)|solve seed many"
+    r"check checked (number|half)|solve seed many"
 )
 ANY = {
     "empty": "", "blank": " \t", "sequences": "\x1b[31mred\x1b]0;title\x07\x9b2J\rover",
