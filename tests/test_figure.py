@@ -157,7 +157,7 @@ def test_figures_are_refused_in_one_sentence(folder, refused, tmp_path):
     empty = refused("report", tmp_path, "--figure", "convergence")
     assert "The store holds no finished run" in empty
     for arguments, words in (
-        ("work_precison --scene pendulum", "is not one of 'work_precision'"),
+        ("work_precison --scene pendulum", "did you mean 'work_precision'"),
         ("convergence", "choose one with --scene: spring_mass, pendulum"),
         ("convergence --scene pendulm", "did you mean 'pendulum'"),
         ("convergence --scene pendulum --error x", "no error of 'x'; known: a, lam"),

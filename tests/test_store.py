@@ -65,8 +65,7 @@ def test_everything_written_is_read_back(tmp_path):
         assert store.records()["k"] == a_record(
             environment=number, run_s=[0.1, 0.2, 0.05], rounds=[(number, k) for k in range(3)]
         )
-        with pytest.raises(KeyError):
-            store.rows("other")
+        assert store.rows("other") == NO_ROWS
     with Store(tmp_path / "deep" / "er", create=True) as store:  # measured anew
         store.save(a_record(status="diverged"), NO_ROWS)
         assert store.records()["k"].run_s == []
@@ -202,3 +201,26 @@ def test_a_full_disk_keeps_what_was_stored(tmp_path):
             store.save(a_record("second"), big)
     with Store(tmp_path) as store:
         assert list(store.records()) == ["first"]
+
+
+def test_of_the_runs_of_a_method_the_rows_of_the_finest_that_reached_the_end_are_kept(tmp_path):
+    rows = Rows(t=[1.0])
+
+    def kept(*runs, fingerprint=""):
+        """The steps of the runs whose rows are kept, after these with (step, status)."""
+        with Store(tmp_path, create=True) as store:
+            for h, status in runs:
+                key, more = f"pendulum | newmark | {h}", {"h": h, "status": status}
+                store.save(a_record(key, fingerprint=fingerprint, **more), rows)
+            return [r.h for r in store.records().values() if store.rows(r.key).t]
+
+    assert kept((0.1, "ok")) == [0.1]
+    assert kept((0.01, "diverged"), (0.05, "ok"), (0.02, "ok"), (0.08, "ok")) == [0.02]
+    assert kept((0.02, "ok")) == [0.02]  # once more
+    with Store(tmp_path, create=True) as store:  # others have their own
+        for k, more in enumerate(({"t_end": 9.0}, {"pattern": (1.0,)}, {"integrator": "hht"})):
+            record = a_record(f"pendulum | {more.get('integrator', 'newmark')} | other {k}", **more)
+            store.save(record, rows)
+            assert store.rows(record.key) == rows
+    assert kept((0.1, "ok"), fingerprint="edited") == [0.1] * 4
+    assert kept((0.05, "diverged"), fingerprint="edited") == [0.1] * 4

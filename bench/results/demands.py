@@ -63,7 +63,7 @@ class Demand(NamedTuple):
 
     def best(self, runs: Iterable[Record]) -> Record | None:
         """Return the run of the coarsest good size among those of a method on a scene, if any."""
-        sized = {run.h or run.rtol or 0.0: run for run in runs}
+        sized = {run.size: run for run in runs}
         good = bracket({size: self.of(run) for size, run in sized.items()}, self.limit).good
         return None if good is None else sized[good]
 

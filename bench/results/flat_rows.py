@@ -14,7 +14,6 @@ from bench.results.quantities import ASKED, LEVELS, NORM, NORMS, PARTS, VIOLATIO
 from bench.results.records import Digits, Environment, Record
 from bench.results.table import Table
 
-
 #: Fields of a record that have columns of their own, a number each.
 _NESTED = "errors", "later", "reference_error", "components", "constraint", "work", "rounds"
 

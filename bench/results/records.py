@@ -159,6 +159,11 @@ class Record(msgspec.Struct, kw_only=True):
         return short_exponent(f"h={self.h:.6g}{pattern}")
 
     @property
+    def size(self) -> float:
+        """The step in s, or the relative tolerance of a run that chooses its steps."""
+        return (self.h if self.controls == "step" else self.rtol) or 0.0
+
+    @property
     def seconds(self) -> float | None:
         """Median of the timing samples in s."""
         return median(self.run_s)

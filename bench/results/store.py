@@ -31,12 +31,14 @@ _TABLES = f"""
 BEGIN IMMEDIATE;
 CREATE TABLE results (kind TEXT, key TEXT, value BLOB NOT NULL, PRIMARY KEY (kind, key));
 CREATE TABLE samples (key TEXT, number INTEGER, seconds REAL NOT NULL, invocation INTEGER,
-    PRIMARY KEY (key, number));
+    PRIMARY KEY (key, number)) WITHOUT ROWID;
 PRAGMA user_version = {SCHEMA};
 COMMIT;
 """
 _KEEP = "INSERT OR REPLACE INTO results VALUES (?, ?, ?)"
 _SAMPLE = "INSERT OR REPLACE INTO samples VALUES (?, ?, ?, ?)"
+#: The last of all keys, or of those that begin with the same text.
+_LAST = "\U0010ffff"
 #: Keys of values that are kept by themselves.
 _KEYS = {
     Plan: lambda plan: "plan",
@@ -129,9 +131,22 @@ class Store:
         self._put([(_KEYS[type(value)](value), value)])
 
     def save(self, record: Record, rows: Rows) -> None:
-        """Keep a finished cell with its rows, in one transaction; forgets older samples."""
-        rows = Rows(t=_short(rows.t), values=_short(rows.values), notes=_short(rows.notes))
-        self._put([(record.key, rows), (record.key, record)], forget_samples=record.key)
+        """Keep a finished cell, in one transaction; forgets older samples.
+
+        Of the runs of a method that differ in nothing but the size of their steps or tolerances,
+        the rows of one are kept, which pages draw: the finest that reached the end, if any did.
+        """
+        first = f"{record.problem} | {record.integrator} | "
+        beside = [
+            other
+            for other in self.values(Record, first, first + _LAST).values()
+            if (other.t_end, other.pattern) == (record.t_end, record.pattern)
+        ]
+        own = [other for other in beside if other.fingerprint == record.fingerprint]
+        if finest := all(_rank(other) <= _rank(record) for other in own if other.key != record.key):
+            rows = Rows(t=_short(rows.t), values=_short(rows.values), notes=_short(rows.notes))
+        forgotten = [record.key, *(other.key for other in beside if finest)]
+        self._put([(record.key, rows)] * finest + [(record.key, record)], forgotten, record.key)
 
     def add_sample(
         self, key: str, number: int, seconds: float, invocation: int | None = None
@@ -151,11 +166,11 @@ class Store:
             db.executemany(_SAMPLE, samples)
 
     # ---- reading -----------------------------------------------------------------------
-    def values(self, kind: type[T], key: str | None = None) -> dict[str, T]:
-        """Return the values of a kind by key, in the order in which they were kept; with a ``key``
-        that one alone."""
-        select = f"SELECT key, value FROM results WHERE kind = ?{' AND key = ?' if key else ''}"
-        rows = self._read(f"{select} ORDER BY rowid", kind.__name__, *([key] if key else []))
+    def values(self, kind: type[T], first: str = "", last: str = _LAST) -> dict[str, T]:
+        """Return the values of a kind with keys from ``first`` to ``last``, in the order in which
+        they were kept."""
+        select = "SELECT key, value FROM results WHERE kind = ? AND key BETWEEN ? AND ?"
+        rows = self._read(f"{select} ORDER BY rowid", kind.__name__, first, last)
         with self._errors(f"A {kind.__name__} in the store {self._path} cannot be read"):
             return {k: msgspec.json.decode(zlib.decompress(raw), type=kind) for k, raw in rows}
 
@@ -202,8 +217,8 @@ class Store:
         return records
 
     def rows(self, key: str) -> Rows:
-        """The sampled values of a cell; KeyError if it is not there."""
-        return self.values(Rows, key)[key]
+        """The sampled values of a cell, if they are kept."""
+        return self.values(Rows, key, key).get(key) or Rows(t=[])
 
     # ---- parts -------------------------------------------------------------------------
     def _lock(self, opened: ExitStack) -> None:
@@ -225,17 +240,22 @@ class Store:
             self._db.execute("PRAGMA busy_timeout=0")
             self._db.execute("PRAGMA journal_mode=DELETE")
 
-    def _put(self, values: Iterable[tuple[str, Any]], forget_samples: str | None = None) -> None:
+    def _put(
+        self, values: Iterable[tuple[str, Any]], rows: Iterable[str] = (), samples: str = ""
+    ) -> None:
+        """Keep values by key; forget the rows of some cells, and the samples of one."""
         words = "Earlier results are intact."
         with self._errors(f"A result cannot be stored in {self.folder}", words):
-            rows = []
+            kept = []
             for key, value in values:
                 text = msgspec.json.encode(value)
                 msgspec.json.decode(text, type=type(value))  # it has to be read again
-                rows.append((type(value).__name__, key, zlib.compress(text, 9)))
+                kept.append((type(value).__name__, key, zlib.compress(text, 9)))
         with self._transaction() as db:
-            db.execute("DELETE FROM samples WHERE key = ?", (forget_samples,))
-            db.executemany(_KEEP, rows)
+            forgotten = [("Rows", key) for key in rows]
+            db.executemany("DELETE FROM results WHERE kind = ? AND key = ?", forgotten)
+            db.execute("DELETE FROM samples WHERE key = ?", (samples,))
+            db.executemany(_KEEP, kept)
 
     def _read(self, sql: str, *parameters: object) -> list[tuple]:
         """All rows of a query."""
@@ -257,6 +277,11 @@ class Store:
             yield
         except _ERRORS as error:
             raise StoreError(f"{words} ({error}); {advice}") from error
+
+
+def _rank(record: Record) -> tuple[bool, float]:
+    """Order runs: those that reached the end last, and from coarse to fine."""
+    return record.status == "ok", -record.size
 
 
 def _short(values: Any) -> Any:
