@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import click
 import msgspec
@@ -36,6 +36,9 @@ BUDGET_S = 300.0
 MOST_MEMBERS = 1_000_000
 #: Linear test systems of `stepbench stability`.
 SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
+
+
+B = TypeVar("B", bound=float | None)
 
 
 class Given(SimpleNamespace):
@@ -96,7 +99,7 @@ def _settings(_: click.Context, __: object, items: Sequence[str]) -> dict[str, s
     return pairs
 
 
-def budget_of(value: float | None) -> float | None:
+def budget_of(value: B) -> B:
     """Return a budget in s, or None for none; raise SpecError if it is not allowed."""
     if value is not None and not 0 < value <= LARGEST_BUDGET:
         raise SpecError(
