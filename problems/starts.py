@@ -103,29 +103,56 @@ def completed(
     open_q, open_v
         Indices of the open entries.
     """
-    q, v = np.array(q, dtype=float), np.array(v, dtype=float)
+    q, v, t = np.array(q, dtype=float), np.array(v, dtype=float), scene.interval[0]
+
+    def rows(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        phi, jacobian, *_ = constraints_at(scene, q, v, t)
+        return phi, jacobian[:, open_q]
+
+    def moved(q: np.ndarray, step: np.ndarray) -> np.ndarray:
+        q[open_q] += step
+        return q
+
     if scene.has("constraint"):
-        for _ in range(_ITERATIONS):
-            phi, jacobian, *_ = constraints_at(scene, q, v)
-            step = _shortest(jacobian[:, open_q], phi)
-            q[open_q] -= step
-            if not np.abs(step).max(initial=0.0) > 1e-15 * np.abs(q).max():
-                break
-    _, _, rate, rows = constraints_at(scene, q, v)
-    v[open_v] -= _shortest(rows[:, open_v], rate)
+        q = closed(rows, moved, q)
+    _, _, rate, along = constraints_at(scene, q, v, t)
+    v[open_v] -= shortest(along[:, open_v], rate)
     return State(q, v)
+
+
+def closed(
+    rows: Callable[[Any], tuple[np.ndarray, np.ndarray]],
+    moved: Callable[[Any, np.ndarray], Any],
+    q: Any,
+) -> np.ndarray:
+    """Return the nearest place that satisfies constraints, by Newton's method.
+
+    Parameters
+    ----------
+    rows
+        Residuals at a place, and their derivative by displacements.
+    moved
+        The place after a displacement.
+    """
+    for _ in range(_ITERATIONS):
+        residual, jacobian = rows(q)
+        step = shortest(jacobian, residual)
+        q = moved(q, -step)
+        if not np.abs(step).max(initial=0.0) > 1e-15 * np.abs(q).max():
+            break
+    return np.asarray(q)
 
 
 def violation(scene: Any, state: State) -> tuple[float, float]:
     """Return the largest entries of Phi, and of d/dt Phi and A v - b, at the start."""
-    phi, _, rate, _ = constraints_at(scene, state.q, state.v)
+    phi, _, rate, _ = constraints_at(scene, state.q, state.v, scene.interval[0])
     return np.abs(phi).max(initial=0.0), np.abs(rate).max(initial=0.0)
 
 
 def constraints_at(
-    scene: Any, q: Float[np.ndarray, " nq"], v: Float[np.ndarray, " nv"]
+    scene: Any, q: Float[np.ndarray, " nq"], v: Float[np.ndarray, " nv"], t: float
 ) -> tuple[np.ndarray, ...]:
-    """Compute the constraints at the start of the interval.
+    """Compute the constraints at t in s.
 
     Returns
     -------
@@ -138,10 +165,11 @@ def constraints_at(
     numbers = spec.numbers_of(type(scene))
     defaults: dict[str, Any] = {name: field.default for name, field in numbers.items()}
     program = _program(scene.with_parameters(defaults | {"given": ()}))
-    return tuple(map(np.asarray, program(scene.parameters(), q, v, scene.interval[0])))
+    return tuple(map(np.asarray, program(scene.parameters(), q, v, t)))
 
 
-def _shortest(matrix: np.ndarray, residual: np.ndarray) -> np.ndarray:
+def shortest(matrix: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Return the least solution of linear equations, perhaps dependent ones."""
     if not (matrix.size and np.isfinite(matrix).all() and np.isfinite(residual).all()):
         return np.zeros(matrix.shape[1])
     return np.linalg.lstsq(matrix, residual, rcond=_DEPENDENT)[0]

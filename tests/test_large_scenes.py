@@ -30,7 +30,7 @@ from integrators.output_rows import (
     width_of,
 )
 from problems import jnp
-from problems.equations import compiled, start_equations
+from problems.equations import compiled, initial_values
 from problems.scenes.chain import Chain
 
 #: Long runs are counted step by step.
@@ -164,7 +164,7 @@ def _bytes(links):
     scene = Chain(links=links)
     assert scene.sizes.nq == 2 * links
     tracemalloc.start()
-    pattern = start_equations._equations(scene.template(), True).pattern
+    pattern = initial_values._equations(scene.template())[0]
     _, searched = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     run = GeneralizedAlpha(newton="modified").prepare(scene, 0.01, Steps(1e-3))

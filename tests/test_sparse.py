@@ -18,9 +18,8 @@ from problems.base.spec import SpecError
 from problems.equations import sparsity
 from problems.equations.compiled import compiled
 from problems.equations.formulations import dae_layout
-from problems.equations.initial_values import consistent_start
+from problems.equations.initial_values import consistent_start, sparse_start
 from problems.equations.projections import constrained_part
-from problems.equations.start_equations import sparse_start
 from problems.scenes.chain import Chain
 from problems.scenes.full_car import FullCar
 from problems.scenes.pendulum import Pendulum

@@ -25,7 +25,7 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import MechatronicSystem, State, jnp, parameter
 from problems.base.spec import SpecError
 from problems.equations.formulations import dae_layout, dae_residual, ode_rate
-from problems.equations.start_equations import missing_rank
+from problems.equations.initial_values import missing_rank
 from problems.scenes.chain import Chain
 from problems.scenes.oscillator import Oscillator
 from problems.scenes.pendulum import Pendulum

@@ -15,7 +15,7 @@ from bench.running.errors import relative_reference_error
 from bench.running.linearisation import growth, rates
 from problems.base import checks
 from problems.base.runtime import jnp
-from problems.equations.start_equations import missing_rank
+from problems.equations.initial_values import missing_rank
 from problems.system import MechatronicSystem
 from problems.truth.reference import Reference
 from problems.variables import GROUPS

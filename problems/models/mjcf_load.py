@@ -24,6 +24,7 @@ from problems.equations.initial_values import CONSISTENCY_TOLERANCE
 from problems.mechanics.rotations import turned
 from problems.models.mjcf_model import Model
 from problems.models.mjcf_parts import load_mujoco
+from problems.starts import closed, shortest
 
 #: Largest difference from MuJoCo's numbers, relative to the largest of them, and the number of
 #: random states at which they are compared.
@@ -99,19 +100,15 @@ def _start(model: Model, data: Any) -> Start:
     once, rng = partial(jax.jit, compiler_options=FEW_CALLS), np.random.default_rng(1)
     residual, jacobian, near = once(model.equalities), once(along), once(shifted)
 
-    def closed(q: Any) -> np.ndarray:
-        """The nearest place that satisfies the equalities, by Newton's method."""
-        for _ in range(30):
-            gap, by = np.asarray(residual(q))[rows], np.asarray(jacobian(q))[rows]
-            step = -np.linalg.lstsq(by, gap, rcond=1e-10)[0]
-            q = near(q, step)
-            if np.abs(step).max() < 1e-15:
-                break
-        return np.asarray(q)
+    def nearest(q: Any) -> np.ndarray:
+        """The nearest place that satisfies the equalities."""
+        return closed(
+            lambda q: (np.asarray(residual(q))[rows], np.asarray(jacobian(q))[rows]), near, q
+        )
 
     # A combination that moves with nothing, as a plane loop across its plane, says nothing.
     rows = _independent([jacobian(near(q, rng.normal(size=len(v)))) for _ in range(3)])
-    first, q = q, closed(q)
+    first, q = q, nearest(q)
     worst, far = np.abs(residual(q)).max(), np.abs(q - first).max()
     if worst > CONSISTENCY_TOLERANCE or far > FAR:
         raise SpecError(
@@ -122,11 +119,11 @@ def _start(model: Model, data: Any) -> Start:
     if np.linalg.matrix_rank(by, tol=1e-9) < len(rows):
         # Some combinations, as of two ties that are a hinge, say nothing where all are closed.
         free = np.eye(len(v)) - np.linalg.pinv(by, rcond=1e-9) @ by
-        others = [closed(near(q, 0.3 * free @ rng.normal(size=len(v)))) for _ in range(4)]
+        others = [nearest(near(q, 0.3 * free @ rng.normal(size=len(v)))) for _ in range(4)]
         others = [p for p in others if np.abs(residual(p)).max() < CONSISTENCY_TOLERANCE]
         rows = rows[_independent([np.asarray(jacobian(p))[rows] for p in [q, *others]])]
         by = np.asarray(jacobian(q))[rows]
-    v = v - np.linalg.lstsq(by, by @ v, rcond=1e-10)[0]
+    v = v - shortest(by, by @ v)
     redundant = len(rows) - int(np.linalg.matrix_rank(by, tol=1e-9))
     return Start(q.tolist(), v.tolist(), rows.tolist(), redundant, model.in_bodies)
 

@@ -359,7 +359,8 @@ def _independent(cls: type[MechatronicSystem]) -> list[int]:
     scene = cls()
     q, v, _ = scene.initial_state()
     near = q + np.random.default_rng(0).uniform(-0.01, 0.01, len(q))
-    phi, _, _, rows = constraints_at(scene, completed(scene, near, v, range(len(q)), []).q, v)
+    near = completed(scene, near, v, range(len(q)), []).q
+    phi, _, _, rows = constraints_at(scene, near, v, scene.interval[0])
     rows = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)
     kept = [*range(len(phi))]  # perhaps redundant themselves
     for k in range(len(phi), len(rows)):

@@ -6,7 +6,7 @@ from enum import IntEnum
 from typing import Any
 
 from integrators.native.step.step_program import StepFunctions
-from problems.equations.start_equations import missing_rank
+from problems.equations.initial_values import missing_rank
 from problems.system import MechatronicSystem
 
 
