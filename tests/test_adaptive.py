@@ -18,10 +18,9 @@ from integrators.output_rows import FIRST_ROWS, MOST_ROWS
 from problems import jax, jnp, parameter
 from problems.equations.formulations import ode_rate
 from problems.equations.initial_values import consistent_start
-from problems.scenes.duffing import Duffing
-from problems.scenes.pendulum import Pendulum
-from problems.scenes.soft_impact import SoftImpact
-from problems.scenes.spring_mass import SpringMass
+from problems.scenes.contacts import SoftImpact
+from problems.scenes.oscillators import Duffing, SpringMass
+from problems.scenes.pendulums import Pendulum
 
 TOLERANCES = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8]
 SWING = Pendulum(th0=3.1)  # released close to the upright position: slow, fast, slow again

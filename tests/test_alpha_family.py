@@ -30,8 +30,8 @@ from problems import jnp
 from problems.equations import formulations
 from problems.equations.constraints import constraint_force
 from problems.equations.projections import constrained_part
-from problems.scenes.pendulum import Pendulum
-from problems.scenes.spring_mass import SpringMass
+from problems.scenes.oscillators import SpringMass
+from problems.scenes.pendulums import Pendulum
 
 
 @pytest.fixture

@@ -17,9 +17,9 @@ from integrators.output_rows import FIRST_ROWS, SPREAD_ROWS, spread_rows
 from problems import State, jax, jnp, parameter
 from problems.base.spec import SpecError, build
 from problems.equations.initial_values import consistent_start
-from problems.scenes.pendulum import Pendulum
-from problems.scenes.soft_impact import SoftImpact
-from problems.scenes.spring_mass import SpringMass
+from problems.scenes.contacts import SoftImpact
+from problems.scenes.oscillators import SpringMass
+from problems.scenes.pendulums import Pendulum
 
 GGL = {"formulation": "stabilised_index2"}
 

@@ -36,7 +36,7 @@ from bench.results.studies import (
 from bench.running.inventory import Inventory
 from bench.running.progress import Progress
 from problems.base.spec import SpecError
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.pendulums import Pendulum
 
 NAMES = list(built_in_experiments())
 EXPERIMENTS = read_experiments()

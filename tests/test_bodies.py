@@ -29,7 +29,7 @@ from problems.mechanics.joints import (
     Spherical,
     Universal,
 )
-from problems.scenes.spatial_four_bar import SpatialFourBar
+from problems.scenes.spatial_mechanisms import SpatialFourBar
 
 RANDOM = np.random.default_rng(7)
 POINT, OTHER = np.array([0.3, -0.2, 0.5]), np.array([-0.4, 0.1, 0.2])

@@ -15,7 +15,7 @@ from bench.plugins.registry import Registry
 from integrators import Reading, StepMethod, Tolerances
 from problems import SampledSystem, State, held, jnp, parameter
 from problems.equations.formulations import complete
-from problems.scenes.oscillator import Oscillator
+from problems.scenes.oscillators import Oscillator
 
 
 # ---- scenes --------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from integrators.lowering import native, operators
 from integrators.lowering.graph import NotLowered
 from problems import jnp
 from problems.base.runtime import jax, slower
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.pendulums import Pendulum
 
 
 # ---- packed functions ------------------------------------------------------------------

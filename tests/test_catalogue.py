@@ -10,8 +10,8 @@ import pytest
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
 from problems.base import runtime
-from problems.scenes.oscillator import Oscillator
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.oscillators import Oscillator
+from problems.scenes.pendulums import Pendulum
 
 SCENES = (Pendulum(), Oscillator())
 SECONDS = 0.2

@@ -156,7 +156,7 @@ def test_the_command_says_a_line_for_each_check_and_exits_with_1(stepbench, tmp_
     file = tmp_path / "heavy.py"
     file.write_text(
         "from dataclasses import dataclass\n"
-        "from problems import parameter\nfrom problems.scenes.pendulum import Pendulum\n"
+        "from problems import parameter\nfrom problems.scenes.pendulums import Pendulum\n"
         "@dataclass(frozen=True)\nclass HeavyBob(Pendulum):\n    'A heavy bob.'\n"
         "    m: float = parameter(50.0, '', 'mass')\n"
     )

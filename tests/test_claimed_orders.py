@@ -34,8 +34,7 @@ from integrators.program_costs import NotCounted
 from problems import jax, jnp
 from problems.equations.block_structure import mass_varies
 from problems.equations.formulations import complete, dae_layout, ode_rate
-from problems.scenes.double_pendulum import DoublePendulum
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.pendulums import DoublePendulum, Pendulum
 
 SCENES = [Pendulum(), Pendulum(th0=1.0)]
 

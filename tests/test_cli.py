@@ -20,7 +20,7 @@ from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import read_profile
 from bench.running.runner import Runner
-from problems.scenes.spring_mass import SpringMass
+from problems.scenes.oscillators import SpringMass
 from problems.truth.reference import Reference
 
 DIGITS = {

@@ -12,8 +12,8 @@ from bench.running.errors import ROUNDING, constraint_errors, constraint_sizes, 
 from bench.running.measure import constraint_unit
 from integrators.contract import Trajectory, Work
 from problems import jnp
-from problems.scenes.oscillator import Oscillator
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.oscillators import Oscillator
+from problems.scenes.pendulums import Pendulum
 from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven
 from problems.truth.reference import Reference
 from reports.pages.html_report import write_html_report

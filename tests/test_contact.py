@@ -21,8 +21,8 @@ from integrators.resolutions import Steps, Tolerances
 from problems import ContactSystem, Variables, jax, jnp, parameter
 from problems.base.spec import SpecError
 from problems.equations.compiled import compiled
-from problems.scenes.bouncing_ball import BouncingBall
-from problems.scenes.oscillator import Oscillator
+from problems.scenes.contacts import BouncingBall
+from problems.scenes.oscillators import Oscillator
 from problems.truth.reference import Reference
 
 

@@ -15,10 +15,8 @@ from integrators.methods.radau_iia import RadauIIA
 from integrators.resolutions import Steps, Tolerances
 from problems import State, jnp, parameter
 from problems.hybrid.phases import falls
-from problems.scenes.impact_stop import ImpactStop
-from problems.scenes.painleve_rod import PainleveRod
+from problems.scenes.contacts import ImpactStop, PainleveRod, SlidingRolling
 from problems.scenes.quarter_car import QuarterCar, QuarterCarStop
-from problems.scenes.sliding_rolling import SlidingRolling
 from problems.truth.reference import Reference
 
 # ---- a mass against a stop -------------------------------------------------------------------

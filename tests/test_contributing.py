@@ -19,7 +19,7 @@ from bench.running.profiles import built_in_profiles
 from integrators import Steps
 from integrators.native.step import step_work
 from integrators.native.step.step_work import EquationsFinder, StepWork
-from problems.scenes.duffing import Duffing
+from problems.scenes.oscillators import Duffing
 
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = {

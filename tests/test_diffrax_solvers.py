@@ -21,9 +21,9 @@ from integrators.adapters.diffrax_methods import (
     Kvaerno5,
 )
 from problems import jnp
-from problems.scenes.chaplygin_sleigh import ChaplyginSleigh
-from problems.scenes.pendulum import Pendulum
-from problems.scenes.spring_mass import SpringMass
+from problems.scenes.oscillators import SpringMass
+from problems.scenes.pendulums import Pendulum
+from problems.scenes.rolling import ChaplyginSleigh
 
 IMPLICIT = (ImplicitEuler, Kvaerno3, Kvaerno4, Kvaerno5, KenCarp3, KenCarp4, KenCarp5)
 #: q'' = 6 q^2 with q = 1/(1-t)^2.

@@ -15,7 +15,7 @@ from integrators.methods.energy_momentum import EnergyMomentum
 from integrators.native.loops.status import Ending
 from problems import MechatronicSystem, State, jnp, parameter
 from problems.base.spec import SpecError
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.pendulums import Pendulum
 
 REGISTRY = Registry()
 

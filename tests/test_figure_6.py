@@ -11,7 +11,7 @@ from bench.running.profiles import read_profile
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.base.spec import build, split_spec
-from problems.scenes.spring_mass import SpringMass
+from problems.scenes.oscillators import SpringMass
 
 (STUDY,) = (study for study in read_profile("paper")[1].study if len(study.pattern) > 1)
 #: At t = 5 s, from an independent program with 18 digits: q, v, a, x.

@@ -12,7 +12,7 @@ from bench.plugins import fingerprint as fingerprints
 from bench.plugins.fingerprint import fingerprint, reference_file
 from bench.plugins.registry import Registry
 from problems.base import runtime
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.pendulums import Pendulum
 
 
 def forget() -> None:
@@ -31,7 +31,7 @@ def _afresh(monkeypatch):
 
 #: A file that is edited, and whether all fingerprints and those of references change.
 EDITS = {
-    "problems/scenes/damper.py": (True, True),
+    "problems/scenes/quarter_car.py": (True, True),
     "integrators/native/algebra/newton.py": (True, False),
     "bench/running/errors.py": (True, False),
     "bench/commands/main.py": (False, False),
@@ -63,7 +63,7 @@ def test_a_plugin_takes_part_with_all_beside_it_in_any_folder(tmp_path):
     own = tmp_path / "own"
     own.mkdir()
     (own / "swing.py").write_text(
-        "from problems.scenes.pendulum import Pendulum\nclass Swing(Pendulum):\n    'A swing.'\n"
+        "from problems.scenes.pendulums import Pendulum\nclass Swing(Pendulum):\n    'A swing.'\n"
     )
     (own / "swing_helper.py").write_text("G = 9.81\n")
     shutil.copytree(own, tmp_path / "copy")

@@ -19,14 +19,13 @@ from integrators.native.algebra.fixed_elimination import EliminationPlan, planne
 from integrators.native.algebra.jaxpr_tools import tangent_along, tangent_pattern
 from integrators.native.step.step_work import EquationsFinder
 from problems.equations.initial_values import consistent_start
-from problems.scenes.car_axis import CarAxis
-from problems.scenes.chain import Chain
+from problems.scenes.contacts import SoftImpact
 from problems.scenes.heavy_top import HeavyTop
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.ivp_test_set import CarAxis
+from problems.scenes.oscillators import SpringMass
+from problems.scenes.pendulums import Chain, Pendulum
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrank
-from problems.scenes.soft_impact import SoftImpact
-from problems.scenes.spring_mass import SpringMass
 
 on_scenes = pytest.mark.parametrize(
     "scene",

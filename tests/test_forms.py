@@ -13,7 +13,7 @@ from bench.running.errors import constraint_errors
 from bench.running.inventory import Inventory, SceneFacts
 from bench.running.plan import Cell
 from integrators import Steps, Tolerances
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.pendulums import Pendulum
 from reports.names import form_name
 
 #: Methods with their options at the defaults, and changed.

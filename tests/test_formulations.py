@@ -11,9 +11,9 @@ from problems import State, jax, jnp, parameter
 from problems.equations import formulations as form
 from problems.equations.compiled import compiled
 from problems.equations.initial_values import InconsistentStart, consistent_start
-from problems.scenes.car_axis import CarAxis
-from problems.scenes.pendulum import Pendulum
-from problems.scenes.spring_mass import SpringMass
+from problems.scenes.ivp_test_set import CarAxis
+from problems.scenes.oscillators import SpringMass
+from problems.scenes.pendulums import Pendulum
 from problems.truth.reference import Reference
 
 #: m a + k q = y, xdot = a^3 - x, 0 = y - c tanh(x + a - y): implicit in y, nonlinear in a.

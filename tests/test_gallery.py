@@ -15,9 +15,9 @@ from planted import Document
 from bench.plugins.registry import Registry
 from bench.running.linearisation import rates
 from bench.running.scene_records import drawings, equations, scene_record
-from problems.scenes.car_axis import CarAxis
-from problems.scenes.pendulum import Pendulum
-from problems.scenes.spring_mass import SpringMass
+from problems.scenes.ivp_test_set import CarAxis
+from problems.scenes.oscillators import SpringMass
+from problems.scenes.pendulums import Pendulum
 from problems.truth.reference import Reference
 
 DOCS = Path(__file__).parents[1] / "docs"

@@ -20,10 +20,9 @@ from integrators.resolutions import Steps, Tolerances
 from problems import SampledSystem, held, jnp
 from problems.base.spec import SpecError
 from problems.hybrid.phases import crossing
-from problems.scenes.bouncing_ball import BouncingBall
-from problems.scenes.rocking_block import RockingBlock
-from problems.scenes.sampled_pd import SampledPd
-from problems.scenes.sampled_quarter_car import SampledQuarterCar
+from problems.scenes.contacts import BouncingBall, RockingBlock
+from problems.scenes.oscillators import SampledPd
+from problems.scenes.quarter_car import SampledQuarterCar
 from problems.truth.reference import Reference, ReferenceFailed
 
 FREE = np.array([[0, 1, 0], [-1, 0, 1], [0, 0, 0.0]])

@@ -15,7 +15,7 @@ from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import read_profile
 from integrators import Steps, Tolerances
-from problems.scenes.n_four_bar import NFourBar
+from problems.scenes.iftomm import NFourBar
 
 PAGE = Path(__file__).parents[1] / "docs" / "iftomm.md"
 #: EXUDYN at rho_inf = 0.95: largest change of energy in J over 10 s by steps in s.

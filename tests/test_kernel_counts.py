@@ -20,9 +20,8 @@ from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdapt
 from integrators.methods.half_explicit import PHEM56, HalfExplicitEuler
 from integrators.native.algebra import small_matrices
 from problems import jnp
-from problems.scenes.chain import Chain
 from problems.scenes.heavy_top import HeavyTop
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.pendulums import Chain, Pendulum
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrank
 

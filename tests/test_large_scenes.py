@@ -31,7 +31,7 @@ from integrators.output_rows import (
 )
 from problems import jnp
 from problems.equations import compiled, initial_values
-from problems.scenes.chain import Chain
+from problems.scenes.pendulums import Chain
 
 #: Long runs are counted step by step.
 few = settings(max_examples=25)
@@ -225,7 +225,7 @@ from pathlib import Path
 import numpy as np
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from problems.scenes.chain import Chain
+from problems.scenes.pendulums import Chain
 
 links, t_end, h, path = int(sys.argv[1]), *map(float, sys.argv[2:4]), sys.argv[4]
 run = GeneralizedAlpha(newton="modified").prepare(Chain(links=links), t_end, Steps(h))

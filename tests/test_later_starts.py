@@ -10,8 +10,8 @@ from bench.results.quantities import NORM
 from bench.running.measure import LATER, errors_from_later_starts
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from problems.scenes.pendulum import Pendulum
-from problems.scenes.soft_impact import SoftImpact
+from problems.scenes.contacts import SoftImpact
+from problems.scenes.pendulums import Pendulum
 from problems.truth.reference import Reference
 from problems.variables import State
 from reports.questions import FIRST

@@ -19,8 +19,8 @@ from integrators.adapters.scipy_ode import BDF, Radau
 from integrators.adapters.solve_dae import BDFDAE, RadauDAE
 from problems.base.spec import SpecError
 from problems.equations.formulations import dae_layout
-from problems.scenes.pendulum import Pendulum
-from problems.scenes.spring_mass import SpringMass
+from problems.scenes.oscillators import SpringMass
+from problems.scenes.pendulums import Pendulum
 
 PYTHON = {"callbacks": "python"}
 ENDED = "step_too_small", "newton_failed", "diverged", "budget_exceeded"

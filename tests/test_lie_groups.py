@@ -16,10 +16,8 @@ from problems import jax
 from problems.base.spec import SpecError
 from problems.equations.formulations import complete
 from problems.mechanics import rotations
-from problems.scenes.double_pendulum import DoublePendulumControlled
-from problems.scenes.heavy_top import HeavyTop
-from problems.scenes.heavy_top_lie import HeavyTopR3SO3, HeavyTopSE3, HeavyTopSO3
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.heavy_top import HeavyTop, HeavyTopR3SO3, HeavyTopSE3, HeavyTopSO3
+from problems.scenes.pendulums import DoublePendulumControlled, Pendulum
 from problems.truth.published import named_points
 
 SO3, R3_SO3, SE3 = HeavyTopSO3(), HeavyTopR3SO3(), HeavyTopSE3()

@@ -10,7 +10,7 @@ import pytest
 from bench.running.errors import scales
 from bench.running.linearisation import growth
 from problems import MechatronicSystem, State, jnp
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.pendulums import Pendulum
 from problems.truth.reference import Reference
 
 

@@ -23,9 +23,9 @@ from integrators.contract import Trajectory
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
 from problems import MechatronicSystem, State, jnp
-from problems.scenes.pendulum import Pendulum
-from problems.scenes.soft_impact import SoftImpact
-from problems.scenes.spring_mass import SpringMass
+from problems.scenes.contacts import SoftImpact
+from problems.scenes.oscillators import SpringMass
+from problems.scenes.pendulums import Pendulum
 from problems.truth.reference import Reference
 from problems.variables import Component, Sizes
 

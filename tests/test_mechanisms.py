@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from helpers import long, reference
 
-from problems.scenes.spatial_four_bar import SpatialFourBar
-from problems.scenes.spatial_slider_crank import SpatialSliderCrank
+from problems.scenes.spatial_mechanisms import SpatialFourBar, SpatialSliderCrank
 
 #: At 0.5 s: the crank's rate and acceleration, and the centres of all bodies in m. They are of
 #: a program of its own: bodies follow one angle in closed form, and its equation of Lagrange, with

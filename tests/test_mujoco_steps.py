@@ -11,7 +11,7 @@ from bench.plugins.registry import Registry
 from integrators import Steps
 from problems import from_mjcf
 from problems.base.spec import SpecError
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.pendulums import Pendulum
 from problems.truth.reference import Reference
 
 

@@ -16,11 +16,9 @@ from integrators import Steps, Tolerances, Trajectory
 from integrators.checks import caution
 from integrators.methods.hht_i3 import HHTI3
 from problems.base.checks import FalseAnswer
-from problems.scenes.double_pendulum import DoublePendulum
-from problems.scenes.driven_springs import DrivenSprings
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.oscillators import DrivenSprings
+from problems.scenes.pendulums import DoublePendulum, Pendulum, StiffBar
 from problems.scenes.slider_crank import SliderCrank, SliderCrankMinimal
-from problems.scenes.stiff_bar import StiffBar
 from reports.tables.run_tables import notes_table
 
 

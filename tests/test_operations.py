@@ -47,11 +47,9 @@ from integrators.native.step.step_program import _at_rest
 from integrators.program_costs import NotCounted, costs_of, dense, sparse
 from problems import jax, jnp
 from problems.equations.named_equations import equation, part, turns
-from problems.scenes.chain import Chain
-from problems.scenes.duffing import Duffing
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.oscillators import Duffing, SpringMass
+from problems.scenes.pendulums import Chain, Pendulum
 from problems.scenes.slider_crank import SliderCrank
-from problems.scenes.spring_mass import SpringMass
 from problems.system import MechatronicSystem
 
 WITHIN = 0.1  # of a hand count

@@ -16,7 +16,7 @@ from integrators import Steps
 
 HEAD = """
 from dataclasses import dataclass
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.pendulums import Pendulum
 from problems import parameter
 """
 SCENE = """
@@ -62,7 +62,7 @@ def test_a_numpy_default_is_listed_as_json_without_what_the_plugin_prints_at_imp
 
 def test_what_an_entry_point_prints_at_import_stays_out_of_the_json(capsys):
     from bench.plugins.registry import Plugin
-    from problems.scenes.pendulum import Pendulum
+    from problems.scenes.pendulums import Pendulum
 
     def load():
         print("hello")

@@ -13,12 +13,9 @@ from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import Published, jax
 from problems.base import checks
-from problems.scenes.andrews import Andrews
-from problems.scenes.bricard import Bricard
-from problems.scenes.flyball_governor import FlyballGovernor
-from problems.scenes.heavy_top_lie import HeavyTopR3SO3, HeavyTopSE3, HeavyTopSO3
-from problems.scenes.iftomm_pendulum import IFToMMPendulum
-from problems.scenes.n_four_bar import NFourBar
+from problems.scenes.heavy_top import HeavyTopR3SO3, HeavyTopSE3, HeavyTopSO3
+from problems.scenes.iftomm import Bricard, FlyballGovernor, IFToMMPendulum, NFourBar
+from problems.scenes.ivp_test_set import Andrews
 from problems.scenes.planar_truck import PlanarTruck, PlanarTruckJoint
 from problems.truth.published import published_digits
 

@@ -28,7 +28,7 @@ from bench.running.recommend import Recommendation
 from bench.running.search import MOST_RUNS, RESOLVED, Candidate, Sizes
 from integrators.resolutions import Steps
 from problems.base.spec import SpecError
-from problems.scenes.iftomm_pendulum import IFToMMPendulum
+from problems.scenes.iftomm import IFToMMPendulum
 
 # ---- the search for one method -----------------------------------------------------------
 STEPS = Sizes(length=10.0, start=0.1, finest=1e-7, coarsest=10.0)

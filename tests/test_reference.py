@@ -12,9 +12,9 @@ from helpers import long, toy
 from bench.plugins.registry import Sources
 from bench.running import inventory
 from problems import SampledSystem, held, jnp, parameter
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.oscillators import SpringMass
+from problems.scenes.pendulums import Pendulum
 from problems.scenes.planar_truck import PlanarTruck, PlanarTruckJoint
-from problems.scenes.spring_mass import SpringMass
 from problems.truth import reference
 from problems.truth.collocation import Motion, TooSmallStep, gauss, integrate, radau
 from problems.truth.reference import Reference

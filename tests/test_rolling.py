@@ -12,9 +12,7 @@ from scipy.optimize import brentq
 from problems import jax, jnp
 from problems.equations.constraints import constraint_velocity
 from problems.equations.formulations import ode_rate
-from problems.scenes.bicycle import Bicycle
-from problems.scenes.chaplygin_sleigh import ChaplyginSleigh
-from problems.scenes.rolling_disc import RollingDisc
+from problems.scenes.rolling import Bicycle, ChaplyginSleigh, RollingDisc
 from problems.scenes.slider_crank import SliderCrankFriction
 
 

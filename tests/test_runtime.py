@@ -18,8 +18,8 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.base import runtime
 from problems.base.runtime import check_runtime
 from problems.equations import sparsity
-from problems.scenes.oscillator import Oscillator
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.oscillators import Oscillator
+from problems.scenes.pendulums import Pendulum
 
 
 # ---- right numbers ---------------------------------------------------------------------

@@ -18,16 +18,11 @@ from helpers import long
 from problems import MechatronicSystem, jax
 from problems.base.spec import SpecError
 from problems.equations.constraints import constraint_acceleration, constraint_velocity
-from problems.scenes.car_axis import CarAxis
-from problems.scenes.chain import Chain
-from problems.scenes.double_pendulum import DoublePendulumControlled
-from problems.scenes.driven_springs import DrivenSprings
-from problems.scenes.duffing import Duffing
-from problems.scenes.friction import Friction
 from problems.scenes.heavy_top import HeavyTop
-from problems.scenes.oscillator import Oscillator
+from problems.scenes.ivp_test_set import CarAxis, SliderCrankFlexible
+from problems.scenes.oscillators import DrivenSprings, Duffing, Friction, Oscillator
+from problems.scenes.pendulums import Chain, DoublePendulumControlled
 from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven, SliderCrankMinimal
-from problems.scenes.slider_crank_flexible import SliderCrankFlexible
 from problems.truth.reference import Reference
 
 #: Scenes, the first with its default parameters, and their check.

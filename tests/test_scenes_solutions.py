@@ -16,19 +16,18 @@ from problems.equations.compiled import compiled
 from problems.equations.constraints import constraint_acceleration
 from problems.equations.initial_values import InconsistentStart, consistent_start
 from problems.mechanics import lagrange
-from problems.scenes.andrews import Andrews
-from problems.scenes.car_axis import CarAxis
-from problems.scenes.chain import Chain
-from problems.scenes.double_pendulum import DoublePendulum, DoublePendulumControlled
-from problems.scenes.driven_springs import DrivenSprings
-from problems.scenes.friction import Friction
 from problems.scenes.heavy_top import HeavyTop
-from problems.scenes.oscillator import Oscillator
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.ivp_test_set import Andrews, CarAxis, SliderCrankFlexible
+from problems.scenes.oscillators import DrivenSprings, Friction, Oscillator
+from problems.scenes.pendulums import (
+    Chain,
+    DoublePendulum,
+    DoublePendulumControlled,
+    Pendulum,
+    StiffBar,
+)
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrankDriven
-from problems.scenes.slider_crank_flexible import SliderCrankFlexible
-from problems.scenes.stiff_bar import StiffBar
 from problems.truth.reference import Reference
 
 

@@ -14,7 +14,7 @@ from planted import planted
 from bench.results.records import SceneRecord
 from bench.running.measure import MOST_COMPONENTS, stored_rows
 from bench.running.scene_records import scene_record
-from problems.scenes.chain import Chain
+from problems.scenes.pendulums import Chain
 from problems.truth.reference import Reference
 from reports.charts.line_styles import line_styles
 from reports.charts.work import size_charts

@@ -20,12 +20,11 @@ from problems.equations.compiled import compiled
 from problems.equations.formulations import dae_layout
 from problems.equations.initial_values import consistent_start, sparse_start
 from problems.equations.projections import constrained_part
-from problems.scenes.chain import Chain
 from problems.scenes.full_car import FullCar
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.oscillators import SpringMass
+from problems.scenes.pendulums import Chain, Pendulum
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrank
-from problems.scenes.spring_mass import SpringMass
 from problems.truth.reference import Reference, ReferenceFailed
 
 pytest.importorskip("klujax")
@@ -321,7 +320,7 @@ def test_no_reference_is_made_of_a_large_scene():
 def test_a_product_that_is_not_the_mass_matrix_is_found(refused, tmp_path):
     (tmp_path / "wrong.py").write_text(
         "from dataclasses import dataclass\n"
-        "from problems.scenes.chain import Chain\n"
+        "from problems.scenes.pendulums import Chain\n"
         "@dataclass(frozen=True)\n"
         "class Wrong(Chain):\n"
         "    'A chain.'\n"

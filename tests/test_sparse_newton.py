@@ -16,11 +16,11 @@ from integrators.resolutions import Steps, Tolerances
 from problems import jnp, parameter
 from problems.base.runtime import jax
 from problems.equations.initial_values import consistent_start
-from problems.scenes.chain import Chain
+from problems.scenes.contacts import SoftImpact
+from problems.scenes.oscillators import SpringMass
+from problems.scenes.pendulums import Chain
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrank
-from problems.scenes.soft_impact import SoftImpact
-from problems.scenes.spring_mass import SpringMass
 
 klujax_cpp = pytest.importorskip("klujax_cpp")
 GROUPS = ("q", "v", "a", "lam", "x", "y")

@@ -13,8 +13,8 @@ from bench.check.verdicts import round_trip
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha, Newmark
 from problems.base import spec
 from problems.base.spec import SpecError, build, split_spec
-from problems.scenes.pendulum import Pendulum
-from problems.scenes.spring_mass import SpringMass
+from problems.scenes.oscillators import SpringMass
+from problems.scenes.pendulums import Pendulum
 from problems.variables import parameter
 
 

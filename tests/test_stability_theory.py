@@ -17,7 +17,7 @@ from integrators.adapters.diffrax_methods import Kvaerno5
 from integrators.methods.generalized_alpha import HHT, WBZ, GeneralizedAlpha, Newmark
 from integrators.methods.generalized_alpha_parameters import multistep_form
 from integrators.multistep import Multistep, MultistepForm, stable
-from problems.scenes.spring_mass import SpringMass
+from problems.scenes.oscillators import SpringMass
 
 MEMBERS = [
     GeneralizedAlpha(rho_inf=0.0),

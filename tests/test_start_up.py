@@ -48,7 +48,7 @@ def test_only_the_plugins_that_are_asked_for_are_imported():
         "print(*(name for name in sys.modules if name.startswith(folders)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.stdout.strip(), done.stderr) == ("problems.scenes.pendulum", "")
+    assert (done.stdout.strip(), done.stderr) == ("problems.scenes.pendulums", "")
 
 
 def test_only_a_process_that_takes_times_has_one_thread_and_calls_no_more(monkeypatch):

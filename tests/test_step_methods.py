@@ -26,11 +26,9 @@ from problems import MechatronicSystem, State, jnp, parameter
 from problems.base.spec import SpecError
 from problems.equations.formulations import dae_layout, dae_residual, ode_rate
 from problems.equations.initial_values import missing_rank
-from problems.scenes.chain import Chain
-from problems.scenes.oscillator import Oscillator
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.oscillators import Oscillator, SpringMass
+from problems.scenes.pendulums import Chain, Pendulum
 from problems.scenes.slider_crank import SliderCrank
-from problems.scenes.spring_mass import SpringMass
 
 
 @dataclass(frozen=True)

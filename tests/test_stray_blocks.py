@@ -8,7 +8,7 @@ from helpers import toy
 from bench.plugins.registry import Registry
 from problems import jnp
 from problems.base.spec import SpecError
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.pendulums import Pendulum
 
 SLEIGH = """
 from dataclasses import dataclass

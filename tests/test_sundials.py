@@ -23,8 +23,7 @@ from integrators.adapters.ida import IDA
 from integrators.adapters.sundials import _succeeded, library
 from problems import MechatronicSystem, jnp
 from problems.base.spec import SpecError
-from problems.scenes.chain import Chain
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.pendulums import Chain, Pendulum
 from problems.scenes.slider_crank import SliderCrank
 
 every_method = pytest.mark.parametrize("method", [IDA, CVODE])

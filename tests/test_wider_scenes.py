@@ -18,7 +18,7 @@ from problems.equations.constraints import constraint_force
 from problems.equations.kinematics import advance, displaced
 from problems.equations.layouts import state_layout
 from problems.equations.projections import projected_state
-from problems.scenes.chaplygin_sleigh import ChaplyginSleigh
+from problems.scenes.rolling import ChaplyginSleigh
 from problems.truth.reference import Reference
 
 

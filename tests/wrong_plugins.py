@@ -14,10 +14,10 @@ from integrators import Integrator, PreparedRun, Steps, Work, option
 from integrators.methods.generalized_alpha import Newmark
 from problems import MechatronicSystem, State, jax, jnp, parameter
 from problems.mechanics.rotations import rotated, turned
-from problems.scenes.bouncing_ball import BouncingBall
-from problems.scenes.heavy_top_lie import HeavyTopSE3
-from problems.scenes.pendulum import Pendulum
-from problems.scenes.sampled_pd import SampledPd
+from problems.scenes.contacts import BouncingBall
+from problems.scenes.heavy_top import HeavyTopSE3
+from problems.scenes.oscillators import SampledPd
+from problems.scenes.pendulums import Pendulum
 
 RANDOM = np.random.default_rng(0)
 

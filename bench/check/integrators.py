@@ -33,7 +33,7 @@ from problems.base.runtime import jax
 from problems.base.spec import SpecError
 from problems.equations.initial_values import consistent_start
 from problems.hybrid.phases import Samples
-from problems.scenes.bouncing_ball import BouncingBall
+from problems.scenes.contacts import BouncingBall
 
 #: Times of impact of a method that is exact on parabolas are off by no more, in s; those of others
 #: fall by this factor at least where steps are four times as short, or are at most so many times

@@ -9,7 +9,7 @@ import numpy as np
 from problems import State, Variables, jax, jnp, parameter
 from problems.mechanics import lagrange
 from problems.mechanics.lagrange import OfEnergies
-from problems.scenes.damper import SemiActiveDamper
+from problems.scenes.quarter_car import SemiActiveDamper
 
 #: Waves of the road: cycles per m, with phases on the left and on the right that were drawn once.
 _WAVES = np.array([0.07, 0.11, 0.16, 0.25, 0.41])

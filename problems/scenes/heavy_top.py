@@ -1,14 +1,22 @@
-"""The heavy top about a fixed point, in Euler parameters."""
+"""The heavy top about a fixed point: in Euler parameters, and on three groups."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
-from problems import MechatronicSystem, State, jax, jnp, parameter
+from problems import MechatronicSystem, Published, State, jax, jnp, parameter
 from problems.mechanics import drawing
-from problems.mechanics.rotations import rotation_matrix
+from problems.mechanics.rotations import (
+    conjugate,
+    quaternion_rate,
+    rotated,
+    rotation_matrix,
+    screwed,
+    turned,
+)
 
 
 @dataclass(frozen=True)
@@ -120,3 +128,170 @@ class HeavyTop(MechatronicSystem):
         shaft = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
         spoke = np.array([shaft[1], rim[0]])
         return [self.length * line @ rotation.T @ drawing.OBLIQUE for line in (shaft, rim, spoke)]
+
+
+_AXIS = np.array([0.0, 1.0, 0.0])
+_OMEGA = ("Omega 1 [rad/s]", "Omega 2 [rad/s]", "Omega 3 [rad/s]")
+#: Computed from the equations of Euler parameters by an explicit method at two tolerances.
+_CENTRE = (
+    Published("C", 0.1, (0.4212966589254, 0.8945719743456, -0.1491647005620), 2e-12),
+    Published("C", 1.0, (0.17334396410, 0.64008859207, -0.74849079113), 2e-10),
+)
+_TURNING = (4.80894133173, 150.0, 1.02830075671)
+
+
+@dataclass(frozen=True)
+class HeavyTopR3SO3(HeavyTop):
+    """The heavy top on R^3 x SO(3): velocities in space axes, angular velocities in body axes.
+
+    The literature's benchmark with its start. Tests how methods move rotations, with a constant
+    mass matrix and three constraints, which a displacement of this group leaves: multipliers of
+    index 3 lose an order at the start. The motion is that of `heavy_top[nod=0]`.
+    """
+
+    name = "heavy_top_r3_so3"
+    tags = ("constrained", "index 3", "conservative", "spatial", "rotations")
+    difficulties = (
+        "q has one entry more than v: methods that add velocities to coordinates cannot take it",
+        "lam loses an order on index 3 with the plain start",
+    )
+    velocities = ("x [m/s]", "y [m/s]", "z [m/s]", *_OMEGA)
+    multipliers = ("x [N]", "y [N]", "z [N]")
+    source = (
+        "Geradin & Cardona (2001); Bruels, Cardona & Arnold (2012), "
+        "doi:10.1016/j.mechmachtheory.2011.07.017"
+    )
+    published = (
+        *_CENTRE,
+        Published("v", 0.1, (3.4085374633, -2.0834379506, -2.8678350450, *_TURNING), 2e-10),
+    )
+
+    nod: float = parameter(0.0, "rad/s", "initial angular velocity of the tip upwards")
+
+    mass_product: ClassVar[Any] = None
+
+    @property
+    def _inertia(self) -> jax.Array:
+        """About the centre of mass, in body axes."""
+        return jnp.stack([self.j, self.j_axis, self.j])
+
+    def _weight(self) -> jax.Array:
+        return jnp.stack([0.0, 0.0, -self.m * self.g])
+
+    def _gyroscopic(self, omega: jax.Array) -> jax.Array:
+        return -jnp.cross(omega, self._inertia * omega)
+
+    def _speed(self, q: jax.Array, v: jax.Array) -> jax.Array:
+        """Velocity of the centre of mass in space axes."""
+        return v[:3]
+
+    def mass(self, q: jax.Array) -> jax.Array:
+        return jnp.diag(jnp.concatenate([jnp.full(3, self.m), self._inertia]))
+
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
+        return jnp.concatenate([self._weight(), self._gyroscopic(v[3:])])
+
+    def kinematics(self, q: jax.Array, v: jax.Array) -> jax.Array:
+        return jnp.concatenate([self._speed(q, v), quaternion_rate(q[3:], v[3:])])
+
+    def move(self, q: jax.Array, w: jax.Array) -> jax.Array:
+        return jnp.concatenate([q[:3] + w[:3], turned(q[3:], w[3:])])
+
+    def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
+        return q[:3] - self.length * rotated(q[3:], _AXIS)
+
+    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
+        return 0.5 * (v @ self.mass(q) @ v) + self.m * self.g * q[2]
+
+    def momentum(self, q: jax.Array, v: jax.Array) -> jax.Array:
+        spinning = rotated(q[3:], self._inertia * v[3:])
+        moving = self.m * jnp.cross(q[:3], self._speed(q, v))
+        return jnp.stack([moving[2] + spinning[2], self.j_axis * v[4]])
+
+    def initial_state(self) -> State:
+        # Space and body axes coincide.
+        q, v, _ = super().initial_state()
+        return State(q=q, v=np.concatenate([v[:3], 2 * v[4:]]))
+
+
+@dataclass(frozen=True)
+class HeavyTopSE3(HeavyTopR3SO3):
+    """The heavy top on SE(3): all velocities in body axes, displacements are screw motions.
+
+    Tests the published difference between products of groups: here a displacement that obeys the
+    constraints of velocities keeps the joint closed, so that index 3 costs no order and the motion
+    is that of `heavy_top_so3` up to rounding.
+    """
+
+    name = "heavy_top_se3"
+    difficulties = HeavyTopR3SO3.difficulties[:1]
+    velocities = ("U 1 [m/s]", "U 2 [m/s]", "U 3 [m/s]", *_OMEGA)
+    published = _CENTRE
+
+    def _speed(self, q: jax.Array, v: jax.Array) -> jax.Array:
+        return rotated(q[3:], v[:3])
+
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
+        weight = rotated(conjugate(q[3:]), self._weight())
+        moving = weight - self.m * jnp.cross(v[3:], v[:3])
+        return jnp.concatenate([moving, self._gyroscopic(v[3:])])
+
+    def move(self, q: jax.Array, w: jax.Array) -> jax.Array:
+        there = q[:3] + rotated(q[3:], screwed(w[3:], w[:3]))
+        return jnp.concatenate([there, turned(q[3:], w[3:])])
+
+
+@dataclass(frozen=True)
+class HeavyTopSO3(HeavyTopR3SO3):
+    """The heavy top on SO(3): its rotation alone, about the fixed point and without constraints.
+
+    Tests how methods move rotations, and nothing else; the joint's force is left out.
+    """
+
+    name = "heavy_top_so3"
+    tags = ("conservative", "spatial", "rotations")
+    difficulties = HeavyTopR3SO3.difficulties[:1]
+    coordinates = HeavyTopR3SO3.coordinates[3:]
+    velocities = HeavyTopR3SO3.velocities[3:]
+    multipliers = ()
+    published = (*_CENTRE, Published("v", 0.1, _TURNING, 2e-10))
+
+    constraint: ClassVar[Any] = None
+
+    @property
+    def _inertia(self) -> jax.Array:
+        """About the fixed point, in body axes."""
+        across = self.j + self.m * self.length**2
+        return jnp.stack([across, self.j_axis, across])
+
+    def _centre(self, q: jax.Array) -> jax.Array:
+        return self.length * rotated(q, _AXIS)
+
+    def mass(self, q: jax.Array) -> jax.Array:
+        return jnp.diag(self._inertia)
+
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
+        weight = rotated(conjugate(q), self._weight())
+        return self._gyroscopic(v) + self.length * jnp.cross(_AXIS, weight)
+
+    def kinematics(self, q: jax.Array, v: jax.Array) -> jax.Array:
+        return quaternion_rate(q, v)
+
+    def move(self, q: jax.Array, w: jax.Array) -> jax.Array:
+        return turned(q, w)
+
+    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
+        return 0.5 * (v @ self.mass(q) @ v) + self.m * self.g * self._centre(q)[2]
+
+    def momentum(self, q: jax.Array, v: jax.Array) -> jax.Array:
+        return jnp.stack([rotated(q, self._inertia * v)[2], self.j_axis * v[1]])
+
+    def points(self, q: jax.Array) -> dict[str, jax.Array]:
+        return {"C": self._centre(q)}
+
+    def initial_state(self) -> State:
+        q, v, _ = super().initial_state()
+        return State(q=q[3:], v=v[3:])
+
+    def draw(self, q: np.ndarray) -> list[np.ndarray]:
+        return super().draw(np.concatenate([np.zeros(3), q]))

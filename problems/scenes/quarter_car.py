@@ -1,4 +1,4 @@
-"""A quarter car with a semi-active damper, controlled by the body's acceleration."""
+"""Quarter cars: a semi-active damper with compressible oil, and a sampled controller."""
 
 from __future__ import annotations
 
@@ -6,9 +6,112 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import State, Variables, held, jax, jnp, parameter
+from problems import MechatronicSystem, SampledSystem, State, Variables, held, jax, jnp, parameter
 from problems.mechanics import drawing
-from problems.scenes.damper import SemiActiveDamper
+
+
+def limited(value: jax.Array, low: float, high: float, soft: float) -> jax.Array:
+    """Limit a value; the corners are rounded over about ``soft``."""
+    return low + soft * (
+        jax.nn.softplus((value - low) / soft) - jax.nn.softplus((value - high) / soft)
+    )
+
+
+@dataclass(frozen=True)
+class SemiActiveDamper(MechatronicSystem):
+    """A synthetic semi-active damper with compressible oil, to be inherited by a scene.
+
+    The layout is that of continuously variable dampers: oil can leave the rebound chamber only
+    through one valve, which a current throttles, into a gas accumulator. A check valve in the
+    piston lets it back from the compression chamber, one in the base from the accumulator::
+
+        extending:    accumulator -> compression chamber;  rebound chamber -> valve -> accumulator
+        compressing:  compression chamber -> rebound chamber -> valve -> accumulator
+
+    Extending, the compression chamber stays near the accumulator's low pressure; compressing, it
+    follows the rebound chamber. States are the two pressures in MPa, so that they are of the size
+    of the other variables, and relative to the accumulator's, so that they are exactly zero at
+    rest: a step from rest has to resolve tiny rates. The data give the forces of a passenger car's
+    damper.
+
+    Left out: the chambers' change of volume with the stroke (it moves their poles by some ten
+    percent), cavitation, friction, the valve's own motion, and the accumulator's: its pressure
+    is constant, and the force of that pressure on the rod belongs to the spring's static load.
+    """
+
+    a_piston: float = parameter(8.0e-4, "m^2", "area of the piston", low=1e-9)
+    a_rod: float = parameter(3.8e-4, "m^2", "cross section of the piston rod", low=1e-9)
+    v_reb: float = parameter(8.4e-5, "m^3", "volume of the rebound chamber", low=1e-12)
+    v_comp: float = parameter(1.6e-4, "m^3", "volume of the compression chamber", low=1e-12)
+    bulk: float = parameter(120.0, "MPa", "bulk modulus of oil, bubbles and walls", low=1e-9)
+    density: float = parameter(870.0, "kg/m^3", "density of the oil", low=1e-9)
+    soft_area: float = parameter(3.2e-6, "m^2", "valve's flow area at i_min", low=1e-12)
+    firm_area: float = parameter(3.0e-7, "m^2", "valve's flow area at i_max", low=1e-12)
+    p_turb: float = parameter(
+        0.05, "MPa", "pressure drop below which the valve's flow is laminar", low=1e-9
+    )
+    p_relief: float = parameter(3.6, "MPa", "pressure drop at which the relief opens", low=0.0)
+    relief: float = parameter(
+        5e-5, "m^3/(s MPa)", "flow through the relief per pressure drop", low=0.0
+    )
+    check: float = parameter(
+        1e-3, "m^3/(s MPa)", "flow through a check valve per pressure drop", low=1e-12
+    )
+    p_check: float = parameter(0.02, "MPa", "drop over which a check valve opens", low=1e-9)
+    i_min: float = parameter(0.3, "A", "least current: soft")
+    i_max: float = parameter(1.6, "A", "largest current: firm")
+    i_soft: float = parameter(0.05, "A", "rounding of the current's limits", low=1e-9)
+
+    def _valve_area(self, i: jax.Array) -> jax.Array:
+        """Flow area in m^2, falling linearly with the current in A."""
+        part = (i - self.i_min) / (self.i_max - self.i_min)
+        return self.soft_area + part * (self.firm_area - self.soft_area)
+
+    def _flows(
+        self, p_reb: jax.Array, p_comp: jax.Array, i: jax.Array
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Flows in m^3/s; each has the sign of its pressure drop, so that none gives energy.
+
+        The first goes through valve and relief out of the rebound chamber, the second through the
+        check valve of the piston into it, the third through the check valve of the base into the
+        compression chamber.
+        """
+        # Two square roots cost less than a power of 1/4 and its derivatives.
+        root = jnp.sqrt(jnp.sqrt(p_reb**2 + self.p_turb**2))
+        speed = jnp.sqrt(2e6 / self.density) * p_reb / root
+        out = self._valve_area(i) * speed + self._relieved(p_reb)
+        return out, self._checked(p_comp - p_reb), self._checked(-p_comp)
+
+    # The next two functions compute root(drop) - root(0) without cancellation.
+    def _relieved(self, drop: jax.Array) -> jax.Array:
+        """Flow through the relief; its opening is rounded over a twentieth of its pressure."""
+        at, rounding = self.p_relief, 0.05 * self.p_relief
+        roots = jnp.sqrt((drop - at) ** 2 + rounding**2) + jnp.sqrt(at**2 + rounding**2)
+        return 0.5 * self.relief * drop * (1 + (drop - 2 * at) / roots)
+
+    def _checked(self, drop: jax.Array) -> jax.Array:
+        """Flow through a check valve: check * (drop + sqrt(drop^2 + p_check^2) - p_check)/2."""
+        roots = jnp.sqrt(drop**2 + self.p_check**2) + self.p_check
+        return 0.5 * self.check * drop * (1 + drop / roots)
+
+    def _pressure_rates(
+        self, p_reb: jax.Array, p_comp: jax.Array, i: jax.Array, speed: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """Rates of both pressures in MPa/s at a speed of extension in m/s."""
+        out, piston, base = self._flows(p_reb, p_comp, i)
+        return (
+            self.bulk / self.v_reb * ((self.a_piston - self.a_rod) * speed - out + piston),
+            self.bulk / self.v_comp * (-self.a_piston * speed - piston + base),
+        )
+
+    def _damper_force(self, p_reb: jax.Array, p_comp: jax.Array) -> jax.Array:
+        """Force in N with which the damper pulls its ends together."""
+        return 1e6 * ((self.a_piston - self.a_rod) * p_reb - self.a_piston * p_comp)
+
+    def _limited_current(self, i: jax.Array) -> jax.Array:
+        """Current in A that flows if the controller asks for i."""
+        return limited(i, self.i_min, self.i_max, self.i_soft)
+
 
 #: Waves of the rough road: cycles per m, and phases that were drawn once. Their amplitudes fall
 #: like 1/frequency, which is a road whose slope has no preferred frequency.
@@ -17,7 +120,46 @@ _PHASES = np.array([3.18, 2.74, 5.57, 3.53, 0.41, 5.02, 1.27, 0.63, 5.92])
 
 
 @dataclass(frozen=True)
-class QuarterCar(SemiActiveDamper):
+class _BodyAndWheel(MechatronicSystem):
+    """Body and wheel over a bump: data and picture that the quarter cars share."""
+
+    coordinates = ("body [m]", "wheel [m]")
+
+    m_body: float = parameter(241.43, "kg", "quarter of the sprung mass", low=1e-9)
+    m_wheel: float = parameter(31.896, "kg", "unsprung mass", low=1e-9)
+    k: float = parameter(24453.1, "N/m", "stiffness of the spring", low=0.0)
+    k_tyre: float = parameter(158294.0, "N/m", "vertical stiffness of the tyre", low=0.0)
+    speed: float = parameter(15.0, "m/s", "speed of travel")
+    bump: float = parameter(0.05, "m", "height of the bump")
+    bump_length: float = parameter(1.5, "m", "half length of the bump, where 1/e is left", low=1e-9)
+    bump_place: float = parameter(12.0, "m", "way to the middle of the bump")
+
+    def _road(self, t: jax.Array) -> jax.Array:
+        """Height of the road under the wheel in m, scalar."""
+        far = (self.speed * t - self.bump_place) / self.bump_length
+        return self.bump * jnp.exp(-(far**2))
+
+    def mass(self, q: jax.Array) -> jax.Array:
+        return jnp.diag(jnp.stack([self.m_body, self.m_wheel]))
+
+    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
+        spring = self.k * (q[1] - q[0])
+        tyre = self.k_tyre * (self._road(t) - q[1])
+        return jnp.stack([spring, tyre - spring])
+
+    def initial_state(self) -> State:
+        return State(q=np.zeros(2), v=np.zeros(2))
+
+    def draw(self, q: np.ndarray) -> list[np.ndarray]:
+        # Motions are drawn four times as large: they are small against the heights.
+        body, wheel = 1.1 + 4 * float(q[0]), 0.35 + 4 * float(q[1])
+        box = np.array([[-3, 0], [3, 0], [3, 2], [-3, 2], [-3, 0]]) * 0.2 + [0.0, body]
+        spring = drawing.spring(wheel, body, reach=0.06, points=12)[:, ::-1] - [0.18, 0.0]
+        return [drawing.circle(np.array([0.0, wheel]), 0.34), box, spring]
+
+
+@dataclass(frozen=True)
+class QuarterCar(SemiActiveDamper, _BodyAndWheel):
     """Body and wheel over a bump and a rough road; the damper's valve obeys a skyhook controller.
 
     A semi-active suspension in its smallest form. Tests the difficulties of the loop: the measured
@@ -41,7 +183,6 @@ class QuarterCar(SemiActiveDamper):
         "chamber pressures have poles of hundreds to thousands of 1/s: explicit methods crawl",
         "currents run from limit to limit: the asymptotic range begins at small steps",
     )
-    coordinates = ("body [m]", "wheel [m]")
     states = ("rebound pressure [MPa]", "compression pressure [MPa]", "body velocity [m/s]")
     outputs = ("valve current [A]", "damper force [N]")
     source = (
@@ -49,14 +190,6 @@ class QuarterCar(SemiActiveDamper):
         "and tyre of the BMW 320i in CommonRoad's vehicle models; synthetic damper"
     )
 
-    m_body: float = parameter(241.43, "kg", "quarter of the sprung mass", low=1e-9)
-    m_wheel: float = parameter(31.896, "kg", "unsprung mass", low=1e-9)
-    k: float = parameter(24453.1, "N/m", "stiffness of the spring", low=0.0)
-    k_tyre: float = parameter(158294.0, "N/m", "vertical stiffness of the tyre", low=0.0)
-    speed: float = parameter(15.0, "m/s", "speed of travel")
-    bump: float = parameter(0.05, "m", "height of the bump")
-    bump_length: float = parameter(1.5, "m", "half length of the bump, where 1/e is left", low=1e-9)
-    bump_place: float = parameter(12.0, "m", "way to the middle of the bump")
     corner: float = parameter(
         0.0, "1", "0: a smooth bump; 1: two planes that meet in corners", low=0.0, high=1.0
     )
@@ -77,14 +210,6 @@ class QuarterCar(SemiActiveDamper):
         shape = smooth + self.corner * (planes - smooth)
         return self.rough * fade_in * waves + self.bump * shape
 
-    def mass(self, q: jax.Array) -> jax.Array:
-        return jnp.diag(jnp.stack([self.m_body, self.m_wheel]))
-
-    def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
-        spring = self.k * (q[1] - q[0])
-        tyre = self.k_tyre * (self._road(t) - q[1])
-        return jnp.stack([spring, tyre - spring])
-
     def state_rate(self, z: Variables) -> jax.Array:
         p_reb, p_comp, v_body = z.x
         rates = self._pressure_rates(p_reb, p_comp, z.y[0], z.v[0] - z.v[1])
@@ -100,18 +225,14 @@ class QuarterCar(SemiActiveDamper):
         return np.array([[0.0, -1.0], [0.0, 1.0]])
 
     def initial_state(self) -> State:
-        return State(q=np.zeros(2), v=np.zeros(2), x=np.zeros(3))
+        return super().initial_state()._replace(x=np.zeros(3))
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        # Motions are drawn four times as large: they are small against the heights.
-        body, wheel = 1.1 + 4 * float(q[0]), 0.35 + 4 * float(q[1])
-        rim = drawing.circle(np.array([0.0, wheel]), 0.34)
-        box = np.array([[-3, 0], [3, 0], [3, 2], [-3, 2], [-3, 0]]) * 0.2 + [0.0, body]
-        spring = drawing.spring(wheel, body, reach=0.06, points=12)[:, ::-1] - [0.18, 0.0]
+        rim, box, spring = super().draw(q)
+        (wheel, body), x = spring[[0, -1], 1], 0.18
         middle = 0.5 * (wheel + body)
-        cylinder = np.array([[0.18, wheel], [0.18, middle]])
-        rod = np.array([[0.18, middle - 0.1], [0.18, body]])
-        return [rim, box, spring, cylinder, rod]
+        return [rim, box, spring, np.array([[x, wheel], [x, middle]]),
+                np.array([[x, middle - 0.1], [x, body]])]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -145,3 +266,46 @@ class QuarterCarStop(QuarterCar):
 
     def jump(self, z: Variables, event: int) -> dict[str, float]:
         return {"touches": 1.0 - self.touches}
+
+
+@dataclass(frozen=True)
+class SampledQuarterCar(SampledSystem, _BodyAndWheel):
+    """Body and wheel on a bump; a controller sets the rate of the damper at each sample.
+
+    The controller is that of a real control unit: it reads the velocities every few milliseconds,
+    asks for much damping where the damper can oppose the body's velocity (skyhook, on and off), in
+    steps of its output, and its command acts one sample later. Tests samples in a stiff mechanical
+    system: the damper's rate jumps, and with it the accelerations. q is counted from the static
+    equilibrium. Left out: the valve's own dynamics, lift-off of the tyre and the suspension's
+    geometry.
+    """
+
+    interval = (0.0, 2.0)
+    nominal_step = 0.01
+    sample_time: float = parameter(0.01, "s", "time between two samples", low=1e-6)
+    tags = ("mechatronic", "sampled", "vehicle")
+    difficulties = ("accelerations jump at samples by the damper's rate",)
+    outputs = ("damper force [N]",)
+    source = "masses, spring and tyre of quarter_car; synthetic damper and controller"
+
+    bump_place: float = parameter(6.0, "m", "way to the middle of the bump")
+    least: float = parameter(400.0, "N s/m", "least rate of the damper", low=0.0)
+    most: float = parameter(3000.0, "N s/m", "largest rate of the damper", low=0.0)
+    gain: float = parameter(3000.0, "N s/m", "skyhook gain", low=0.0)
+    quantum: float = parameter(100.0, "N s/m", "step of the controller's output", low=1e-9)
+    demand: float = held(400.0, "N s/m", "rate asked for at the last sample")
+    rate: float = held(400.0, "N s/m", "rate of the damper")
+
+    def output(self, z: Variables) -> jax.Array:
+        return jnp.stack([self.rate * (z.v[0] - z.v[1])])
+
+    def actuation(self) -> np.ndarray:
+        return np.array([[-1.0], [1.0]])
+
+    def sample(self, z: Variables) -> dict[str, jax.Array | float]:
+        across = z.v[0] - z.v[1]
+        helps = z.v[0] * across > 0
+        # gain v_body = rate (v_body - v_wheel), as far as the damper can
+        asked = self.gain * z.v[0] / jnp.where(jnp.abs(across) > 1e-9, across, 1e-9)
+        rate = self.quantum * jnp.round(jnp.where(helps, asked, 0.0) / self.quantum)
+        return {"demand": jnp.clip(rate, self.least, self.most), "rate": self.demand}

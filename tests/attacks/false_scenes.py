@@ -8,7 +8,7 @@ import numpy as np
 from false_methods import NAN
 
 from problems import State, jnp
-from problems.scenes.oscillator import Oscillator
+from problems.scenes.oscillators import Oscillator
 
 
 def closed(change):

@@ -84,7 +84,7 @@ import numpy as np
 
 from integrators import Integrator, PreparedRun, Trajectory, Work
 from problems import State, jnp
-from problems.scenes.oscillator import Oscillator
+from problems.scenes.oscillators import Oscillator
 """
 _METHOD = """
 {top}

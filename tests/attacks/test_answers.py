@@ -24,7 +24,7 @@ from integrators import Steps, checks
 from problems import jnp
 from problems.base.checks import MOST_SENTENCE, FalseAnswer
 from problems.base.spec import snake_case
-from problems.scenes.spring_mass import SpringMass
+from problems.scenes.oscillators import SpringMass
 from problems.truth.reference import Reference
 
 PLUGINS = [Path(__file__).with_name(f"false_{kind}.py") for kind in ("methods", "scenes")]

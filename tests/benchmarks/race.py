@@ -38,9 +38,9 @@ from integrators.adapters.callbacks import in_c
 from integrators.adapters.ida import IDA
 from integrators.lowering.native import load_c
 from problems.base.runtime import use_threads
-from problems.scenes.car_axis import CarAxis
-from problems.scenes.duffing import Duffing
-from problems.scenes.heavy_top_lie import HeavyTopR3SO3
+from problems.scenes.heavy_top import HeavyTopR3SO3
+from problems.scenes.ivp_test_set import CarAxis
+from problems.scenes.oscillators import Duffing
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrankMinimal
 from problems.system import MechatronicSystem

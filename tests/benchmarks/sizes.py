@@ -21,7 +21,7 @@ from integrators.adapters.ida import IDA
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.base.runtime import use_threads
 from problems.equations.formulations import dae_layout
-from problems.scenes.chain import Chain
+from problems.scenes.pendulums import Chain
 
 #: Links, and steps that a sample takes.
 SIZES = ((100, 400), (1000, 200), (10000, 200), (30000, 100), (100000, 50))

@@ -16,8 +16,7 @@ from problems import MechatronicSystem, jax, jnp
 from problems.equations.formulations import with_rates
 from problems.equations.initial_values import consistent_start
 from problems.mechanics import lagrange
-from problems.scenes.double_pendulum import DoublePendulum
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.pendulums import DoublePendulum, Pendulum
 
 #: The swing of most tests: from t = 0.35 s on for one second.
 SWING = Pendulum(), 1.35

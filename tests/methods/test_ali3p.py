@@ -30,8 +30,8 @@ from problems.base.spec import SpecError
 from problems.equations.constraints import least_multipliers
 from problems.equations.formulations import complete
 from problems.equations.initial_values import NoConsistentStart, consistent_start
-from problems.scenes.bricard import Bricard
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.iftomm import Bricard
+from problems.scenes.pendulums import Pendulum
 
 #: The pendulum with its constraint twice; with another one that says the same; and one that states
 #: so. Without mass or constraint a coordinate has no acceleration.

@@ -28,8 +28,8 @@ from problems.equations.block_structure import (
     output_takes,
     states_follow_accelerations,
 )
-from problems.scenes.pendulum import Pendulum
-from problems.scenes.spring_mass import SpringMass
+from problems.scenes.oscillators import SpringMass
+from problems.scenes.pendulums import Pendulum
 
 REGISTRY = Registry()
 

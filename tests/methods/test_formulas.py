@@ -29,10 +29,10 @@ from integrators.native.algebra.step_records import Attempt
 from integrators.native.step.step_work import EquationsFinder
 from problems import jax, jnp
 from problems.equations.initial_values import consistent_start
-from problems.scenes.car_axis import CarAxis
-from problems.scenes.double_pendulum import DoublePendulumControlled
+from problems.scenes.ivp_test_set import CarAxis
+from problems.scenes.oscillators import SpringMass
+from problems.scenes.pendulums import DoublePendulumControlled
 from problems.scenes.slider_crank import SliderCrankMinimal
-from problems.scenes.spring_mass import SpringMass
 
 
 def run(method, scene, length, h):

@@ -43,13 +43,11 @@ from integrators.methods.simulator_steppers import (
     SemiImplicitEuler,
 )
 from problems import MechatronicSystem
-from problems.scenes.chain import Chain
-from problems.scenes.chaplygin_sleigh import ChaplyginSleigh
-from problems.scenes.double_pendulum import DoublePendulum, DoublePendulumControlled
-from problems.scenes.heavy_top import HeavyTop
-from problems.scenes.heavy_top_lie import HeavyTopR3SO3
+from problems.scenes.heavy_top import HeavyTop, HeavyTopR3SO3
+from problems.scenes.oscillators import SpringMass
+from problems.scenes.pendulums import Chain, DoublePendulum, DoublePendulumControlled
+from problems.scenes.rolling import ChaplyginSleigh
 from problems.scenes.slider_crank import SliderCrank, SliderCrankMinimal
-from problems.scenes.spring_mass import SpringMass
 
 FORMULATIONS = "index3", "index2", "stabilised_index2"
 #: Levels of the constraints that a formulation keeps to rounding.

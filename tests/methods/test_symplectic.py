@@ -18,12 +18,10 @@ from integrators.methods.simulator_steppers import SemiImplicitEuler
 from integrators.methods.stormer_verlet import StormerVerlet
 from problems import MechatronicSystem, jax, jnp, parameter
 from problems.equations.constraints import constraint_velocity
-from problems.scenes.chain import Chain
+from problems.scenes.contacts import SoftImpact
 from problems.scenes.heavy_top import HeavyTop
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.pendulums import Chain, Pendulum, StiffBar
 from problems.scenes.slider_crank import SliderCrank
-from problems.scenes.soft_impact import SoftImpact
-from problems.scenes.stiff_bar import StiffBar
 
 SOFT_BAR = StiffBar(ea=200.0)
 

@@ -27,14 +27,11 @@ from problems.base.spec import SpecError
 from problems.equations.constraints import constraint_velocity
 from problems.equations.initial_values import consistent_start
 from problems.equations.projections import projected_state
-from problems.scenes.car_axis import CarAxis
-from problems.scenes.double_pendulum import DoublePendulum, DoublePendulumControlled
-from problems.scenes.driven_springs import DrivenSprings
 from problems.scenes.heavy_top import HeavyTop
-from problems.scenes.pendulum import Pendulum
+from problems.scenes.ivp_test_set import CarAxis
+from problems.scenes.oscillators import DrivenSprings, SpringMass
+from problems.scenes.pendulums import DoublePendulum, DoublePendulumControlled, Pendulum, StiffBar
 from problems.scenes.slider_crank import SliderCrank
-from problems.scenes.spring_mass import SpringMass
-from problems.scenes.stiff_bar import StiffBar
 
 
 def run(method, on, at):
