@@ -20,6 +20,7 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import jax, jnp
 from problems.equations.formulations import complete
 from problems.equations.initial_values import consistent_start
+from problems.equations.named_equations import with_named_blocks
 from problems.models import examples
 from problems.scenes.slider_crank import SliderCrank
 
@@ -42,6 +43,11 @@ def test_a_loop_starts_and_accelerates_alike_from_a_file_and_from_sympy():
             found = jax.jit(lambda q, v: complete(other, q, v, jnp.zeros(0), jnp.zeros(()))[0].a)
         assert np.abs(z.a).max() > 1
         assert ABSOLUTE @ found(q, v) == pytest.approx(z.a, rel=1e-11, abs=1e-11)
+
+
+def test_equations_of_sympy_are_derived_once_and_not_while_a_run_is_traced():
+    scene = scene_or_skip("sympy_four_bar")
+    assert with_named_blocks(scene)._derived() is scene._derived()
 
 
 # ---- pictures ------------------------------------------------------------------------------

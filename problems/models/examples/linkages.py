@@ -28,7 +28,10 @@ def _constants(cls: Any, *symbols: Any) -> dict[Any, float]:
 
 
 class _Derived(MechatronicSystem):
-    """A scene whose blocks are those of a class that `from_sympy` makes."""
+    """A scene whose blocks are those of a class that `from_sympy` makes.
+
+    `_derived` makes it once for a scene and its subclasses: not while these are traced.
+    """
 
     source_text = _SYMPY  # decides its fingerprint
     _derived: Any
@@ -66,9 +69,9 @@ class SympyFourBar(_Derived):
     d: float = parameter(2.5, "m", "distance of the supports")
     g: float = parameter(9.81, "m/s^2", "gravity")
 
-    @classmethod
+    @staticmethod
     @cache
-    def _derived(cls) -> Any:
+    def _derived() -> Any:
         import sympy as sm
         from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
 
@@ -85,12 +88,12 @@ class SympyFourBar(_Derived):
             joint += rod
         return from_sympy(
             LagrangesMethod(lagrangian, q, hol_coneqs=[joint[0] - d, joint[1]]),
-            name=cls.name,
-            constants=_constants(cls, *lengths, rho, d, g),
+            name=SympyFourBar.name,
+            constants=_constants(SympyFourBar, *lengths, rho, d, g),
             initial={q[0]: 1.0, q[0].diff(time): 1.0},
             guess={q[1]: 0.3, q[2]: -1.5},
-            interval=cls.interval,
-            nominal_step=cls.nominal_step,
+            interval=SympyFourBar.interval,
+            nominal_step=SympyFourBar.nominal_step,
         )
 
     def constraint(self, q: Array, t: Array) -> Array:
@@ -128,9 +131,9 @@ class SympyCartLinks(_Derived):
     l2: float = parameter(0.5, "m", "length of link 3")
     g: float = parameter(9.81, "m/s^2", "gravity")
 
-    @classmethod
+    @staticmethod
     @cache
-    def _derived(cls) -> Any:
+    def _derived() -> Any:
         import sympy as sm
         from sympy.physics.mechanics.models import n_link_pendulum_on_cart
 
@@ -139,11 +142,11 @@ class SympyCartLinks(_Derived):
         kane: Any = n_link_pendulum_on_cart(3, cart_force=False)
         return from_sympy(
             kane,
-            name=cls.name,
-            constants=_constants(cls, *sm.symbols("m:4 l:3 g")),
+            name=SympyCartLinks.name,
+            constants=_constants(SympyCartLinks, *sm.symbols("m:4 l:3 g")),
             initial=dict(zip(kane.q[1:], (2.2, 2.6, 3.0), strict=True)) | {kane.u[0]: 0.5},
-            interval=cls.interval,
-            nominal_step=cls.nominal_step,
+            interval=SympyCartLinks.interval,
+            nominal_step=SympyCartLinks.nominal_step,
         )
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
