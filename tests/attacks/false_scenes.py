@@ -34,18 +34,14 @@ REAL = "an array of float64 of shape"
 SCENES = {
     "Nan": (closed(lambda z: z | {"q": z["q"] * NAN}), "reference",
             "exact()['q'][0, 0] is nan, expected finite numbers"),
-    "ExactTurned": (closed(lambda z: z | {"v": z["v"].T}), "reference", "; it is transposed"),
     "ExactLess": (closed(lambda z: {"q": z["q"]}), "reference", "exact() leaves out v, a"),
     "ExactMore": (closed(lambda z: z | {"speed": z["v"]}), "reference",
                   "a group of exact() is 'speed', expected one of q, v, a"),
     "DrawNan": (drawn([LINE * NAN]), "reference", "line 0 of draw()[0, 0] is nan, expected finite"),
-    "DrawSpace": (drawn([LINE, np.zeros((4, 3))]), "reference",
-                  f"line 1 of draw() is {REAL} (4, 3), expected real numbers of"),
     "EnergyVector": ({"energy": lambda self, q, v: jnp.stack([q, v])}, "conserved", "energy() is "),
     "EnergyNan": ({"energy": lambda self, q, v: NAN * (q @ v)}, "conserved",
                   "energy() is Array(nan, dty"),
     "TagsOfNumbers": ({"tags": (1, 2)}, "description", "tags[0] is 1, expected text"),
-    "Unsourced": ({"source": None}, "description", "source is None, expected text"),
     "Numbered": ({"coordinates": (1,)}, "description", "names of q[0] is 1, expected text"),
     "Unsized": ({"coordinates": ("q [m] ~ big",)}, "description",
                 "a component is 'q [m] ~ big', expected positive numbers after '~'"),
@@ -53,7 +49,6 @@ SCENES = {
 #: The same for faults that leave no run possible.
 STARTS = {
     "StartNone": (begun(None), "start", START),
-    "StartPair": (begun(([1.0], [0.0])), "start", "expected State(q, v), or State(q, v, x)"),
     "StartNan": (begun(State(np.array([NAN]), np.zeros(1))), "start",
                  "q of initial_state()[0] is nan, expected finite numbers"),
     "StartLong": (begun(State(np.zeros(1), np.zeros(2))), "start",

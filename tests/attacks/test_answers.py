@@ -68,17 +68,13 @@ def row(worker, how, scene="oscillator"):
     return record
 
 
-def test_a_false_answer_is_a_row_that_says_what_came(worker):
+def test_a_false_answer_is_a_row_and_a_failed_check_that_say_what_came(worker, registry):
     for how in METHODS:
         record = row(worker, how)
         assert record.status == "crashed"
         assert METHODS[how] in record.message
         assert record.family in ("liars", "lying")
         assert record.rows == 0
-
-
-def test_a_check_says_what_is_false(registry):
-    for how in METHODS:
         check = "description" if how in methods.FACTS or how in methods.SUPPORTS else "runs"
         finding = examine(registry, "integrators", f"lying[how={how}]", check)
         assert finding.verdict == FAILED

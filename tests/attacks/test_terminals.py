@@ -19,23 +19,9 @@ from problems.base.text import LONGEST_LINE, clean, shortened
 
 COMMAND = [sys.executable, "-c", "from bench.commands.main import main; main()"]
 HOSTILE = "\x1b[2J\x1b]0;owned\x07 \x9b31m \x08\r \u202eback\u2066 \u200f \x7f \udcff"
-METHOD = """
-import json
-from dataclasses import dataclass
-from integrators.contract import option
-from integrators.methods.generalized_alpha import GeneralizedAlpha
-
-print(TEXT)
-DOC = TEXT[:-1]  # a docstring cannot hold a lone surrogate
-
-@dataclass(frozen=True)
-class Hostile(GeneralizedAlpha):
-    __doc__ = "[/bold][red] " + DOC
-    word: str = option(DOC, DOC)
-"""
 
 
-def hostile_file(folder, text=METHOD):
+def hostile_file(folder, text):
     file = folder / "hostile.py"
     file.write_text(f"TEXT = {json.dumps(HOSTILE)}\n{text}")
     return file
@@ -45,8 +31,7 @@ def hostile_file(folder, text=METHOD):
     "source",
     [
         "raise ValueError(TEXT * 10_000)",
-        *long("raise ValueError('line\\n' * 10_000)", "raise SyntaxError(TEXT)"),
-        *long("import sys\nsys.exit(TEXT)", "def f(n): f(n + 1)\nf(0)"),
+        *long("raise SyntaxError(TEXT)", "import sys\nsys.exit(TEXT)"),
     ],
 )
 def test_whatever_a_plugin_raises_is_a_short_reason(stepbench, tmp_path, source):
@@ -101,21 +86,11 @@ def ended(arguments: list[str], **more) -> subprocess.CompletedProcess[bytes]:
     return result
 
 
-LINES = "list", "list --json", "report --csv"
-
-
-def words_of(line: str, store) -> list[str]:
-    return [*line.split(), *([str(store)] if line == "report --csv" else [])]
-
-
-@pytest.mark.parametrize(
-    "line", [LINES[0], *(pytest.param(line, marks=pytest.mark.attack) for line in LINES[1:])]
-)
 @pytest.mark.parametrize("kind", ["closed", "full"])
-def test_an_answer_that_cannot_be_given_is_no_success(store, line, kind):
+def test_an_answer_that_cannot_be_given_is_no_success(kind):
     with open("/dev/full", "wb") as full:
         more = {"preexec_fn": closed(1)} if kind == "closed" else {"stdout": full}
-        result = ended(words_of(line, store), **more)
+        result = ended(["list"], **more)
     assert result.returncode == 1
     assert result.stderr.startswith((b"Error: The standard", b"Error: The system refused"))
     assert len(result.stderr.splitlines()) == 1
@@ -123,30 +98,9 @@ def test_an_answer_that_cannot_be_given_is_no_success(store, line, kind):
 
 @pytest.mark.attack
 def test_a_reader_that_leaves_early_ends_it_quietly(store):
-    for line in LINES:
+    for line in (["list", "--json"], ["report", "--csv", str(store)]):
         reader, writer = os.pipe()
         os.close(reader)
-        result = ended(words_of(line, store), stdout=writer)
+        result = ended(line, stdout=writer)
         os.close(writer)
         assert (result.returncode, result.stderr) == (1, b"")
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize(
-    "setting",
-    [
-        {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
-        {"LINES": "0", "COLUMNS": "1", "PYTHONIOENCODING": "ascii", "FORCE_COLOR": "1"},
-        {"TERM": "dumb", "COLUMNS": "wide"},
-    ],
-    ids=str,
-)
-def test_an_odd_terminal_gets_the_whole_answer(tmp_path, setting):
-    environment = {**os.environ, **setting}
-    listed = ended(["list", "--plugins", str(hostile_file(tmp_path))], env=environment)
-    assert listed.returncode == 0
-    assert b"pendulum" in listed.stdout
-    assert b"hostile" in listed.stdout
-    refused = ended(["check", os.fsdecode(b"p\xc3\xa9nd\xff")], env=environment)
-    assert refused.returncode == 1
-    assert refused.stderr.startswith(b"Error: ")
