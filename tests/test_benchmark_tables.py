@@ -46,7 +46,6 @@ def test_tables_of_races():
     rows = race.beside_python(race.CarAxis(), race.SOLVERS[0], rounds=1)
     assert rows[0]["ratio"] == "1.00 (1.00 to 1.00)"
     assert all(0 < row["error"] < 0.1 for row in rows)
-    assert 0 < race.residual_in_c(race.CarAxis(), 10) < 1e-3
 
 
 @pytest.mark.long
@@ -87,9 +86,9 @@ def test_a_method_meets_the_error_of_another():
         frame.equally_accurate("semi_implicit_euler", 1e-9, reference)
 
 
-def test_pairs_that_seconds_and_operations_order_differently_have_a_reason():
+def test_pairs_that_seconds_and_operations_order_differently_are_named():
     import frame
-    import ranks
+    import race
 
     def row(name, seconds, bill):
         made = partial(frame.Contestant, name, "", lambda: seconds, 1, np.ones(1), work={})
@@ -98,10 +97,9 @@ def test_pairs_that_seconds_and_operations_order_differently_have_a_reason():
     slow = row("slow", 3e-6, {"method": 90.0, "solves": 10.0})
     fast = row("fast", 2e-6, {"factorisations": 150.0})
     near = row("near", 2.5e-6, {"method": 120.0})
-    # 1.5 by 1.5; 1.2 by 1.2 is less than 2
-    assert ranks.pairs([fast, near, slow]) == [(slow, fast)]
-    said = ranks.comparison([fast, near, slow])
+    said = race.comparison([fast, near, slow])
     assert said.startswith("Rank correlation of seconds and operations: -1.000.")
-    assert "takes 1.5 times as long as `fast`, which takes 1.5 times as many" in said
-    assert "matrices are full" in said
+    # 1.5 by 1.5; 1.2 by 1.2 is less than 2
+    (line,) = [line for line in said.splitlines() if line.startswith("- ")]
+    assert line.startswith("- `slow` takes 1.5 times as long as `fast`, which takes 1.5 times as")
     assert "| `slow` |  | 1 | 3.00 (3.00) | 0.00 |" in frame.table([slow])

@@ -1,25 +1,26 @@
 """Native methods against C, exudyn and other solvers; families of methods; solvers in C and Python.
 
 ``make bench`` prints the tables of docs/performance.md: the same equations by others; every native
-method at the same step, and at the step or tolerance that gives the error of generalized-alpha in a
-(those that take no constraints on a scene without); and solvers of libraries with equations in C
-beside the same through Python.
+method at the same step, with the rank correlation of time and operations of an attempted step and
+the pairs of methods that these order differently; methods at the step or tolerance that gives the
+error of generalized-alpha in a (those that take no constraints on a scene without); and solvers of
+libraries with equations in C beside the same through Python.
 """
 
 from __future__ import annotations
 
-import ctypes
-import time
 from functools import partial
-from itertools import product
+from itertools import combinations, product
+from typing import Any
 
-import numpy as np
 from frame import (
     OURS,
     RHO,
     SCENE,
     STEPS,
     T_END,
+    Contestant,
+    NotHere,
     Row,
     at_constant_steps,
     contestant,
@@ -31,16 +32,15 @@ from frame import (
     write,
 )
 from opponents import c_program, exudyn_run, peak
+from scipy.stats import spearmanr
 
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
-from integrators.adapters.callbacks import in_c
-from integrators.adapters.ida import IDA
-from integrators.lowering.native import load_c
 from problems.base.runtime import use_threads
 from problems.scenes.heavy_top import HeavyTopR3SO3
 from problems.scenes.ivp_test_set import CarAxis
 from problems.scenes.oscillators import Duffing
+from problems.scenes.pendulums import Pendulum
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrankMinimal
 from problems.system import MechatronicSystem
@@ -73,15 +73,11 @@ SOLVERS = (
     ("radau", "radau[callbacks=python]"),
 )
 _IN_C, _RTOL = (SCENE, CarAxis(), SliderCrankMinimal(), QuarterCar()), 1e-6
+#: Tolerance of methods without constant steps; pairs that seconds and operations order differently
+#: by more than this factor are listed.
+_FINE, _APART = 1e-9, 2.0
 #: Solutions of the same discrete equations, solved to these tolerances, differ by less.
 _SAME = 1e-6
-_REPEAT = """
-void repeat(long n, void (*f)(void *, void *), void *given, void *out)
-{
-    while (n--)
-        f(given, out);
-}
-"""
 
 
 def same_equations(rounds: int) -> list[Row]:
@@ -109,12 +105,44 @@ def all_native(scene: MechatronicSystem) -> list[str]:
 
 
 def same_step(members: list[str], scene: MechatronicSystem, steps: int, rounds: int) -> list[Row]:
-    """All methods with the same constant steps, and the program in C with its own."""
+    """Methods with the same constant steps, or at a tolerance, and the program in C."""
     start, end = scene.interval
     at, reference = Steps((end - start) / steps), Reference(scene, end)
-    makers = [partial(at_constant_steps, one, at, reference, scene) for one in members]
-    makers += [c_program] if scene is SCENE else []
+
+    def made(spec: str) -> Contestant:
+        try:
+            return at_constant_steps(spec, at, reference, scene)
+        except NotHere as reason:
+            if "no constant steps" not in str(reason):
+                raise
+        return contestant(spec, Tolerances(_FINE), reference, scene)
+
+    makers = [*(partial(made, one) for one in members), *([c_program] if scene is SCENE else [])]
     return race(f"{scene.name}, the same step, h={at.h:g} s", makers, rounds)
+
+
+def costs(row: Row) -> tuple[float, float]:
+    """Least seconds and operations of an attempted step."""
+    attempts = row["steps"] + (row["work"].get("rejected") or 0)
+    return min(row["seconds"]) / attempts, row["operations"] / attempts
+
+
+def comparison(rows: list[Row]) -> str:
+    """The rank correlation (Spearman's) of seconds and operations, and the pairs of which one takes
+    fewer operations and more time, by more than a factor of two together."""
+    rows = [row for row in rows if row.get("operations")]
+    seconds, operations = zip(*map(costs, rows), strict=True)
+    found: Any = spearmanr(seconds, operations)[0]
+    lines = [f"Rank correlation of seconds and operations: {found:.3f}.", ""]
+    for two in combinations(rows, 2):
+        few, many = sorted(two, key=lambda row: costs(row)[1])
+        (slow, little), (fast, much) = costs(few), costs(many)
+        if slow > fast and slow * much > _APART * fast * little:
+            lines.append(
+                f"- `{few['contestant']}` takes {slow / fast:.1f} times as long as "
+                f"`{many['contestant']}`, which takes {much / little:.1f} times as many operations."
+            )
+    return "\n".join([*lines, ""])
 
 
 def same_error(racers: list[str], scene: MechatronicSystem, h: float, rounds: int) -> list[Row]:
@@ -134,19 +162,6 @@ def beside_python(scene: MechatronicSystem, solvers: tuple[str, ...], rounds: in
     return race(f"{scene.name}, rtol={_RTOL:g}", makers, rounds)
 
 
-def residual_in_c(scene: MechatronicSystem, count: int = 20_000) -> float:
-    """Seconds of a residual of IDA in C, called by C: the least of some."""
-    run = IDA().prepare(scene, scene.interval[1], Tolerances(_RTOL))
-    given, (residual, _) = np.hstack([run.given.p, *run.given.start]), in_c(run.given.value)
-    places = [ctypes.c_void_p(array.ctypes.data) for array in (given, np.empty(run.given.size))]
-    repeat, taken = load_c(_REPEAT).repeat, []
-    for _ in range(50):
-        started = time.process_time()
-        repeat(ctypes.c_long(count), residual, *places)
-        taken.append((time.process_time() - started) / count)
-    return min(taken)
-
-
 def main() -> None:
     """Measure, print the tables, write the JSON."""
     given = options(__doc__, 7, "stepbench-race.json")
@@ -160,12 +175,13 @@ def main() -> None:
 
     few = max(3, given.rounds // 2)
     show(same_equations(3 * given.rounds))
-    for scene in (SCENE, FREE, LIE):
-        show(same_step(all_native(scene), scene, STEPS, given.rounds))
+    for scene in (SCENE, FREE, LIE, Pendulum(), CarAxis(), QuarterCar()):
+        more = [one for one in native_methods() if not Registry().integrator(one).why_not(scene)]
+        found = same_step([*dict.fromkeys([*all_native(scene), *more])], scene, STEPS, given.rounds)
+        show(found)
+        print(comparison(found), flush=True)
     for scene, solvers in product(_IN_C, SOLVERS):
         show(beside_python(scene, solvers, given.rounds))
-    for scene in _IN_C:
-        print(f"{scene.name}: a residual of IDA in C takes {1e6 * residual_in_c(scene):.3f} µs.")
     for scene, h in product((SCENE, FREE, LIE), SIZES):
         peers = PEERS if scene is SCENE else ()
         show(same_error([*all_native(scene), *peers], scene, h, few))
