@@ -13,7 +13,6 @@ import logging
 import os
 import sys
 import warnings
-from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -110,7 +109,6 @@ def _loaded(name: str) -> ModuleType:
     program.
     """
     if "jax" not in sys.modules:
-        _leave_out_unusable_cache()
         _tell_once_of_broken_programs()
     module = importlib.import_module(name)
     # It imports more of JAX, which has all that was compiled before compiled again.
@@ -161,23 +159,6 @@ def check_runtime() -> str:
             "JAX_ENABLE_X64, or take the change of jax_enable_x64 out of the plugin."
         )
     return ""
-
-
-def _leave_out_unusable_cache() -> None:
-    """Keep no compiled programs if there is no folder for them; JAX would warn at each one."""
-    name = "JAX_COMPILATION_CACHE_DIR"
-    folder = os.environ[name]
-    if not folder or "://" in folder:
-        return
-    with suppress(OSError, ValueError):
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        if os.access(folder, os.W_OK | os.X_OK):
-            return
-    os.environ[name] = ""
-    slower(
-        f"Compiled programs are not kept, as {name}={folder} is no folder that can be written; set "
-        f"it to one."
-    )
 
 
 def _tell_once_of_broken_programs() -> None:
