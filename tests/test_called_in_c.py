@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import long, nothing_compiled
+from helpers import long
 from probe import Probe
 
 from bench.plugins.registry import Registry
@@ -73,16 +73,6 @@ def test_programs_have_run_when_their_call_returns_and_see_the_arguments_of_this
     assert long(many).is_ready()
 
 
-def test_no_kind_of_number_compiles_it_again():
-    call, s = PackedFunction(weighted, 2, None, 2, 2).bind(np.ones(2)), np.ones(2)
-    readonly = np.ones(4)[::2]
-    readonly.flags.writeable = False
-    first = call(1.0, s, readonly).tolist()
-    with nothing_compiled():
-        for t in (np.float64(1.0), 1, np.array(1.0)):
-            assert call(t, s, readonly).tolist() == first
-
-
 # ---- the same runs ---------------------------------------------------------------------
 def run(method, scene, length=1.0):
     return method.prepare(scene, scene.interval[0] + length, Tolerances(1e-6))
@@ -108,28 +98,6 @@ def test_both_ways_make_the_same_steps(cls, name):
     assert first.t == pytest.approx(second.t, rel=1e-3)
     assert first.q[-1] == pytest.approx(second.q[-1], abs=1e-6)
     assert ours.bill(first) == other.bill(second)
-
-
-@pytest.mark.parametrize(
-    ("name", "constraints"),
-    [
-        ("pendulum", "baumgarte"),
-        *long(
-            *((name, "index1") for name in ("quarter_car", "full_car", "heavy_top")),
-            ("chain[links=3]", "baumgarte"),
-        ),
-    ],
-)
-def test_equations_of_cvode_in_c_are_those_of_jax_to_rounding(name, constraints):
-    scene = Registry([]).problem(name)
-    started = run(CVODE(constraints=constraints), scene)
-    given, start = started.given, started.given.start[1]
-    assert len(given.p) == len(scene.parameters()) + 2 * (constraints == "baumgarte")
-    for shift in np.random.default_rng(5).normal(size=(5, len(start))):
-        s = start + shift * (1 + abs(start))
-        for ours, theirs in zip(started.functions, given.bound(), strict=True):
-            right = np.asarray(theirs(0.3, s))
-            assert np.abs(ours(0.3, s) - right).max() <= 1e-12 * np.abs(right).max()
 
 
 def test_values_that_differ_by_more_than_rounding_are_seen_in_each_equation():

@@ -310,16 +310,6 @@ def test_equations_that_cannot_be_solved_end_within_the_budget_and_name_what_to_
     assert capfd.readouterr().out == ""
 
 
-@each(RadauDAE(), more=[BDFDAE()])
-def test_multipliers_in_the_error_test_cost_calls_on_index_1(method):
-    fair, plain = (
-        run(replace(method, formulation="index1", multipliers_in_error_test=on), t_end=0.6)
-        for on in (False, True)
-    )
-    assert fair.status == plain.status == "ok"
-    assert plain.work.residuals > 1.2 * fair.work.residuals
-
-
 @dataclass(frozen=True)
 class Raising(Probe):
     """A scene whose equations cannot even be traced."""
@@ -337,20 +327,6 @@ def test_an_error_of_a_scene_reaches_the_caller_whenever_it_happens():
 
 
 # ---- options ---------------------------------------------------------------------------
-def test_names_hold_the_formulation_and_what_was_changed():
-    for method, name in [
-        (Radau(), "radau"),
-        (BDF(max_calls=9), "bdf[max_calls=9]"),
-        (IDA(), "ida[formulation=stabilised_index2]"),
-        (IDA(max_order=2), "ida[formulation=stabilised_index2,max_order=2]"),
-        (RadauDAE(), "radau_dae[formulation=stabilised_index2]"),
-        (BDFDAE(formulation="index1"), "bdf_dae[formulation=index1]"),
-    ]:
-        assert method.spec == name
-        assert (method.controls, method.at_constant_steps()) == ("tolerance", None)
-        assert Registry([]).integrator(name) == method
-
-
 def test_without_the_package_the_reason_says_what_to_install(monkeypatch):
     assert RadauDAE().supports(Pendulum()) is None
     monkeypatch.setattr(solve_dae, "find_spec", lambda name: None)

@@ -14,7 +14,8 @@ from integrators.lowering.graph import NotLowered
 from integrators.lowering.to_graph import lowered
 from problems import jnp
 from problems.base.runtime import jax
-from problems.equations.formulations import dae_layout
+from problems.equations.formulations import Baumgarte
+from problems.equations.layouts import dae_layout
 
 #: Rounding of sums and elementary functions, relative to the largest entry. Near the start of
 #: heavy_top the largest entry, 313 N m, is what is left of gyroscopic terms of 20 800 N m: it is
@@ -35,6 +36,15 @@ def nodes(function, n):
 
 
 # ---- equations of scenes ---------------------------------------------------------------
+def difference(packed, p, *state):
+    """The largest difference between C and JAX, relative to the largest entry."""
+    right, found = np.asarray(packed.bind(p)(*state)), packed.bind_c(p)(*state)
+    known = np.isfinite(right)
+    assert (np.isfinite(found) == known).all()
+    gap = np.abs(found[known] - right[known]).max(initial=0.0)
+    return gap / (np.abs(right)[known].max(initial=0.0) or 1.0)
+
+
 def differences(scene, formulation, sparse=False):
     """Largest differences of residual and Jacobian at random states, relative to the largest."""
     of, p = (scene.template(), formulation), np.array([*scene.parameters().values()])
@@ -44,16 +54,8 @@ def differences(scene, formulation, sparse=False):
     for size in (0.01, 0.1, 1.0, 1.0, 10.0):
         w, wdot = (u + size * rng.normal(size=n) * (1 + abs(u)) for u in (at, wdot_at))
         state = float(rng.uniform(0, 2)), w, wdot
-        for packed, last in (
-            (equations.packed_residual(*of), ()),
-            (jacobian, (10 ** rng.uniform(-2, 6),)),
-        ):
-            right = np.asarray(packed.bind(p)(*state, *last))
-            found = packed.bind_c(p)(*state, *last)
-            known = np.isfinite(right)
-            assert (np.isfinite(found) == known).all()
-            gap = np.abs(found[known] - right[known]).max(initial=0.0)
-            worst.append(gap / (np.abs(right)[known].max(initial=0.0) or 1.0))
+        worst.append(difference(equations.packed_residual(*of), p, *state))
+        worst.append(difference(jacobian, p, *state, 10 ** rng.uniform(-2, 6)))
     return worst
 
 
@@ -62,6 +64,17 @@ def test_residual_and_jacobian_are_those_of_jax_to_rounding(name):
     scene, allowed = scene_or_skip(name), _OF_SMALL_REMAINDERS.get(name, ROUNDING)
     for formulation in FORMULATIONS if name == "pendulum" else ("stabilised_index2",):
         assert max(differences(scene, formulation)) < allowed, formulation
+
+
+@pytest.mark.parametrize("name", ["pendulum", *long("quarter_car", "full_car", "heavy_top")])
+def test_the_explicit_ode_is_that_of_jax_to_rounding(name):
+    scene = scene_or_skip(name)
+    given = equations.given_ode(scene, Baumgarte(2.0, 3.0) if name == "pendulum" else None)
+    t, start = given.start
+    for shift in np.random.default_rng(5).normal(size=(5, len(start))):
+        s = start + shift * (1 + abs(start))
+        for packed in (given.value, given.jacobian):
+            assert difference(packed, given.p, t + 0.3, s) < 1e-12
 
 
 @pytest.mark.long
