@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.plugins.fingerprint import fingerprint
 from bench.plugins.registry import why
-from bench.results.records import Digits, Rows, SceneRecord
+from bench.results.records import SceneRecord
 from bench.running import measure
 from bench.running.errors import relative_reference_error
 from bench.running.linearisation import growth, rates
@@ -40,101 +40,80 @@ _BLOCKS = {
 def scene_record(
     scene: MechatronicSystem, t_end: float, reference: Callable[[], Reference], lacking: str = ""
 ) -> SceneRecord:
-    """Make the record of a scene; one without a reference has the reason, and no pictures.
+    """Make the record of a scene up to t_end in s; one without a reference has the reason, and no
+    pictures.
 
-    A part of which the scene gives a false answer is left out, and the record says so.
-
-    Parameters
-    ----------
-    scene, t_end
-        The scene, up to t_end in s.
-    reference
-        Gives its reference; not called if ``lacking`` says why there is none.
+    A part of which the scene gives a false answer is left out, and the record says so. The
+    ``reference`` is not asked for if ``lacking`` says why there is none.
     """
-    faults: list[str] = []
-
-    def part(name: str, make: Callable[[], Any], otherwise: Any) -> Any:
-        try:
-            return make()
-        except BaseException as error:  # the scene may be a plugin
-            faults.append(f"Its {name} is left out: {why(error)}")
-            return otherwise
-
-    known: dict[str, Any] = {"reference_method": lacking or "No reference is known."}
-    if not lacking:
-        known |= part("reference", lambda: _motion(scene, reference()), {})
-    if known.get("reference", Rows(t=[])).t:
-        known |= {
-            "drawings": part("picture", lambda: frames(scene, reference()), []),
-            "rates": part("spectrum", lambda: rates(scene, reference()), None),
-            "growth": part("sensitivity", lambda: growth(scene, reference()), None),
-        }
-    nameless = {"title": scene.name, "description": "", "parameters": []}
-    known |= part("description", lambda: checks.description(scene), nameless)
-    if scene.has("energy"):
-        part("energy", lambda: first_energy(scene), None)
-    tags = part("list of tags", lambda: checks.texts(scene.tags, "tags"), ())
-    if part("rank of the constraints", lambda: _missing_rank(scene), 0):
-        tags = dict.fromkeys((*tags, "redundant"))
-    hard = part(
-        "list of difficulties", lambda: checks.texts(scene.difficulties, "difficulties"), ()
-    )
-    return SceneRecord(
+    t0, sizes = scene.interval[0], scene.sizes._asdict()
+    # A number of velocities or of held values is told where it is one of its own.
+    left_out = {
+        "nh",
+        *([] if scene.has("kinematics") else ["nv"]),
+        *([] if sizes["nd"] else ["nd"]),
+    }
+    record = SceneRecord(
         problem=scene.spec,
         t_end=t_end,
-        source=part("source", lambda: checks.text(scene.source, "source"), ""),
-        components=part("list of components", lambda: _components(scene), {}),
-        sizes=recorded_sizes(scene),
-        t0=scene.interval[0],
+        sizes={name: n for name, n in sizes.items() if name not in left_out},
+        t0=t0,
+        title=scene.name,
         fingerprint=fingerprint(type(scene)),
-        tags=list(tags),
-        difficulties=list(hard),
         equations=equations(scene),
-        faults=faults,
-        **known,
+        reference_method=lacking or "No reference is known.",
     )
 
+    def motion() -> dict[str, Any]:
+        exact = reference()
+        if exact.missing:
+            return {"reference_method": exact.missing}
+        t = np.linspace(t0, exact.t_end, 301)
+        at = np.array([p.t for p in checks.published(scene.published) if p.t <= exact.t_end])
+        return {
+            "reference_method": exact.method,
+            "reference_error": relative_reference_error(exact),
+            "reference": measure.stored_rows({"t": t} | exact(t)),
+            "published": measure.digits(scene, at, exact(at)) if len(at) else [],
+        }
 
-def _motion(scene: MechatronicSystem, reference: Reference) -> dict[str, Any]:
-    """Fields of the record on the reference."""
-    if reference.missing:
-        return {"reference_method": reference.missing}
-    t = np.linspace(scene.interval[0], reference.t_end, 301)
-    return {
-        "reference_method": reference.method,
-        "reference_error": relative_reference_error(reference),
-        "reference": measure.stored_rows({"t": t} | reference(t)),
-        "published": _published(reference),
-    }
+    def names() -> dict[str, list[str]]:
+        most = measure.MOST_COMPONENTS
+        return {g: [c.text for c in scene.components(g)[:most]] for g in GROUPS}
 
+    def energy() -> dict[str, Any]:
+        q, v, _ = map(jnp.asarray, scene.start())
+        checks.number(scene.energy(q, v) if scene.has("energy") else 0.0, "energy()")
+        return {}
 
-def _published(reference: Reference) -> list[Digits]:
-    """Return the published digits up to the end of the reference, beside its values."""
-    scene, t_end = reference.scene, reference.t_end
-    t = np.array([p.t for p in checks.published(scene.published) if p.t <= t_end])
-    return measure.digits(scene, t, reference(t)) if len(t) else []
+    def rank() -> dict[str, Any]:
+        missing = missing_rank(scene, np.asarray(scene.start().q), t0)
+        return {"tags": [*dict.fromkeys([*record.tags, *["redundant"] * bool(missing)])]}
 
+    def part(name: str, make: Callable[[], dict[str, Any]]) -> None:
+        try:
+            for field, value in make().items():
+                setattr(record, field, value)
+        except BaseException as error:  # the scene may be a plugin
+            record.faults.append(f"Its {name} is left out: {why(error)}")
 
-def _missing_rank(scene: MechatronicSystem) -> int:
-    return missing_rank(scene, np.asarray(scene.start().q), scene.interval[0])
+    def texts(field: str) -> dict[str, list[str]]:
+        return {field: list(checks.texts(getattr(scene, field), field))}
 
-
-def first_energy(scene: MechatronicSystem) -> float:
-    """Return the energy of a scene at its start, in J."""
-    q, v, _ = map(jnp.asarray, scene.start())
-    return checks.number(scene.energy(q, v), "energy()")
-
-
-def recorded_sizes(scene: MechatronicSystem) -> dict[str, int]:
-    """Return the numbers of unknowns; of velocities only where it is one of its own, and of held
-    values only where there are any."""
-    left_out = {"nh"} if scene.has("kinematics") else {"nh", "nv"}
-    left_out |= set() if scene.sizes.nd else {"nd"}
-    return {name: n for name, n in scene.sizes._asdict().items() if name not in left_out}
-
-
-def _components(scene: MechatronicSystem) -> dict[str, list[str]]:
-    return {g: [c.text for c in scene.components(g)[: measure.MOST_COMPONENTS]] for g in GROUPS}
+    if not lacking:
+        part("reference", motion)
+    if record.reference.t:
+        part("picture", lambda: {"drawings": frames(scene, reference())})
+        part("spectrum", lambda: {"rates": rates(scene, reference())})
+        part("sensitivity", lambda: {"growth": growth(scene, reference())})
+    part("description", lambda: checks.description(scene))
+    part("energy", energy)
+    part("list of tags", lambda: texts("tags"))
+    part("rank of the constraints", rank)
+    part("list of difficulties", lambda: texts("difficulties"))
+    part("source", lambda: {"source": checks.text(scene.source, "source")})
+    part("list of components", lambda: {"components": names()})
+    return record
 
 
 def equations(scene: MechatronicSystem) -> list[str]:

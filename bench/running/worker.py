@@ -117,26 +117,41 @@ class Worker:
     def _compare(self, cell: Cell, record: Record, run: Trajectory, errors: bool) -> None:
         """Find all that is known of a good run; a failure costs a part, and is not the run's."""
         scene, method = self.problem(cell.problem), self.registry.integrator(cell.integrator)
+        prepared, reference = self.prepared[record.key], None
+        unknown = "errors are known, the reference failed"
 
-        def part(fault: str, find: Callable[[], Any], otherwise: Any) -> Any:
+        def part(what: str, find: Callable[[], Any], otherwise: Any) -> Any:
             try:
                 return find()
             except BaseException as error:
-                _add(record, f"{fault}: {why(error)}")
+                _add(record, f"No {what}: {why(error)}")
                 return otherwise
+
+        if errors:
+            reference = part(unknown, lambda: self.reference(scene, record.t_end), None)
+        if reference and reference.missing:
+            _add(record, f"No errors are known. {reference.missing}")
+            reference = None
+        energy = lambda: measure.invariant_changes(scene, run, reference, ["energy"])  # noqa: E731
+        change = part("energy drift is known", energy, {})
+        if reference:
+            measure.end_at_blow_up(run, reference, change)
+        if run.status != "ok":
+            record.status, record.message, record.rows = run.status, run.message, len(run.t) - 1
+            return
 
         def histories(reference: Reference) -> dict[str, Any]:
             found = relative_errors(run, reference)
             record.errors, record.components = found.errors, found.components
             record.reference_error = found.reference_errors
-            held = part(residuals, lambda: constraint_errors(run, reference), None)
+            held = part("violations are known", lambda: constraint_errors(run, reference), None)
             if held:
                 record.errors |= held.errors
                 record.reference_error |= held.reference_errors
-            record.events = part(
-                "Its events are not known", lambda: event_errors(run, reference), {}
+            record.events = part("events are known", lambda: event_errors(run, reference), {})
+            record.history_error = part(
+                "named points are known", lambda: history_error(run, reference), None
             )
-            record.history_error = part(no_points, lambda: history_error(run, reference), None)
             return found.histories
 
         def points() -> dict[str, Any]:
@@ -149,59 +164,34 @@ class Worker:
                 for note, column in zip(point_notes(name, len(rows.T)), rows.T, strict=True)
             }
 
-        residuals = "No residual of the constraints is known"
-        no_points = "No named points or published digits are known"
-        no_errors, blocks = "No errors are known, the reference failed", ["energy"]
-        reference = None
-        if errors:
-            reference = part(no_errors, lambda: self.reference(scene, record.t_end), None)
-        if reference and reference.missing:
-            _add(record, f"No errors are known. {reference.missing}")
-            reference = None
-        fault = "No energy drift is known"
-        change = part(fault, lambda: measure.invariant_changes(scene, run, reference, blocks), {})
-        if reference:
-            measure.end_at_blow_up(run, reference, change)
-        if run.status != "ok":
-            record.status, record.message, record.rows = run.status, run.message, len(run.t) - 1
-            return
-        noted = part(no_errors, lambda: histories(reference), {}) if reference else {}
-        drift = part(residuals, lambda: measure.violations(scene, run), {})
-        record.constraint_unit = part(residuals, lambda: measure.constraint_unit(scene), "")
-        drift |= {name: abs(values) for name, values in change.items()}
-        largest = {name: finite(values.max()) for name, values in drift.items()}
-        record.energy_drift = largest.pop("energy", None)
-        record.constraint = largest
-        run.notes |= noted | drift | part(no_points, points, {})
+        def violations() -> dict[str, Any]:
+            record.constraint_unit = measure.constraint_unit(scene)
+            return measure.violations(scene, run)
 
         def cautions() -> str:
             caution = checks.caution(method, scene) or ""
             overlap = measure.end_at_overlap(run, scene, bool(method.passes_impacts))
             return f"{caution} {overlap} {uncontrolled(scene, run, record.rtol)}"
 
-        prepared = self.prepared[record.key]
-        record.operations = part(
-            "Its operations are not known",
-            lambda: checks.checked_bill(prepared.bill(run), PARTS),
-            {},
-        )
-        record.claims = part(
-            "Its claimed orders are not known",
-            lambda: checks.checked_orders(method.claims(scene), "claims()"),
-            None,
-        )
+        noted = part(unknown, lambda: histories(reference), {}) if reference else {}
+        drift = part("residuals of the constraints are known", violations, {})
+        drift |= {name: abs(values) for name, values in change.items()}
+        record.constraint = {name: finite(values.max()) for name, values in drift.items()}
+        record.energy_drift = record.constraint.pop("energy", None)
+        run.notes |= noted | drift | part("named points or published digits are known", points, {})
+        bill = lambda: checks.checked_bill(prepared.bill(run), PARTS)  # noqa: E731
+        record.operations = part("operations are known", bill, {})
+        claims = lambda: checks.checked_orders(method.claims(scene), "claims()")  # noqa: E731
+        record.claims = part("claimed orders are known", claims, None)
         # A run that takes longer than its preparation would double the time of the suite.
-        if (
-            reference
-            and record.errors
-            and self._seconds[record.key] < max(record.compile_s or 0.0, 1.0)
-        ):
+        quick = self._seconds[record.key] < max(record.compile_s or 0.0, 1.0)
+        if reference and record.errors and quick:
             with suppress(BaseException):  # a plugin's; `check` asks it for starts at any time
                 record.later, failed = measure.errors_from_later_starts(
                     method, cell.resolution, reference
                 )
                 _add(record, " ".join(failed))
-        _add(record, part("Its cautions are not known", cautions, ""))
+        _add(record, part("cautions are known", cautions, ""))
 
     def run(self, cell: Cell) -> tuple[Trajectory, float | None]:
         """Run a cell; return its trajectory, however it ends, and processor seconds to prepare."""

@@ -88,7 +88,7 @@ def test_whatever_a_run_raises_is_a_row_and_a_false_bill_costs_the_bill(worker):
     for how in methods.BILLS:
         record = row(worker, how)
         assert (record.status, record.operations) == ("ok", {})
-        assert f"Its operations are not known: {methods.BILLS[how][1]}" in record.message
+        assert f"No operations are known: {methods.BILLS[how][1]}" in record.message
 
 
 def test_what_can_be_read_is_turned_into_own_types(worker):
