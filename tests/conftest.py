@@ -32,7 +32,7 @@ MOST_MEMORY = 3 * 2**30
 SELDOM = 50_000, 20, 100
 
 SLOWEST = (
-    *("test_hostile_plugins", "test_diffrax_solvers", "test_check", "test_method_orders"),
+    *("test_diffrax_solvers", "test_check", "test_method_orders"),
     *("test_sparse", "test_maps", "test_ensemble", "test_sundials", "test_adaptive"),
     *("test_hybrid", "test_sparse_newton", "test_library_solvers", "test_ali3p", "test_figure"),
     *("test_kernel_counts", "test_cli", "test_alpha_family", "test_pictures", "test_every_pair"),

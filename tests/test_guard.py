@@ -84,26 +84,23 @@ def test_a_job_that_takes_too_much_or_does_nothing_or_is_not_prepared_is_told_so
     assert "while loading this program (exit code 1). Its last words: ValueError" in fate.message
 
 
-def test_a_phase_has_a_budget_of_its_own(guarded, monkeypatch):
+def test_a_phase_has_a_budget_of_its_own_and_prints_are_cut_and_shown_as_text(guarded, monkeypatch):
     process, told = guarded(), []
     process.on_phase = lambda *phase: told.append(phase)
     assert process.ask(jobs.computes_a_reference, 0.8) == 1
     assert ("reference", "making the reference of x") in told
+    process.ask(jobs.prints)
+    printed = process.printed()
+    assert printed.startswith("... xxx")
+    assert printed.endswith("\N{REPLACEMENT CHARACTER}[31mlast")
+    assert len(printed) < 5000
+    process.ask(jobs.add, 1)
+    assert process.printed() == ""
     monkeypatch.setattr(limits, "LEAST_SECONDS", 0.2)
     monkeypatch.setattr(limits, "_MORE", 0.1)
     fate = guarded().ask(jobs.computes_a_reference, 60.0)
     assert (fate.status, fate.phase) == ("budget_exceeded", "reference")
     assert fate.message.startswith("Stopped while making the reference of x because")
-
-
-def test_prints_are_cut_and_shown_as_text(guarded):
-    guarded().ask(jobs.prints)
-    printed = guarded().printed()
-    assert printed.startswith("... xxx")
-    assert printed.endswith("\N{REPLACEMENT CHARACTER}[31mlast")
-    assert len(printed) < 5000
-    guarded().ask(jobs.add, 1)
-    assert guarded().printed() == ""
 
 
 # ---- nothing that is left behind -----------------------------------------------------------
@@ -115,23 +112,19 @@ def comes(condition: Callable[[], bool]) -> bool:
     return condition()
 
 
-def test_all_that_a_process_started_ends_with_it(guarded):
+def test_all_that_a_process_started_ends_with_it_and_holds_no_answer(guarded):
     process = guarded()
     children = process.ask(jobs.starts_children)
     assert all(map(psutil.pid_exists, children))
     process.end()
     assert comes(lambda: not any(map(psutil.pid_exists, [process.pid, *children])))
-
-
-def test_a_child_that_holds_the_pipe_of_a_dead_process_does_not_hold_its_answer(guarded):
-    process = guarded()
-    fate = process.ask(jobs.leaves_a_child)
-    assert "exit code 4" in fate.message
+    process = guarded()  # a child of it holds the pipe
+    assert "exit code 4" in process.ask(jobs.leaves_a_child).message
     child = int(process.printed())
     assert comes(lambda: not psutil.pid_exists(child))
 
 
-def test_a_process_ends_with_the_program_that_started_it(tmp_path):
+def test_a_process_ends_with_the_program_that_started_it():
     """Though that is killed, and though it computes."""
     code = (
         "import guarded_jobs as jobs, os, signal\n"
@@ -141,74 +134,72 @@ def test_a_process_ends_with_the_program_that_started_it(tmp_path):
         "p.ask(jobs.computes, 600.0)"
     )
     path = os.pathsep.join([os.path.dirname(jobs.__file__), *sys.path])
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"PYTHONPATH": path},
-    )
+    given = os.environ | {"PYTHONPATH": path}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=given)
     assert done.returncode == -signal.SIGKILL, done.stderr
     assert comes(lambda: not psutil.pid_exists(int(done.stdout)))
 
 
 # ---- budgets -------------------------------------------------------------------------------
-class Watched:
-    """A meter, and time and use of its process as a test wants them."""
+@pytest.fixture
+def looks(monkeypatch):
+    """A function of a meter that looks so many times, some s apart, in each of which the process
+    computes, at a memory in bytes; it returns the excess."""
+    now, used = [0.0], [0.0, 0]
+    monkeypatch.setattr(limits.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(limits, "usage", lambda process: tuple(used))
 
-    def __init__(self, monkeypatch, within: Limits, phase: str = RUNNING) -> None:
-        self.now, self.seconds, self.memory = 0.0, 0.0, 0
-        monkeypatch.setattr(limits.time, "monotonic", lambda: self.now)
-        monkeypatch.setattr(limits, "usage", lambda process: (self.seconds, self.memory))
-        self.meter = Meter(within)
-        self.meter.phase = phase
-
-    def pass_by(self, looks: int, computed: float = 0.0, apart: float = 0.5) -> str:
-        """Look so many times, some s apart, in each of which it computes; return the excess."""
-        for _ in range(looks):
-            self.now += apart
-            self.seconds += computed
-            if excess := self.meter.excess(1):
+    def look(meter, count, computed=0.0, apart=0.5, memory=0):
+        for _ in range(count):
+            now[0], used[:] = now[0] + apart, (used[0] + computed, memory)
+            if excess := meter.excess(1):
                 return excess
         return ""
 
-
-def test_a_budget_is_processor_time(monkeypatch):
-    watched = Watched(monkeypatch, Limits(3.0, advice="so it goes"))
-    assert watched.pass_by(1, apart=3600.0) == ""  # this process was halted
-    assert watched.pass_by(100, 0.01) == ""  # others have the processors
-    excess = watched.pass_by(100, 0.5)
-    assert excess == "it took more than 3 s of processor time, its budget; so it goes"
-    loading = Watched(monkeypatch, Limits(3.0, advice="so it goes"), LOADING)
-    assert loading.pass_by(200, 0.5).endswith("processor time, its budget")
-    large = Watched(monkeypatch, Limits(1.0, 1.0, advice="take larger steps"))
-    large.memory = 2**31
-    excess = large.pass_by(2, 9.0)
-    assert excess.startswith("it used more memory than the budget of 1 GiB; take a smaller scene")
+    return look
 
 
-def test_who_does_nothing_for_a_minute_ends_within_any_budget(monkeypatch):
+def metered(within: Limits, phase: str = RUNNING) -> Meter:
+    meter = Meter(within)
+    meter.phase = phase
+    return meter
+
+
+def test_a_budget_is_processor_time_or_memory(looks):
+    meter = metered(Limits(3.0, advice="so it goes"))
+    assert looks(meter, 1, apart=3600.0) == ""  # this process was halted
+    assert looks(meter, 100, 0.01) == ""  # others have the processors
+    said = "it took more than 3 s of processor time, its budget"
+    assert looks(meter, 100, 0.5) == f"{said}; so it goes"
+    loading = metered(Limits(3.0, advice="so it goes"), LOADING)
+    assert looks(loading, 200, 0.5).endswith("processor time, its budget")
+    said = looks(metered(Limits(1.0, 1.0, advice="take larger steps")), 2, 9.0, memory=2**31)
+    assert said.startswith("it used more memory than the budget of 1 GiB; take a smaller scene")
+
+
+def test_who_does_nothing_for_a_minute_ends_within_any_budget(looks):
     for phase, computed, ends in (
         (RUNNING, 0.0, True),
         (PREPARING, 1e-5, True),
         (RUNNING, 1e-2, False),
         (WAITING, 0.0, False),  # another process makes what it waits for
     ):
-        watched = Watched(monkeypatch, Limits(1e6), phase)
-        assert watched.pass_by(119, computed) == ""
-        assert ("it did nothing for 60 s" in watched.pass_by(20, computed)) == ends
+        meter = metered(Limits(1e6), phase)
+        assert looks(meter, 119, computed) == ""
+        assert ("it did nothing for 60 s" in looks(meter, 20, computed)) == ends
 
 
-def test_a_phase_that_begins_again_goes_on_counting_and_a_job_begins_anew(monkeypatch):
-    watched, found = Watched(monkeypatch, Limits(3.0)), ""
-    watched.pass_by(1)
+def test_a_phase_that_begins_again_goes_on_counting_and_a_job_begins_anew(looks):
+    meter, found = metered(Limits(3.0)), ""
+    looks(meter, 1)
     for phase in (PREPARING, RUNNING) * 3:
         assert not found
-        watched.meter.phase = phase
-        found = watched.pass_by(1, 1.1)
+        meter.phase = phase
+        found = looks(meter, 1, 1.1)
     assert "3 s of processor time" in found
     for _ in range(10):  # what short jobs have used is not charged to the next
-        watched.meter.start()
-        assert watched.pass_by(1, 2.9) == ""
+        meter.start()
+        assert looks(meter, 1, 2.9) == ""
 
 
 def test_use_of_this_process_and_its_children_is_seen():

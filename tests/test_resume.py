@@ -12,7 +12,6 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from helpers import long
 from small_stores import A_SCENE
 
 from bench.results.store import FILE, Store
@@ -86,7 +85,8 @@ def undisturbed(tmp_path_factory):
     return result
 
 
-@pytest.mark.parametrize("kills", long(2, 10))
+@pytest.mark.long
+@pytest.mark.parametrize("kills", [2, 10])
 def test_kills_at_random_moments_change_nothing(tmp_path, undisturbed, kills):
     chance, out = random.Random(20081), tmp_path / "out"
     for _ in range(kills):

@@ -73,7 +73,7 @@ SCENES: dict[str, tuple[str, str, str]] = {
     "nominal_step_odd": ("nominal_step = property(lambda self: 1 / 0)", "lost", ""),
 }  # fmt: skip
 METHODS = {name: plugin for group in GROUPS.values() for name, plugin in group.items()}
-#: Fast ones that `make test` takes: few of them need a worker, which takes seconds to start.
+#: Fast ones that the long tests take.
 QUICK = ("family_raises", "measure_segv")
 
 _IMPORTS = """\

@@ -92,7 +92,8 @@ def alone(scene: str) -> tuple:
 
 
 @pytest.mark.parametrize(
-    "group", [name and pytest.param(name, marks=pytest.mark.attack) for name in GROUPS], ids=str
+    "group",
+    [pytest.param(name, marks=pytest.mark.attack if name else pytest.mark.long) for name in GROUPS],
 )
 def test_a_hostile_plugin_costs_its_own_cell_and_the_others_are_bit_identical(tmp_path, group):
     names, controls = GROUPS[group], CONTROLS if group else CONTROLS[:1]
