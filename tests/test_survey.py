@@ -22,7 +22,6 @@ KINDS = {
     "rotations": lambda scene: scene.has("kinematics"),
     "rolling": lambda scene: scene.has("velocity_constraint"),
     "controlled": lambda scene: scene.sizes.ny > 0,
-    "models": lambda scene: "model" in scene.tags,
     "singular": lambda scene: {"singular", "friction", "chaotic"} & {*scene.tags},
     "stiff": lambda scene: {"stiff", "fast and slow phases"} & {*scene.tags},
     "constrained": lambda scene: scene.sizes.nl > 0,

@@ -10,22 +10,25 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.sweeps.batched_steps import BatchRun, distinct, times_of
-from integrators.advice import advice
 from integrators.checks import refusal
 from integrators.contract import Integrator
-from integrators.native.algebra.step_records import Reading
-from integrators.native.loops.kernel import Form
+from integrators.native.algebra.step_records import COUNTS, Reading
+from integrators.native.loops import adaptive_steps, constant_steps
+from integrators.native.loops.adaptive_steps import Span
+from integrators.native.loops.kernel import Form, Kernel
 from integrators.native.loops.status import Ending
+from integrators.native.step.step_program import StepProgram
+from integrators.output_rows import FIRST_ROWS, SPREAD_ROWS
+from integrators.resolutions import Steps, Tolerances
 from problems.base.runtime import Float, Int, jax, most_callers
 from problems.base.spec import SpecError
 from problems.equations.formulations import complete
@@ -36,10 +39,17 @@ from problems.variables import Sizes
 
 #: Most runs side by side, and most bytes of their tangents and rows. On a CPU more runs save
 #: little time and overflow the caches; a GPU needs tens of thousands.
-_MOST_LANES, _MOST_BYTES = {"cpu": 64}, {"cpu": 2**27}
-_MOST_LANES_GPU, _MOST_BYTES_GPU = 65536, 2**32
+_MOST, _MOST_GPU = (64, 2**27), (65536, 2**32)
 #: Approximate number of rows in a kernel's memory.
 _ROWS = 256
+
+
+class BatchRun(NamedTuple):
+    """One of many runs; equal parts of several runs are made once."""
+
+    scene: MechatronicSystem
+    method: Integrator
+    resolution: Steps | Tolerances
 
 
 @dataclass(frozen=True)
@@ -59,25 +69,6 @@ class Block:
     t: Float[np.ndarray, "k r"]
     values: dict[str, Float[np.ndarray, "k r n"]]
     rows: Int[np.ndarray, " k"]
-
-
-def refuse(method: Integrator, scene: MechatronicSystem) -> None:
-    """Raise SpecError if an integrator does not take a scene, or many runs in one program."""
-    reason = refusal(method, scene)
-    if reason:
-        raise SpecError(f"{method.spec} does not take {scene.spec}: {reason}")
-    if scene.is_hybrid:
-        raise SpecError(
-            f"Values of {scene.spec} jump at samples or events; many runs in one program take "
-            f"scenes without them. Use `stepbench run` or `solve` for it."
-        )
-    if method.step_method(scene) is None:
-        constant = method.at_constant_steps()
-        able = f"; take {constant.spec}" if constant and constant.step_method(scene) else ""
-        raise SpecError(
-            f"{method.spec} cannot run many members in one program: its steps are not JAX "
-            f"functions of a state{able or advice(scene, 'generalized_alpha', 'ali3p')}."
-        )
 
 
 class Batch:
@@ -102,8 +93,8 @@ class Batch:
         every_row: bool = False,
         lanes: int | None = None,
     ) -> None:
-        scenes, self._of_scene = distinct(run.scene for run in runs)
-        pairs, self._of_pair = distinct((run.method, run.scene) for run in runs)
+        scenes, self._of_scene = _distinct(run.scene for run in runs)
+        pairs, self._of_pair = _distinct((run.method, run.scene) for run in runs)
         methods = [method.step_method(scene) for method, scene in pairs]
         by_id = {id(method): method for method in methods}  # many scenes may share a method
         programs = {k: m.program(scenes[0], sparse=False) for k, m in by_id.items()}
@@ -114,7 +105,14 @@ class Batch:
                 "scene, numeric options of the integrator and steps or tolerances can differ."
             )
         self._template, self._sizes = scenes[0].template(), scenes[0].sizes
-        self._times = times_of(runs, t_end, every_row)
+        t0, resolutions = scenes[0].interval[0], [run.resolution for run in runs]
+        steps = [of for of in resolutions if isinstance(of, Steps)]
+        tolerances = [of for of in resolutions if isinstance(of, Tolerances)]
+        if steps:
+            self._times = _ConstantSteps(steps, t0, t_end, every_row)
+        else:
+            limits = [methods[k].step_limit for k in self._of_pair]
+            self._times = _ChosenSteps(tolerances, limits, t0, t_end, every_row)
         program = kinds[0].pop()
         q, t = np.asarray(scenes[0].start().q), scenes[0].interval[0]
         # Why steps fail is told by the constraints at the first start: a map has thousands of them.
@@ -133,7 +131,7 @@ class Batch:
             if scene in without
         }
         settings = [scene.parameters() for scene in scenes]
-        keys, of_method = distinct(map(id, methods))
+        keys, of_method = _distinct(map(id, methods))
         numbers = [programs[key][1] for key in keys]
         start = jax.tree.map(lambda leaf: leaf[0], self._starts)
         # All runs have the form of the first: one part after the other.
@@ -256,11 +254,9 @@ def _split(table: np.ndarray, sizes: Sizes) -> dict[str, np.ndarray]:
 
 
 def _lanes(sizes: Sizes, count: int) -> int:
-    backend = jax.default_backend()
-    lanes = _MOST_LANES.get(backend, _MOST_LANES_GPU)
+    lanes, memory = _MOST if jax.default_backend() == "cpu" else _MOST_GPU
     unknowns = sizes.nv + 2 * sizes.nl + sizes.nx + sizes.ny
-    each = 8 * (4 * unknowns**2 + _ROWS * 4 * unknowns)
-    most = _MOST_BYTES.get(backend, _MOST_BYTES_GPU) // each
+    most = memory // (8 * (4 * unknowns**2 + _ROWS * 4 * unknowns))
     while lanes > max(1, most) or lanes // 2 >= count:
         lanes //= 2
     return lanes
@@ -275,3 +271,116 @@ def _completion(template: MechatronicSystem) -> Callable:
 
     over_rows = jax.vmap(one, in_axes=(None, 0, 0, 0, 0))
     return jax.jit(jax.vmap(over_rows))
+
+
+# ---- times of runs -----------------------------------------------------------------------
+#: Times, values, numbers of rows, endings [ending, t] and work counts of k runs.
+_Rows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+class _ConstantSteps:
+    """Times of runs at constant steps, or patterns of them.
+
+    A kind of times gives a compiled time loop its last arguments, of which ``numbers`` are the
+    different ones, and reads what it returns. ``places`` are indices of runs among all; an ``idle``
+    run takes no step.
+    """
+
+    counts = ("steps", *COUNTS)
+
+    def __init__(self, steps: Sequence[Steps], t0: float, t_end: float, every_row: bool) -> None:
+        self._t_end = t_end
+        different, self._of = _distinct(steps)
+        clocks, ends = zip(*(constant_steps.grid(t0, t_end, s) for s in different), strict=True)
+        rows = [
+            constant_steps.kept_steps(clock, end, SPREAD_ROWS) if every_row else np.array([end])
+            for clock, end in zip(clocks, ends, strict=True)
+        ]
+        self.numbers = list(clocks)
+        self._row_counts = np.array([len(numbers) for numbers in rows])
+        self._rows = np.zeros((len(rows), self._row_counts.max()), dtype=np.int64)
+        for table, numbers in zip(self._rows, rows, strict=True):
+            table[: len(numbers)] = numbers
+
+    def kernel(self, program: StepProgram, template: MechatronicSystem, form: Form) -> Kernel:
+        return constant_steps.kernel(program, template, form)
+
+    def longest_first(self) -> np.ndarray:
+        return np.argsort(-self._rows.max(axis=1)[self._of], kind="stable")
+
+    def of(self, places: np.ndarray, idle: np.ndarray) -> np.ndarray:
+        return self._of[places]
+
+    def wanted(self, places: np.ndarray, idle: np.ndarray) -> tuple[Any, ...]:
+        of = self._of[places]
+        return self._rows[of], np.where(idle, 0, self._row_counts[of])
+
+    def read(self, places: np.ndarray, answer: tuple[np.ndarray, ...]) -> _Rows:
+        table, end = answer
+        of = self._of[places]
+        table[table[:, :, 0] != self._rows[of]] = np.nan
+        return table[:, :, 1], table[:, :, 2:], self._row_counts[of], end[:, :2], end[:, 2:]
+
+    def outcome(self, place: int, ending: Ending, t: float) -> tuple[str, str]:
+        return ending.outcome(t, self._t_end)
+
+
+class _ChosenSteps:
+    """Times of runs whose steps follow a tolerance; methods as of `_ConstantSteps`."""
+
+    counts = ("steps", "rejected", *COUNTS)
+
+    def __init__(
+        self,
+        tolerances: Sequence[Tolerances],
+        step_limits: Sequence[int],
+        t0: float,
+        t_end: float,
+        every_row: bool,
+    ) -> None:
+        self._every_row = every_row
+        spans = [
+            Span(t0, t_end, asked.rtol, asked.atol, most)
+            for asked, most in zip(tolerances, step_limits, strict=True)
+        ]
+        self.numbers, self._of = _distinct(spans)
+        # A run over no time takes no step.
+        self.numbers.append(self.numbers[0]._replace(t_end=t0))
+
+    def kernel(self, program: StepProgram, template: MechatronicSystem, form: Form) -> Kernel:
+        return adaptive_steps.kernel(program, template, form)
+
+    def longest_first(self) -> np.ndarray:
+        return np.argsort([self.numbers[k].rtol for k in self._of], kind="stable")
+
+    def of(self, places: np.ndarray, idle: np.ndarray) -> np.ndarray:
+        return np.where(idle, len(self.numbers) - 1, self._of[places])
+
+    def wanted(self, places: np.ndarray, idle: np.ndarray) -> tuple[Any, ...]:
+        if not self._every_row:
+            return None, None
+        rows = np.arange(1, FIRST_ROWS + SPREAD_ROWS + 1)
+        return np.tile(rows, (len(places), 1)), np.full(len(places), SPREAD_ROWS)
+
+    def read(self, places: np.ndarray, answer: tuple[np.ndarray, ...]) -> _Rows:
+        rows, last, end = answer
+        tables = np.concatenate([rows, last[:, None]], axis=1)
+        if not self._every_row:
+            tables[end[:, 0] != 0] = 0  # a run that failed early has no last row
+        kept = [adaptive_steps.in_order(table) for table in tables]
+        complete = np.array([max(1, len(rows)) for rows in kept])
+        table = np.full((len(kept), complete.max(), last.shape[1]), np.nan)
+        for place, rows in zip(table, kept, strict=True):
+            place[: len(rows)] = rows
+        return table[:, :, 1], table[:, :, 2:], complete, end[:, :2], end[:, 2:]
+
+    def outcome(self, place: int, ending: Ending, t: float) -> tuple[str, str]:
+        span = self.numbers[self._of[place]]
+        return ending.outcome(t, float(span.t_end), int(span.max_steps))
+
+
+def _distinct(values: Iterable[Any]) -> tuple[list[Any], np.ndarray]:
+    """The different values in order of appearance, and for each value its place among them."""
+    places: dict[Any, int] = {}
+    of = [places.setdefault(value, len(places)) for value in values]
+    return list(places), np.array(of)

@@ -26,12 +26,13 @@ from bench.running.plan import resolution_of
 from bench.running.process import RUNNING
 from bench.running.runner import Runner, Task
 from bench.running.worker import Worker
-from bench.sweeps.batch import Batch, refuse
+from bench.sweeps.batch import Batch
 from bench.sweeps.variation import (
     Range,
     SweepRequest,
     find_quantity,
     read_ranges,
+    refuse,
     runs_with,
     spec_without,
 )

@@ -17,7 +17,9 @@ import numpy as np
 from bench.running.plan import resolution_of
 from bench.running.process import PREPARING
 from bench.running.worker import Worker
-from bench.sweeps.batch import BatchRun, refuse
+from bench.sweeps.batch import BatchRun
+from integrators.advice import advice
+from integrators.checks import refusal
 from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances, check_end
 from problems.base.runtime import Float
@@ -74,6 +76,25 @@ class Range:
         """
         key = np.random.SeedSequence(seed, spawn_key=(place,)).generate_state(2, np.uint64)
         return self.at(np.random.Generator(np.random.Philox(key=key)).random(first + count)[first:])
+
+
+def refuse(method: Integrator, scene: MechatronicSystem) -> None:
+    """Raise SpecError if an integrator does not take a scene, or many runs in one program."""
+    reason = refusal(method, scene)
+    if reason:
+        raise SpecError(f"{method.spec} does not take {scene.spec}: {reason}")
+    if scene.is_hybrid:
+        raise SpecError(
+            f"Values of {scene.spec} jump at samples or events; many runs in one program take "
+            f"scenes without them. Use `stepbench run` or `solve` for it."
+        )
+    if method.step_method(scene) is None:
+        constant = method.at_constant_steps()
+        able = f"; take {constant.spec}" if constant and constant.step_method(scene) else ""
+        raise SpecError(
+            f"{method.spec} cannot run many members in one program: its steps are not JAX "
+            f"functions of a state{able or advice(scene, 'generalized_alpha', 'ali3p')}."
+        )
 
 
 def find_quantity(name: str, scene: MechatronicSystem, method: Integrator) -> Quantity:
