@@ -244,8 +244,8 @@ def run(
     _pandas()  # before the work
     registry, profile = Inventory(plugins), read_profile(str(suite))
     planned = make_suite(*profile, registry, problems, integrators, budget_of(budget), mine)
-    for sentence in run_suite(planned, registry, Path(out), fresh, jobs).sentences:
-        print(sentence)
+    _, told = run_suite(planned, registry, Path(out), fresh, jobs)
+    print(*told, sep="\n")
     write_reports(Path(out))
     return load(out)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import click
@@ -14,7 +13,6 @@ from bench.commands.options import BUDGET_S, RESULTS, Given
 from bench.plugins.registry import SUFFIXES
 from bench.results.records import INTERRUPTED, Record, counted, endings
 from bench.results.store import Store
-from bench.results.studies import ExperimentResult
 from bench.running.interrupts import remark
 from bench.running.inventory import Inventory, SceneFacts
 from bench.running.plan import Suite, make_suite
@@ -30,31 +28,6 @@ _FIGURES = ("orders", "convergence")
 FILE = "recommendation.json"
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Outcome of a suite: the records of its cells, how many of them were measured now, the
-    experiments of the failure atlas, and sentences on plugins that were lost."""
-
-    records: list[Record]
-    measured: int
-    experiments: list[ExperimentResult]
-    lost: tuple[str, ...]
-
-    @property
-    def sentences(self) -> list[str]:
-        """Sentences that count what was run."""
-        cut = any(record.status == INTERRUPTED for record in self.records)
-        again = ", which the same command runs again" if cut else ""
-        count, many = len(self.records), len(self.experiments)
-        said = [
-            f"{counted(count, 'cell')}: {endings(self.records)}{again}; "
-            f"{self.measured} measured now, {count - self.measured} kept from before."
-        ]
-        held = sum(result.as_predicted for result in self.experiments)
-        atlas = f"{many} experiments of the failure atlas: {held} as predicted."
-        return [*said, *[atlas] * (many > 0)]
-
-
 def run_suite(
     suite: Suite,
     registry: Inventory,
@@ -62,8 +35,9 @@ def run_suite(
     fresh: bool = False,
     jobs: int = 2,
     cluster: str | None = None,
-) -> Outcome:
-    """Measure what a folder lacks of a suite, with a progress bar, and store it."""
+) -> tuple[list[Record], list[str]]:
+    """Measure what a folder lacks of a suite, with a progress bar, and store it; return the records
+    of its cells, and sentences that count what was run."""
     from bench.atlas.experiments import read_experiments
     from bench.atlas.runs import complete_experiments
     from bench.commands.terminal import RunProgress
@@ -87,7 +61,16 @@ def run_suite(
         limits = suite.plan.budget_s, suite.memory_gib
         results = complete_experiments(experiments, added, store, registry, jobs, progress, *limits)
     records = [stored[key] for key in suite.cells if key in stored]
-    return Outcome(records, measured, results, suite.lost)
+    cut = any(record.status == INTERRUPTED for record in records)
+    again = ", which the same command runs again" if cut else ""
+    told = [
+        f"{counted(len(records), 'cell')}: {endings(records)}{again}; {measured} measured now, "
+        f"{len(records) - measured} kept from before."
+    ]
+    if results:
+        held = sum(result.as_predicted for result in results)
+        told += [f"{len(results)} experiments of the failure atlas: {held} as predicted."]
+    return records, told
 
 
 def write_reports(folder: Path, single_file: bool = False) -> None:
@@ -147,7 +130,7 @@ def run_(o: Given) -> None:
             f"{o.out}. Other suites: stepbench list suites",
             err=True,
         )
-    outcome = run_suite(suite, registry, o.out, o.fresh, o.jobs, o.cluster)
+    records, told = run_suite(suite, registry, o.out, o.fresh, o.jobs, o.cluster)
     from reports.verdicts import method_card
 
     answer, *others = method_card(o.out, "")
@@ -158,18 +141,18 @@ def run_(o: Given) -> None:
         write_reports(o.out)
         click.echo(f"Next: stepbench report {o.out} --open shows it{mine}.")
     finally:
-        for line in (*[answer] * bool(suite.plan.mine), *others, *outcome.sentences):
+        for line in (*[answer] * bool(suite.plan.mine), *others, *told):
             click.echo(line)
-    statuses = [record.status for record in outcome.records]
+    statuses = [record.status for record in records]
     if "ok" not in statuses:
-        raise click.ClickException(f"No cell succeeded. {in_common(outcome.records)}")
+        raise click.ClickException(f"No cell succeeded. {in_common(records)}")
     if cut := statuses.count(INTERRUPTED):
         raise click.ClickException(
             f"Not complete: {counted(cut, 'run')} interrupted; the same command runs what is "
             "missing."
         )
-    if outcome.lost:
-        raise click.ClickException(outcome.lost[0])  # the others stand above
+    if suite.lost:
+        raise click.ClickException(suite.lost[0])  # the others stand above
 
 
 def in_common(records: Sequence[Record]) -> str:
@@ -201,16 +184,14 @@ def order_(o: Given) -> None:
     registry = options.usable_registry(o.plugins)
     scene = registry.problem(o.problem, **o.settings)
     suite = suite_of_orders(registry, scene, o.names, o.budget, o.steps, o.pattern, o.t_end)
-    outcome = run_suite(suite, registry, o.out, o.fresh, o.jobs)
+    records, told = run_suite(suite, registry, o.out, o.fresh, o.jobs)
     from bench.commands.terminal import show
     from reports.tables.order_table import stored_order_tables
 
     tables = stored_order_tables(o.out)
     if not tables:
-        raise click.ClickException(f"No order was measured. {in_common(outcome.records)}")
-    show(*tables)
-    for sentence in outcome.sentences:
-        click.echo(sentence)
+        raise click.ClickException(f"No order was measured. {in_common(records)}")
+    show(*tables, *told)
     write_reports(o.out)
 
 

@@ -83,12 +83,12 @@ class RunProgress(progress.Progress):
     Parameters
     ----------
     lines
-        Whether phases, without a terminal, and the first result have a line.
+        Whether phases have a line, without a terminal.
     """
 
     def __init__(self, lines: bool = True) -> None:
         super().__init__()
-        self._console, self._first = _console(sys.stderr), lines
+        self._console = _console(sys.stderr)
         self._lines = lines and not self._console.is_terminal
         self._bar = Progress(
             SpinnerColumn(), TextColumn("{task.fields[phase]}"), BarColumn(), MofNCompleteColumn(),
@@ -124,12 +124,6 @@ class RunProgress(progress.Progress):
             self._bar.advance(task.id)
             if task.finished or time.monotonic() - self._spoken > _LINE_EVERY_SECONDS:
                 self._say()
-
-    def found(self, text: str) -> None:
-        """Print the first result."""
-        if self._first:
-            self.note(f"First result: {text}")
-        self._first = False
 
     def note(self, text: str) -> None:
         """Print a line."""

@@ -19,6 +19,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import msgspec
@@ -128,13 +129,13 @@ def compare_folders(old: Path, new: Path) -> Comparison:
     changes, untold = [], 0
     for one, two in pairs:
         change = change_of(two)
-        pair = _differences(of_old.get(one.environment), of_new.get(two.environment))
+        pair = _machines(of_old.get(one.environment), of_new.get(two.environment))
         differences |= dict.fromkeys(pair)
         if one.status != two.status:
             ended = f"{two.status}: {two.message}" if two.message else two.status
             changes.append(change(kind=ENDING, old=one.status, new=ended))
         elif one.status == "ok":
-            changes += [*_errors(change, one, two), *_work(change, one, two)]
+            changes += _numbers(change, one, two)
             found = quotient_of_medians(one.run_s, two.run_s)
             untold += found is None
             if found and found.differs and _changed(found.value, noise):
@@ -229,43 +230,34 @@ def _read(folder: Path) -> tuple[dict[str, Record], dict[int, Environment]]:
         return records, store.environments()
 
 
-def _differences(old: Environment | None, new: Environment | None) -> list[str]:
+def _machines(old: Environment | None, new: Environment | None) -> list[str]:
+    """In what two machines differ."""
     if old is None or new is None:
         return ["a machine is not known"]
-    one, two = (
-        {"cpu": e.cpu, "cores": e.cores, "platform": e.platform, "clock": e.clock, **e.versions}
-        for e in (old, new)
-    )
-    return [
-        f"{name}: {one.get(name, 'none')} -> {two.get(name, 'none')}"
-        for name in dict.fromkeys([*one, *two])
-        if one.get(name) != two.get(name)
-    ]
+    one, two = old.machine, new.machine
+    pairs = {name: (one.get(name, "none"), two.get(name, "none")) for name in [*one, *two]}
+    return [f"{name}: {a} -> {b}" for name, (a, b) in pairs.items() if a != b]
 
 
-def _errors(change: partial[Change], old: Record, new: Record) -> Iterator[Change]:
-    for group in GROUPS:
-        for norm in NORMS:
-            one, two = (r.error(group, norm) for r in (old, new))
-            floor = TRUST * max(r.floor(group, norm) for r in (old, new))
-            if one is None or two is None:
-                # No number is worse than any error; none in both is no change.
-                ratio = 1.0 if one is two else (math.inf if two is None else 0.0)
-            else:
-                ratio = _ratio(max(one, floor), max(two, floor))
-            if _changed(ratio, LEAST_CHANGE["error"]):
-                yield change(kind="error", name=group, norm=norm, old=one, new=two, ratio=ratio)
-
-
-def _work(change: partial[Change], old: Record, new: Record) -> Iterator[Change]:
-    for name in dict.fromkeys([*old.work, *new.work]):
-        one, two = old.work.get(name), new.work.get(name)
-        if one != two:
-            ratio = None if one is None or two is None else _ratio(one, two)
+def _numbers(change: partial[Change], old: Record, new: Record) -> Iterator[Change]:
+    """Changes of errors and of work between two runs that reached the end."""
+    for group, norm in product(GROUPS, NORMS):
+        one, two = (r.error(group, norm) for r in (old, new))
+        floor = TRUST * max(r.floor(group, norm) for r in (old, new))
+        # No number is worse than any error; none in both is no change.
+        ratio = 1.0 if one is two else math.inf if two is None else 0.0
+        if one is not None and two is not None:
+            ratio = _ratio(max(one, floor), max(two, floor))
+        if _changed(ratio, LEAST_CHANGE["error"]):
+            yield change(kind="error", name=group, norm=norm, old=one, new=two, ratio=ratio)
+    for name in dict.fromkeys([*old.work, *new.work, "operations"]):
+        one, two = old.cost(name), new.cost(name)
+        ratio = None if one is None or two is None else _ratio(one, two)
+        # A bill that one of them lacks is no change.
+        whole = name == "operations"
+        least, lost = LEAST_CHANGE["error" if whole else "work"], one is not two and not whole
+        if lost if ratio is None else _changed(ratio, least):
             yield change(kind="work", name=name, old=one, new=two, ratio=ratio)
-    one, two = old.cost("operations"), new.cost("operations")
-    if one and two and _changed(two / one, LEAST_CHANGE["error"]):
-        yield change(kind="work", name="operations", old=one, new=two, ratio=two / one)
 
 
 def _unedited(old: Record, new: Record) -> bool:
@@ -284,7 +276,7 @@ def _ratio(old: float, new: float) -> float:
 
 
 def _changed(ratio: float, least: float) -> bool:
-    return ratio > least or ratio < 1 / least
+    return not 1 / least <= ratio <= least
 
 
 # ---- merging -------------------------------------------------------------------------------

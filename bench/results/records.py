@@ -6,7 +6,7 @@ import hashlib
 import statistics
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Annotated, Any, TypedDict
+from typing import Annotated, Any
 
 import msgspec
 from msgspec import Meta
@@ -75,6 +75,12 @@ class Environment(msgspec.Struct, kw_only=True):
     def name(self) -> str:
         """The machine and the start in words, as tables name it."""
         return f"{self.cpu}, {self.cores} cores, {self.date}"
+
+    @property
+    def machine(self) -> dict[str, Any]:
+        """All by which times are comparable or not: machine, clock and versions."""
+        kept = {name: getattr(self, name) for name in ("cpu", "cores", "platform", "clock")}
+        return kept | self.versions
 
     @property
     def number(self) -> int:
@@ -233,27 +239,13 @@ class Rows(msgspec.Struct, kw_only=True):
     notes: dict[str, list[float | None]] = {}
 
 
-class Parameter(TypedDict):
-    """A parameter of a scene; ``value`` is plain data."""
-
-    name: Name
-    value: Any
-    unit: Name
-    doc: str
-
-
-class Drawing(TypedDict):
-    """A scene at the time ``t`` in s: lines of points (x, y) in m, None for no number."""
-
-    t: float
-    lines: list[list[tuple[float | None, float | None]]]
-
-
 class SceneRecord(msgspec.Struct, kw_only=True):
     """A scene as the report shows it; ``problem`` and ``t_end`` are its key.
 
     ``stopped`` is "reference" if that ran out of its budget, when a run had ``budget_s`` and
     ``memory_gib``.
+    A parameter has "name", "value", "unit" and "doc", a drawing the time "t" in s and "lines" of
+    points (x, y) in m, None for no number.
     ``growth`` is how often larger a small change of the start may become.
     ``faults`` are sentences on its false answers; the parts that they concern are empty.
     """
@@ -264,14 +256,14 @@ class SceneRecord(msgspec.Struct, kw_only=True):
     title: Name = ""
     description: str = ""
     source: str = ""
-    parameters: list[Parameter] = []
+    parameters: list[dict[str, Any]] = []
     components: dict[str, list[Name]] = {}
     sizes: dict[str, Count] = {}
     reference_method: str = ""
     reference_error: dict[str, float] = {}
     reference: Rows = msgspec.field(default_factory=lambda: Rows(t=[]))
     published: list[Digits] = []
-    drawings: list[Drawing] = []
+    drawings: list[dict[str, Any]] = []
     fingerprint: str = ""
     stopped: str = ""
     budget_s: float | None = None

@@ -91,7 +91,7 @@ def repeatability(
     timed = [r for r in records if r.status == "ok" and r.run_s]
     widths = [w for r in timed if len(r.run_s) >= FEWEST and (w := interval_width(r)) is not None]
     used = (environments.get(r.environment) for r in timed)
-    machines = {(e.cpu, e.cores, e.clock, *e.versions.items()) for e in used if e}
+    machines = {tuple(e.machine.items()) for e in used if e}
     return Repeatability(median(widths), len(widths), len(machines))
 
 

@@ -20,9 +20,6 @@ class Progress:
     def advance(self) -> None:
         """Say that one step is done."""
 
-    def found(self, text: str) -> None:
-        """Tell a result, the first numbers of a run among others."""
-
     def note(self, text: str) -> None:
         """Say that something went wrong that costs no cell."""
 

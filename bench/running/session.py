@@ -13,7 +13,6 @@ from typing import Any
 
 from bench.plugins.fingerprint import environment
 from bench.plugins.registry import Sources, plugin_files
-from bench.results.quantities import NORM, NORMS
 from bench.results.records import (
     INTERRUPTED,
     TIMING_SECONDS,
@@ -98,7 +97,6 @@ def measure_suite(
         record.environment = number
         record.budget_s, record.memory_gib = suite.plan.budget_s, suite.memory_gib
         store.save(record, rows)
-        runner.progress.found(_in_words(record))
 
     def offers() -> list[list[Task]]:
         begun = runner.begun
@@ -207,13 +205,6 @@ def _described(
         return answer
     progress.note(f"No picture of {task.arguments[0]}: {answer.message}")
     return None
-
-
-def _in_words(record: Record) -> str:
-    """Return the result of a cell as a line."""
-    error = record.error("a", NORM)
-    text = f"relative error in a {error:.1e} ({NORMS[NORM]})" if error else record.status
-    return f"{text}: {record.integrator} on {record.problem}, {record.resolution}"
 
 
 def _samples_due(suite: Suite, records: Mapping[str, Record], last: bool) -> dict[str, int]:

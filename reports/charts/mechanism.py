@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from bench.results.records import Drawing
 from reports.charts.vega_lite import Dataset, Spec, category, quantity, short, view
 
 #: Most times at which a still picture shows a scene.
@@ -29,7 +28,7 @@ class _Plane(NamedTuple):
     extent: float
 
 
-def _lines(drawing: Drawing) -> list[Line]:
+def _lines(drawing: Mapping[str, Any]) -> list[Line]:
     """The lines of a drawing, without points that no axis can show."""
     known = ([(short(x), short(y)) for x, y in line] for line in drawing["lines"])
     return [[(x, y) for x, y in line if x is not None and y is not None] for line in known]
@@ -45,7 +44,7 @@ def _plane(lines: Iterable[Line]) -> _Plane | None:
     return _Plane((x0 + x1) / 2, (y0 + y1) / 2, wide, high, extent)
 
 
-def mechanism(drawings: Sequence[Drawing]) -> Spec | None:
+def mechanism(drawings: Sequence[Mapping[str, Any]]) -> Spec | None:
     """The mechanism at several times, the last one solid, with the same scale on both axes.
 
     Of many drawings a few are taken, at equal distances.
@@ -99,7 +98,7 @@ class Animation(NamedTuple):
         return "".join("M" + "L".join(f"{x:g} {y:g}" for x, y in line) for line in lines if line)
 
 
-def motion(drawings: Sequence[Drawing]) -> Animation | None:
+def motion(drawings: Sequence[Mapping[str, Any]]) -> Animation | None:
     """The frames of these drawings, y downwards; None if they hold no point."""
     frames = [
         {"t": d["t"], "lines": [[(x, 0.0 - y) for x, y in line] for line in _lines(d)]}
@@ -113,7 +112,7 @@ def motion(drawings: Sequence[Drawing]) -> Animation | None:
     return Animation(view, f"{plane.extent / 150:.4g}", frames)
 
 
-def little_picture(drawings: Sequence[Drawing]) -> list[Line]:
+def little_picture(drawings: Sequence[Mapping[str, Any]]) -> list[Line]:
     """The last drawing as lines of whole numbers between 0 and 100, y downwards."""
     lines = [
         line[:: max(1, len(line) // _POINTS)]

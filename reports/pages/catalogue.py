@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from bench.results.records import Drawing, SceneRecord
+from bench.results.records import SceneRecord
 from problems.base.spec import SpecError
 from reports.charts.mechanism import mechanism, motion
 from reports.charts.rendering import picture
@@ -22,7 +22,7 @@ class NoPicture(SpecError):
     """The scene has nothing to draw, or the format is not known."""
 
 
-def write_picture(title: str, drawings: Sequence[Drawing], path: Path) -> Path:
+def write_picture(title: str, drawings: Sequence[Mapping[str, Any]], path: Path) -> Path:
     """Write a picture of a scene at several times; the suffix says SVG or PNG.
 
     Raises
@@ -40,7 +40,7 @@ def write_picture(title: str, drawings: Sequence[Drawing], path: Path) -> Path:
     return path
 
 
-def write_animation(title: str, drawings: Sequence[Drawing], path: Path) -> Path:
+def write_animation(title: str, drawings: Sequence[Mapping[str, Any]], path: Path) -> Path:
     """Write a page that plays a scene; the file needs no other.
 
     Raises
