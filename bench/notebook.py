@@ -251,14 +251,8 @@ def run(
 
 
 def load(folder: str | Path = RESULTS) -> Results:
-    """Load the results in a folder as pandas frames.
-
-    Raises
-    ------
-    bench.results.store.StoreError
-        If the folder holds no readable store.
-    ImportError
-        If pandas is not installed.
+    """Load the results in a folder as pandas frames; raise StoreError if it holds no store,
+    ImportError if pandas is not installed.
 
     Examples
     --------

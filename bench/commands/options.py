@@ -263,13 +263,7 @@ def command(
 
 # ---- what commands share -----------------------------------------------------------------
 def refuse(why: str, *names: str) -> None:
-    """Refuse the first of these parameters that the command line gives, with the reason why.
-
-    Raises
-    ------
-    SpecError
-        If one of them is given.
-    """
+    """Raise SpecError on the first of these parameters that the command line gives."""
     context = click.get_current_context()
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")

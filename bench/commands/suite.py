@@ -74,13 +74,8 @@ def run_suite(
 
 
 def write_reports(folder: Path, single_file: bool = False) -> None:
-    """Write the pages of the results in a folder, in HTML (perhaps as one file) and in Markdown.
-
-    Raises
-    ------
-    click.ClickException
-        If the disk does not take them, or a library cannot be loaded.
-    """
+    """Write the pages of the results in a folder, in HTML (perhaps as one file) and in Markdown;
+    raise ClickException if the disk does not take them, or a library cannot be loaded."""
     try:
         from reports.pages.html_report import write_html_report
         from reports.pages.markdown_report import write_markdown_report
@@ -204,13 +199,8 @@ def suite_of_orders(
     pattern: Sequence[float] | None = None,
     t_end: float | None = None,
 ) -> Suite:
-    """Return the runs of methods on a scene to which their orders are fitted.
-
-    Raises
-    ------
-    SpecError
-        If a method chooses its own steps, or steps or the end time are not allowed.
-    """
+    """Return the runs of methods on a scene to which their orders are fitted; raise SpecError if a
+    method chooses its own steps, or steps or the end time are not allowed."""
     for method in map(registry.integrator, integrators):
         if method.controls != "step":
             raise SpecError(

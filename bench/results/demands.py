@@ -69,13 +69,8 @@ class Demand(NamedTuple):
 
 
 def demand(text: str) -> Demand:
-    """Read a demand as a person writes it: "a:1e-3", "q:end:1e-6", "energy:1e-4", "points:1e-3".
-
-    Raises
-    ------
-    SpecError
-        If it is none of these.
-    """
+    """Read a demand as a person writes it: "a:1e-3", "q:end:1e-6", "energy:1e-4", "points:1e-3";
+    raise SpecError if it is none of these."""
     what, _, last = text.rpartition(":")
     try:
         limit = float(last)

@@ -168,13 +168,8 @@ def compare_folders(old: Path, new: Path) -> Comparison:
 
 
 def read_limits(text: str) -> dict[str, float]:
-    """Read "error:1.1,work:1.05,time:1.5,vanished": the largest ratios that are no regression.
-
-    Raises
-    ------
-    SpecError
-        If a kind is not known or given twice, or a ratio is no number or too near to one.
-    """
+    """Read "error:1.1,work:1.05,time:1.5,vanished": the largest ratios that are no regression;
+    raise SpecError if a kind is not known or given twice, or a ratio too near to one."""
     limits: dict[str, float] = {}
     for item in text.split(","):
         kind, _, ratio = (part.strip() for part in item.partition(":"))
@@ -195,12 +190,8 @@ def read_limits(text: str) -> dict[str, float]:
 def regressions(comparison: Comparison, limits: Mapping[str, float]) -> list[str]:
     """List changes for the worse beyond the limits, a sentence each, the worst first.
 
-    Without limits there are none. With any, a run that no longer reaches the end is one.
-
-    Raises
-    ------
-    SpecError
-        If there are limits, but no run that both folders have.
+    Without limits there are none. With any, a run that no longer reaches the end is one, and
+    SpecError is raised if the folders have no run in common.
     """
     if not limits:
         return []
@@ -285,13 +276,7 @@ def merge(folders: Sequence[Path], out: Path) -> tuple[int, int]:
 
     Of a cell or a scene that several stores hold, that of the folder named last is kept; a run that
     was interrupted takes no place of another. Returns the numbers of records and of environments.
-
-    Raises
-    ------
-    SpecError
-        If there are fewer than two folders, or ``out`` holds results already.
-    bench.results.store.StoreError
-        If a store cannot be read, or the new one not be written; then there is none.
+    SpecError or StoreError are raised before there is a new store.
     """
     if len(folders) < 2:
         raise SpecError("To merge takes two folders or more; name them before --out.")

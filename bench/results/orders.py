@@ -53,16 +53,9 @@ NOT_DETERMINED = Fit(None, None, 0, "not determined")
 
 
 def fit_order(steps: Sequence[float], errors: Sequence[float | None], floor: float = 0.0) -> Fit:
-    """Fit the order of ``errors`` over ``steps``.
+    """Fit the order of ``errors`` over ``steps``, in any order.
 
-    Parameters
-    ----------
-    steps
-        Step sizes, in any order.
-    errors
-        Errors at these steps; None or a value that is not finite is a missing point.
-    floor
-        The reference's own error in the units of ``errors``.
+    An error that is None or not finite is a missing point; ``floor`` is the reference's own error.
     """
     worst: dict[float, float] = {}
     for h, e in zip(steps, errors, strict=True):
@@ -93,17 +86,8 @@ def fit_orders(
     errors: Mapping[str, Sequence[float | None]],
     floors: Mapping[str, float],
 ) -> dict[str, Fit]:
-    """Fit the order of every group of the same runs.
-
-    Parameters
-    ----------
-    steps
-        Step sizes in s, in any order.
-    errors
-        Errors at these steps by group, in one norm.
-    floors
-        The reference's own error by group.
-    """
+    """Fit the order of every group of the same runs, as `fit_order` does; errors, in one norm, and
+    the reference's own errors are given by group."""
     fits = {group: fit_order(steps, own, floors[group]) for group, own in errors.items()}
     if any(_gains(steps, own, floors[group]) for group, own in errors.items()):
         return fits

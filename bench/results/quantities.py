@@ -39,13 +39,7 @@ def quantity(group: str) -> str:
 
 
 def checked_group(group: str) -> str:
-    """Return the groups of a question, such as "a" or "a,lam".
-
-    Raises
-    ------
-    SpecError
-        If there is no such group.
-    """
+    """Return the groups of a question, as "a" or "a,lam"; raise SpecError if there is no such."""
     names = (one_of(part.strip(), ASKED, "group") for part in parts(group))
     return ",".join(dict.fromkeys(names))
 
@@ -89,18 +83,10 @@ LEVELS = ("position", "velocity", "acceleration")
 class Cost(NamedTuple):
     """A cost of a run: its name in records, and the words by which pages speak of it.
 
-    Attributes
-    ----------
-    title
-        In charts and menus.
-    noun
-        In sentences; the title if empty.
-    verb
-        Of the plural: several integrators "take" the fewest operations.
-    tie
-        The quotient up to which two costs are equal; times have intervals of their own, too.
-    ranked
-        Whether integrators are ranked by it.
+    The ``title`` stands in charts and menus, the ``noun`` in sentences (the title if it is empty),
+    the ``verb`` is that of the plural: several integrators "take" the fewest operations. ``tie`` is
+    the quotient up to which two costs are equal; times have intervals of their own, too.
+    Integrators are ``ranked`` by some.
     """
 
     name: str
@@ -176,18 +162,9 @@ TRUST = 100.0
 def group_and_norm(text: str, groups: Collection[str]) -> tuple[str, str]:
     """Read an error as a person writes it, such as "a:max" or "|a|:end".
 
-    Parameters
-    ----------
-    text
-        A group, a colon and a norm; without a norm, the norm is `NORM`. A group between bars means
-        its 2-norm, without them its worst component.
-    groups
-        The groups that have errors.
-
-    Raises
-    ------
-    SpecError
-        If the group is not among ``groups``, or there is no such norm.
+    Without a norm, it is `NORM`. A group between bars means its 2-norm, without them its worst
+    component. SpecError is raised if the group is not among those that have errors, ``groups``, or
+    there is no such norm.
     """
     group, _, norm = (part.strip() for part in text.partition(":"))
     if group.strip("|") not in groups or group not in ERROR_NAMES:
