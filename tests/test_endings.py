@@ -84,7 +84,7 @@ def test_sparse_tangents_that_are_singular_from_the_first_end_with_their_name(me
     method = REGISTRY.integrator(f"{method}[linear_solver=sparse]")
     run = method.prepare(Pendulum(copies=2), 0.45, Tolerances(1e-4)).measure()
     assert run.status == "newton_failed"
-    assert run.message.startswith("The tangent is singular at t=0.35 s")
+    assert run.message.startswith("Ended at t=0.35 s of 0.45 s: the tangent is singular")
     assert (len(run.t), run.work.steps) == (1, 0)
 
 
@@ -155,6 +155,6 @@ def test_a_failed_run_keeps_its_last_good_step():
         assert run.status == "newton_failed"
         assert run.t[-1] == pytest.approx(steps, abs=1.0)
         assert run.work.steps == round(run.t[-1])
-        assert f"to t={run.t[-1] + 1:.6g} s" in run.message
+        assert f"Ended at t={run.t[-1] + 1:.6g} s" in run.message
         assert len(run.notes["h"]) == len(run.t) <= 8192
         assert (np.diff(run.t) > 0).all()

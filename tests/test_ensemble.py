@@ -118,7 +118,7 @@ def test_a_diverging_member_neither_spoils_nor_slows_the_others():
     without = ensemble(scene, method, {"h": [*healthy, 0.7]}, t_end=200.0)
     found = ensemble(scene, method, {"h": [*healthy, 2.5]}, t_end=200.0)
     assert found.status == ["ok"] * 4 + ["diverged"]
-    assert "in the step to t=52.5 s" in found.message[4]
+    assert "Ended at t=52.5 s of 200 s" in found.message[4]
     assert found.values["t"][4] == pytest.approx(52.5)
     assert np.isnan(ends_of(found)["q"][4]).all()
     for name, table in ends_of(found).items():

@@ -20,7 +20,7 @@ from bench.running.realtime import (
     timed,
 )
 from bench.running.worker import Worker
-from integrators.native.loops.single_step import SingleStep
+from integrators.native.loops.constant_steps import SingleStep
 from integrators.resolutions import Steps
 from problems.base.spec import SpecError
 from problems.truth.reference import Reference

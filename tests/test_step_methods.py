@@ -252,7 +252,7 @@ def test_a_run_diverges_where_only_a_or_lam_is_not_finite(monkeypatch):
 
 
 # ---- dependent constraints -------------------------------------------------------------
-NAME = "The tangent is singular at t="
+NAME = "the tangent is singular"
 
 
 def ended(method, scene, t_end=0.45, h=0.02):
@@ -273,7 +273,7 @@ def ended(method, scene, t_end=0.45, h=0.02):
 def test_a_constraint_that_is_stated_twice_is_named_and_other_failures_keep_their_names(method):
     run = ended(method, Pendulum(copies=2))
     assert run.status == "newton_failed"
-    assert run.message.startswith(NAME)
+    assert NAME in run.message
     assert "ali3p[values=own]" in run.message
     other = ended("generalized_alpha", Pendulum(g=1e12), h=0.1)
     assert other.status != "ok"

@@ -21,7 +21,7 @@ from bench.running.worker import Worker
 from integrators import checks
 from integrators.advice import advice
 from integrators.contract import Integrator
-from integrators.native.loops.single_step import SingleStep
+from integrators.native.loops.constant_steps import SingleStep
 from integrators.native.step_method import NativeMethod
 from problems.base.runtime import Array, Float
 from problems.base.spec import SpecError

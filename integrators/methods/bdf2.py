@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 from integrators.contract import WIDER, option
-from integrators.native.algebra.step_records import Reading, Time
-from integrators.native.step.method_options import Formulated, OwnValues
-from integrators.native.step.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.algebra.step_records import Time
+from integrators.native.step.method_options import Formulated, StageMethod, StageState
+from integrators.native.step.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
 from problems.base.runtime import Array, jax, jnp
@@ -17,18 +17,8 @@ from problems.equations.kinematics import Displaced, Place, displaced
 from problems.system import MechatronicSystem
 
 
-class BDF2State(NamedTuple):
-    """Values at the end of the last step, and what `BDF2.kept` keeps of q, v and x at its start."""
-
-    shown: Reading
-    before: Base
-    guess: Guess
-    #: True before the first step.
-    first: Array
-
-
 @dataclass(frozen=True)
-class BDF2(OwnValues, Formulated, ImplicitStepMethod):
+class BDF2(StageMethod, Formulated, ImplicitStepMethod):
     """Backward differences of order two; L-stable, one solve in a step.
 
     With the ratio w = h/h_before of two steps, for u = q, v and x::
@@ -52,17 +42,17 @@ class BDF2(OwnValues, Formulated, ImplicitStepMethod):
         "(1993), doi:10.1007/978-3-540-78862-1, sec. III.5"
     )
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> BDF2State:
+    def own(self, scene: MechatronicSystem, start: Start, h: Time) -> tuple[Base, Array]:
+        """Return what `kept` keeps of q, v and x at the start of the last step, and whether there
+        was none."""
         z = start.z
-        shown = self.reported(scene, z, start.xdot)
-        guess = Guess.begin(z, start.xdot, h)
         kept = self.kept(z.q, displaced(scene, z.q, 0.0 * z.v), 0.0 * z.v)
-        return BDF2State(shown, Base(kept, z.v, z.x), guess, jnp.asarray(True))
+        return Base(kept, z.v, z.x), jnp.asarray(True)
 
     def step(
-        self, scene: MechatronicSystem, state: BDF2State, t: Time, h: Time, work: StepWork
-    ) -> BDF2State:
-        now, (q, v, x) = state.shown, state.before
+        self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
+    ) -> StageState:
+        now, _, ((q, v, x), is_first) = state
         w = h / state.guess.h
         newest, older = (1 + w) ** 2 / (1 + 2 * w), w**2 / (1 + 2 * w)
         tau = h * (1 + w) / (1 + 2 * w)
@@ -74,12 +64,12 @@ class BDF2(OwnValues, Formulated, ImplicitStepMethod):
         q_base = displaced(scene, now.q, h * now.v)
         first = Base(q_base, now.v + h / 4 * a, now.x + h / 4 * xdot)
         both = (Slopes(h**2 / 2, 3 * h / 4, 3 * h / 4), first), (Slopes(tau**2, tau, tau), later)
-        slopes, base = jax.tree.map(lambda one, two: jnp.where(state.first, one, two), *both)
+        slopes, base = jax.tree.map(lambda one, two: jnp.where(is_first, one, two), *both)
         e = stage_equations(scene, self.formulation, base, slopes, t, (now.q, t - h))
         z, xdot, guess = e.solve_from(work, state.guess, h)
-        shown = self.reported(scene, z, xdot, work)
         kept = Base(self.kept(now.q, base.q, slopes.q * z.a), now.v, now.x)
-        return BDF2State(shown, kept, guess, jnp.asarray(False))
+        shown = self.reported(scene, z, xdot, work)
+        return StageState(shown, guess, (kept, jnp.asarray(False)))
 
     def extrapolated(
         self, scene: MechatronicSystem, q: Array, kept: Array, weights: tuple, change: Array

@@ -12,8 +12,8 @@ from integrators.contract import WIDER, option
 from integrators.native.algebra.step_records import Scalar, Time
 from integrators.native.step.method_options import (
     Formulated,
-    RatesMethod,
-    RatesState,
+    StageMethod,
+    StageState,
     rho_inf_option,
 )
 from integrators.native.step.stage_equations import Base, Guess, Slopes, stage_equations
@@ -21,13 +21,14 @@ from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
 from problems.base.runtime import Array, jnp
 from problems.equations.block_structure import output_takes
+from problems.equations.formulations import Start
 from problems.equations.kinematics import displaced
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 
 
 @dataclass(frozen=True)
-class CompositeMethod(RatesMethod, Formulated, ImplicitStepMethod):
+class CompositeMethod(StageMethod, Formulated, ImplicitStepMethod):
     """Base of the composite methods: two solves in a step, with one member per split and radius.
 
     The first substep is one of the trapezoidal rule over gamma h. The second takes, with rates f at
@@ -59,14 +60,17 @@ class CompositeMethod(RatesMethod, Formulated, ImplicitStepMethod):
         of_y = 1 if output_takes(scene, "a", "lam") else 2
         return self.orders | {"a": 1, "lam": 1, "y": of_y}
 
+    def own(self, scene: MechatronicSystem, start: Start, h: Time) -> tuple[Array, Array]:
+        return start.z.a, start.xdot
+
     def step(
-        self, scene: MechatronicSystem, state: RatesState, t: Time, h: Time, work: StepWork
-    ) -> RatesState:
+        self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
+    ) -> StageState:
         gamma, rho = self.split_and_radius()
         w1 = (1 + rho) / (2 * gamma * (rho - 1) + 4)
         w0, w2 = 0.5 - (1 - gamma) * w1, 0.5 - gamma * w1
         now = state.shown
-        begun, half = (now.v, state.a, state.xdot), gamma * h / 2
+        begun, half = (now.v, *state.own), gamma * h / 2
 
         def substep(
             known: tuple, tau: Scalar, length: Scalar, end: Time, before: Array, guess: Guess
@@ -85,7 +89,7 @@ class CompositeMethod(RatesMethod, Formulated, ImplicitStepMethod):
         middle = (m.v, m.a, xdot_m)
         known = tuple(h * (w0 * f0 + w1 * fm) for f0, fm in zip(begun, middle, strict=True))
         z, xdot, guess = substep(known, h * w2, (1 - gamma) * h, t, m.q, guess)
-        return RatesState(self.reported(scene, z, xdot, work), z.a, xdot, guess)
+        return StageState(self.reported(scene, z, xdot, work), guess, (z.a, xdot))
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from typing import ClassVar, NamedTuple
 
 from integrators.advice import advice
 from integrators.contract import option
-from integrators.native.algebra.step_records import Reading, Scalar, Time
-from integrators.native.step.method_options import Formulated, OwnValues, RatesMethod, RatesState
-from integrators.native.step.stage_equations import Base, Guess, Slopes, stage_equations
+from integrators.native.algebra.step_records import Scalar, Time
+from integrators.native.step.method_options import Formulated, StageMethod, StageState
+from integrators.native.step.stage_equations import Base, Slopes, stage_equations
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
 from problems.base.runtime import Array
@@ -29,14 +29,6 @@ class Past(NamedTuple):
     h_before: Scalar
 
 
-class ThreeStepState(NamedTuple):
-    """Values at the end of the last step, and the past."""
-
-    shown: Reading
-    past: Past
-    guess: Guess
-
-
 def differences(
     now: Array, first: Array, second: Array, h: Scalar, past: Past, cubic: float
 ) -> tuple[Scalar, Array]:
@@ -50,7 +42,7 @@ def differences(
 
 
 @dataclass(frozen=True)
-class ThreeStepMethod(OwnValues, Formulated, ImplicitStepMethod):
+class ThreeStepMethod(StageMethod, Formulated, ImplicitStepMethod):
     """Base of methods that use values at the ends of the last three steps.
 
     The values before t0 are those of the Taylor polynomials at the start (of degree three for q),
@@ -68,7 +60,7 @@ class ThreeStepMethod(OwnValues, Formulated, ImplicitStepMethod):
     ) -> tuple[Base, Slopes]:
         """Return the values at the end of a step of size h: bases, and slopes by a and xdot."""
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> ThreeStepState:
+    def own(self, scene: MechatronicSystem, start: Start, h: Time) -> Past:
         z = start.z
         first = Base(
             z.v - h / 2 * z.a + h**2 / 6 * start.jerk,
@@ -77,13 +69,12 @@ class ThreeStepMethod(OwnValues, Formulated, ImplicitStepMethod):
         )
         # Differences over two steps; the third derivatives of v and x are not known.
         second = Base(z.a / 2 - h / 2 * start.jerk, start.jerk / 2, start.xddot / 2)
-        shown = self.reported(scene, z, start.xdot)
-        return ThreeStepState(shown, Past(first, second, h, h), Guess.begin(z, start.xdot, h))
+        return Past(first, second, h, h)
 
     def step(
-        self, scene: MechatronicSystem, state: ThreeStepState, t: Time, h: Time, work: StepWork
-    ) -> ThreeStepState:
-        now, past = state.shown, state.past
+        self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
+    ) -> StageState:
+        now, past = state.shown, state.own
         base, slopes = self.end(scene, Base(now.q, now.v, now.x), h, past)
         e = stage_equations(scene, self.formulation, base, slopes, t, (now.q, t - h))
         z, xdot, guess = e.solve_from(work, state.guess, h)
@@ -91,8 +82,8 @@ class ThreeStepMethod(OwnValues, Formulated, ImplicitStepMethod):
         second = Base(
             *((new - old) / (h + past.h) for new, old in zip(first, past.first, strict=True))
         )
-        shown = self.reported(scene, z, xdot, work)
-        return ThreeStepState(shown, Past(first, second, h, past.h), guess)
+        past = Past(first, second, h, past.h)
+        return StageState(self.reported(scene, z, xdot, work), guess, past)
 
 
 @dataclass(frozen=True)
@@ -143,7 +134,7 @@ class Park(ThreeStepMethod):
 
 
 @dataclass(frozen=True)
-class WilsonTheta(RatesMethod, ImplicitStepMethod):
+class WilsonTheta(StageMethod, ImplicitStepMethod):
     """Wilson's theta method: a is linear over theta h, and the equations hold at its end.
 
     With a_theta at t + theta h::
@@ -170,10 +161,13 @@ class WilsonTheta(RatesMethod, ImplicitStepMethod):
             )
         return None
 
+    def own(self, scene: MechatronicSystem, start: Start, h: Time) -> tuple[Array, Array]:
+        return start.z.a, start.xdot
+
     def step(
-        self, scene: MechatronicSystem, state: RatesState, t: Time, h: Time, work: StepWork
-    ) -> RatesState:
-        now, (a, xdot) = state.shown, (state.a, state.xdot)
+        self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
+    ) -> StageState:
+        now, (a, xdot) = state.shown, state.own
         far = self.theta * h
         q = advance(scene, now.q, far * now.v, far**2 / 3 * a)
         base = Base(q, now.v + far / 2 * a, now.x + far / 2 * xdot)
@@ -193,4 +187,4 @@ class WilsonTheta(RatesMethod, ImplicitStepMethod):
             y=nearer(now.y, z.y),
             t=t,
         )
-        return RatesState(self.reported(scene, z, xdot_end, work), a_end, xdot_end, guess)
+        return StageState(self.reported(scene, z, xdot_end, work), guess, (a_end, xdot_end))

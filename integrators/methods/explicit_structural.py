@@ -9,7 +9,7 @@ from integrators.advice import advice
 from integrators.contract import option
 from integrators.native.algebra import small_matrices
 from integrators.native.algebra.step_records import Reading, Time
-from integrators.native.step.method_options import OwnValues, RatesState
+from integrators.native.step.method_options import OwnValues, StageState
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import StepMethod
 from problems.base.runtime import Array
@@ -71,14 +71,14 @@ class ExplicitGeneralizedAlpha(ExplicitMethod):
         0.5, "spectral radius at the bifurcation of the roots", low=0.0, high=1.0, always=True
     )
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> RatesState:
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> StageState:
         z, xdot = start.z, start.xdot
-        return RatesState(Reading.of(z, xdot), z.a, xdot)
+        return StageState(Reading.of(z, xdot), None, (z.a, xdot))
 
     def step(
-        self, scene: MechatronicSystem, state: RatesState, t: Time, h: Time, work: StepWork
-    ) -> RatesState:
-        (now, aux, auxx, _), rho = state, self.rho_b
+        self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
+    ) -> StageState:
+        (now, _, (aux, auxx)), rho = state, self.rho_b
         alpha = (2 * rho - 1) / (1 + rho)
         gamma, beta = 1.5 - alpha, (5 - 3 * rho) / ((1 + rho) ** 2 * (2 - rho))
         aux_end = (now.a - alpha * aux) / (1 - alpha)
@@ -87,9 +87,9 @@ class ExplicitGeneralizedAlpha(ExplicitMethod):
         v = now.v + h * ((1 - gamma) * aux + gamma * aux_end)
         x = now.x + h * ((1 - gamma) * auxx + gamma * auxx_end)
         z, xdot = evaluate_and_count(scene, q, v, x, t, work)
-        return RatesState(Reading.of(z, xdot), aux_end, auxx_end)
+        return StageState(Reading.of(z, xdot), None, (aux_end, auxx_end))
 
-    def read(self, scene: MechatronicSystem, state: RatesState) -> Reading:
+    def read(self, scene: MechatronicSystem, state: StageState) -> Reading:
         return state.shown
 
 
@@ -112,14 +112,14 @@ class NohBathe(OwnValues, ExplicitMethod):
 
     p: float = option(0.54, "first substep as a part of the step", low=0.5, high=0.9, always=True)
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> RatesState:
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> StageState:
         z, xdot = start.z, start.xdot
-        return RatesState(self.reported(scene, z, xdot), z.a, xdot)
+        return StageState(self.reported(scene, z, xdot), None, (z.a, xdot))
 
     def step(
-        self, scene: MechatronicSystem, state: RatesState, t: Time, h: Time, work: StepWork
-    ) -> RatesState:
-        now, a, xdot, _ = state
+        self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
+    ) -> StageState:
+        now, _, (a, xdot) = state
         first, d, p = self.p * h, (1 - self.p) * h, self.p
         w1 = (1 - 2 * p) / (2 * p * (1 - p))
         w2 = 0.5 - p * w1
@@ -134,4 +134,4 @@ class NohBathe(OwnValues, ExplicitMethod):
             v=v_p + d * (w0 * a + (0.5 + w1) * m.a + w2 * z.a),
             x=x_p + d * (w0 * xdot + (0.5 + w1) * xdot_p + w2 * xdot_end),
         )
-        return RatesState(self.reported(scene, z, xdot_end, work), z.a, xdot_end)
+        return StageState(self.reported(scene, z, xdot_end, work), None, (z.a, xdot_end))

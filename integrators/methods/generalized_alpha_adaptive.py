@@ -19,7 +19,7 @@ them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -28,7 +28,7 @@ from integrators.contract import option
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_parameters import Scheme, smallest_safe_ratio
 from integrators.methods.generalized_alpha_step import AlphaState, AlphaStep, weights
-from integrators.native.algebra.step_records import Errors, Reading, Scalar, Time
+from integrators.native.algebra.step_records import Errors, Scalar, Time
 from integrators.native.step.step_program import StepFunctions
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ErrorControl
@@ -43,21 +43,10 @@ _RHO = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 _GROWTH = (2.0, 2.0, 1.75, 1.4, 1.15, 1.03, 1.01)
 
 
-class AdaptiveScheme(NamedTuple):
-    """A scheme, and the largest ratio of steps."""
+class Past(NamedTuple):
+    """The bends, and the last divided differences of a and xdot over a step of size ``gap`` in s;
+    at t0 they are exact derivatives, and gap is zero."""
 
-    scheme: Scheme
-    growth: float
-
-
-class AdaptiveAlphaState(NamedTuple):
-    """A state of the method with the bends, and the last divided differences of a and xdot.
-
-    The differences are over a step of size ``gap`` in s. At t0 they are exact derivatives, and gap
-    is zero.
-    """
-
-    alpha: AlphaState
     bend: Scalar
     bend_x: Scalar
     rate_a: Float[Array, " nv"]
@@ -66,44 +55,33 @@ class AdaptiveAlphaState(NamedTuple):
 
 
 @dataclass(frozen=True)
-class AdaptiveAlphaStep(StepFunctions):
+class AdaptiveAlphaStep(AlphaStep):
     """The step functions of the family with the error estimate."""
 
-    step_of: AlphaStep
-    own: Any = None
-
-    order = 2
-
-    def with_numbers(self, numbers: AdaptiveScheme) -> AdaptiveAlphaStep:
-        return replace(self, step_of=self.step_of.with_numbers(numbers.scheme), own=numbers)
-
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> AdaptiveAlphaState:
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> AlphaState:
         zero = 0.0 * h
-        alpha = self.step_of.begin(scene, start, h)
-        return AdaptiveAlphaState(alpha, zero, zero, start.jerk, start.xddot, zero)
+        past = Past(zero, zero, start.jerk, start.xddot, zero)
+        return super().begin(scene, start, h)._replace(past=past)
 
     def step(
-        self, scene: MechatronicSystem, state: AdaptiveAlphaState, t: Time, h: Time, work: StepWork
-    ) -> AdaptiveAlphaState:
-        s, before = self.own.scheme, state.alpha
-        alpha = self.step_of.step(scene, before, t, h, work)
+        self, scene: MechatronicSystem, state: AlphaState, t: Time, h: Time, work: StepWork
+    ) -> AlphaState:
+        s, new = self.scheme, super().step(scene, state, t, h, work)
         bend, bend_x = bends_before(s, state, h)
-        return AdaptiveAlphaState(
-            alpha,
-            bend_after(s.alpha_m, s.alpha_f, bend, alpha.shift, h),
-            bend_after(s.delta_m, s.delta_f, bend_x, alpha.shift_x, h),
-            (alpha.a - before.a) / h,
-            (alpha.xdot - before.xdot) / h,
+        past = Past(
+            bend_after(s.alpha_m, s.alpha_f, bend, new.shift, h),
+            bend_after(s.delta_m, s.delta_f, bend_x, new.shift_x, h),
+            (new.a - state.a) / h,
+            (new.shown.xdot - state.shown.xdot) / h,
             h,
         )
+        return new._replace(past=past)
 
-    def read(self, scene: MechatronicSystem, state: AdaptiveAlphaState) -> Reading:
-        return self.step_of.read(scene, state.alpha)
-
-    def estimate(self, before: AdaptiveAlphaState, after: AdaptiveAlphaState, h: Time) -> Errors:
+    def estimate(self, before: AlphaState, after: AlphaState, h: Time) -> Errors:
         """Local errors of q, v and x."""
-        s, w = self.own.scheme, weights(self.own.scheme, before.alpha, h)
+        s, w = self.scheme, weights(self.scheme, before, h)
         bend, bend_x = bends_before(s, before, h)
+        old, new = before.past, after.past
 
         def of_rate(weight: Any, shifts: tuple, bends: tuple, rate: Any, old_rate: Any) -> Any:
             """Local error of v or x; its first part vanishes if the weight is updated."""
@@ -112,22 +90,22 @@ class AdaptiveAlphaStep(StepFunctions):
             then = (1 - weight) * bends[0] + weight * bend_end - h**2 / 6
             return h * (first * rate + then * second(rate, old_rate))
 
-        def second(now: Any, old: Any) -> Any:
-            return 2 * (now - old) / (h + before.gap)
+        def second(now: Any, before: Any) -> Any:
+            return 2 * (now - before) / (h + old.gap)
 
         c_q = (0.5 - s.beta) * w.shift + s.beta * (h + w.shift_end) - h / 6
         shifts, shifts_x = (w.shift, w.shift_end), (w.shift_x, w.shift_x_end)
         return Errors(
-            q=h**2 * c_q * after.rate_a,
-            v=of_rate(w.gamma, shifts, (bend, after.bend), after.rate_a, before.rate_a),
-            x=of_rate(w.theta, shifts_x, (bend_x, after.bend_x), after.rate_xdot, before.rate_xdot),
+            q=h**2 * c_q * new.rate_a,
+            v=of_rate(w.gamma, shifts, (bend, new.bend), new.rate_a, old.rate_a),
+            x=of_rate(w.theta, shifts_x, (bend_x, new.bend_x), new.rate_xdot, old.rate_xdot),
         )
 
     def ratios(self) -> tuple[Scalar, Scalar]:
         """The smallest ratio without a restart of updated weights, and the largest growth."""
-        s, growth = self.own.scheme, self.own.growth
+        s = self.scheme
         safe = jnp.maximum(smallest_safe_ratio(s.alpha_m), smallest_safe_ratio(s.delta_m))
-        return jnp.maximum(jnp.where(s.updated, safe, 0.0), 1 / growth), growth
+        return jnp.maximum(jnp.where(s.updated, safe, 0.0), 1 / s.growth), s.growth
 
 
 def bend_after(m: Scalar, f: Scalar, bend: Scalar, shift_end: Scalar, h: Scalar) -> Scalar:
@@ -135,12 +113,12 @@ def bend_after(m: Scalar, f: Scalar, bend: Scalar, shift_end: Scalar, h: Scalar)
     return ((m - f) * h**2 / 2 - m * bend) / (1 - m) - h * shift_end
 
 
-def bends_before(s: Scheme, state: AdaptiveAlphaState, h: Scalar) -> tuple[Scalar, Scalar]:
+def bends_before(s: Scheme, state: AlphaState, h: Scalar) -> tuple[Scalar, Scalar]:
     """The bends at the start of a step; zero after a restart, like the shifts."""
-    w = weights(s, state.alpha, h)
+    w, past = weights(s, state, h), state.past
     return (
-        jnp.where(w.shift == state.alpha.shift, state.bend, 0.0),
-        jnp.where(w.shift_x == state.alpha.shift_x, state.bend_x, 0.0),
+        jnp.where(w.shift == state.shift, past.bend, 0.0),
+        jnp.where(w.shift_x == state.shift_x, past.bend_x, 0.0),
     )
 
 
@@ -178,9 +156,9 @@ class GeneralizedAlphaAdaptive(ErrorControl, GeneralizedAlpha):
         choices=("corrected", "consistent"),
     )
 
-    def numbers(self) -> AdaptiveScheme:
+    def numbers(self) -> Scheme:
         growth = float(np.interp(self.radius_at_infinity(), _RHO, _GROWTH))
-        return AdaptiveScheme(self.scheme(), growth)
+        return self.scheme()._replace(growth=growth)
 
     def functions(self) -> StepFunctions:
-        return AdaptiveAlphaStep(AlphaStep(self.formulation == "stabilised_index2"))
+        return AdaptiveAlphaStep(self.formulation == "stabilised_index2")

@@ -32,7 +32,8 @@ _ONE = np.array([1.0, -1.0])  # z - 1
 
 
 class Scheme(NamedTuple):
-    """Algorithmic parameters of one member of the family, for q and for x."""
+    """Algorithmic parameters of one member of the family, for q and for x, what is done with them,
+    and the largest ratio of steps that follow a tolerance."""
 
     alpha_m: float
     alpha_f: float
@@ -45,6 +46,7 @@ class Scheme(NamedTuple):
     classical: bool
     corrected: bool
     guarded: bool
+    growth: float = 1.0
 
 
 class SecondOrder(NamedTuple):

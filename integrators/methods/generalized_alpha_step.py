@@ -43,28 +43,19 @@ from problems.variables import Variables
 
 
 class AlphaState(NamedTuple):
-    """All values that a step passes to the next one."""
+    """All values that a step passes to the next one: those that are reported, the true and the
+    auxiliary acceleration, the auxiliary rate of x, and the times in s by which auxiliary values
+    are ahead of the true ones (delta in eqs 28-30)."""
 
-    q: Array
-    v: Array
+    shown: Reading
     a: Array
-    #: The auxiliary acceleration.
     aux: Array
-    lam: Array
-    x: Array
-    xdot: Array
     auxx: Array
-    y: Array
-    #: Times in s by which auxiliary values are ahead of the true ones (delta in eqs 28-30).
     shift: Scalar
     shift_x: Scalar
-    #: Size and weights of the last step.
-    h: Scalar
-    gamma: Scalar
-    theta: Scalar
-    #: The acceleration that is reported.
-    reported: Array
     guess: Guess
+    #: Memory of an estimate of errors.
+    past: Any = None
 
 
 class Weights(NamedTuple):
@@ -89,7 +80,7 @@ def weights(s: Scheme, state: AlphaState, h: Scalar) -> Weights:
     If they are updated and the scheme is guarded, a cut below the safe ratio restarts the
     recurrence; order two is kept.
     """
-    ratio, guarded = h / state.h, s.updated & s.guarded
+    ratio, guarded = h / state.guess.h, s.updated & s.guarded
     again = guarded & (ratio < smallest_safe_ratio(s.alpha_m) * (1 - 1e-9))
     again_x = guarded & (ratio < smallest_safe_ratio(s.delta_m) * (1 - 1e-9))
     shift = jnp.where(again, 0.0, state.shift)
@@ -98,7 +89,7 @@ def weights(s: Scheme, state: AlphaState, h: Scalar) -> Weights:
     theta, shift_x_end = updated_weight(s.delta_m, s.delta_f, shift_x, h)
     return Weights(
         aux=jnp.where(again, state.a, state.aux),
-        auxx=jnp.where(again_x, state.xdot, state.auxx),
+        auxx=jnp.where(again_x, state.shown.xdot, state.auxx),
         shift=shift,
         shift_x=shift_x,
         gamma=jnp.where(s.updated, gamma, s.gamma),
@@ -139,27 +130,25 @@ class AlphaStep(StepFunctions):
             v = v + corrected * c * h**2 * part
         aux = z.a + corrected * shift * start.jerk
         auxx = start.xdot + corrected * shift_x * start.xddot
-        return AlphaState(
-            z.q, v, z.a, aux, z.lam, z.x, start.xdot, auxx, z.y, shift, shift_x, h, s.gamma,
-            s.theta, z.a, Guess.begin(z, start.xdot, h),
-        )  # fmt: skip
+        shown = Reading.of(z._replace(v=v), start.xdot)._replace(notes=(h, s.gamma, s.theta))
+        return AlphaState(shown, z.a, aux, auxx, shift, shift_x, Guess.begin(z, start.xdot, h))
 
     def step(
         self, scene: MechatronicSystem, state: AlphaState, t: Time, h: Time, work: StepWork
     ) -> AlphaState:
-        s = self.scheme
+        s, now = self.scheme, state.shown
         w = weights(s, state, h)
         aux, auxx = w.aux, w.auxx
         # Auxiliary values at the end are linear: base + slope a, and base + slope xdot.
         aux_slope = (1 - s.alpha_f) / (1 - s.alpha_m)
         auxx_slope = (1 - s.delta_f) / (1 - s.delta_m)
         aux_base = (s.alpha_f * state.a - s.alpha_m * aux) / (1 - s.alpha_m)
-        auxx_base = (s.delta_f * state.xdot - s.delta_m * auxx) / (1 - s.delta_m)
+        auxx_base = (s.delta_f * now.xdot - s.delta_m * auxx) / (1 - s.delta_m)
         change = h**2 * ((0.5 - s.beta) * aux + s.beta * aux_base)
         base = Base(
-            displaced(scene, state.q, h * state.v, change),
-            state.v + h * ((1 - w.gamma) * aux + w.gamma * aux_base),
-            state.x + h * ((1 - w.theta) * auxx + w.theta * auxx_base),
+            displaced(scene, now.q, h * now.v, change),
+            now.v + h * ((1 - w.gamma) * aux + w.gamma * aux_base),
+            now.x + h * ((1 - w.theta) * auxx + w.theta * auxx_base),
         )
         slopes = Slopes(
             h**2 * s.beta * aux_slope, h * w.gamma * aux_slope, h * w.theta * auxx_slope
@@ -170,17 +159,14 @@ class AlphaStep(StepFunctions):
 
         e = stage_equations(
             scene, "stabilised_index2" if self.stabilised else "index3", base, slopes, t,
-            (state.q, t - h), for_controller=for_controller,
+            (now.q, t - h), for_controller=for_controller,
         )  # fmt: skip
         z, xdot, guess = e.solve_from(work, state.guess, h)
         aux_end, auxx_end = aux_base + aux_slope * z.a, auxx_base + auxx_slope * xdot
-        reported = jnp.where(s.classical, aux_end, z.a)
-        return AlphaState(
-            z.q, z.v, z.a, aux_end, z.lam, z.x, xdot, auxx_end, z.y, w.shift_end, w.shift_x_end, h,
-            w.gamma, w.theta, reported, guess,
-        )  # fmt: skip
+        notes = h, w.gamma, w.theta
+        shown = Reading.of(for_controller(z), xdot)._replace(notes=notes)
+        return AlphaState(shown, z.a, aux_end, auxx_end, w.shift_end, w.shift_x_end, guess)
 
     def read(self, scene: MechatronicSystem, state: AlphaState) -> Reading:
         """Return the variables; the notes are the step's size and weights."""
-        s = state
-        return Reading(s.q, s.v, s.reported, s.lam, s.x, s.xdot, s.y, (s.h, s.gamma, s.theta))
+        return state.shown

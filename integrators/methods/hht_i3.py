@@ -8,7 +8,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from integrators.contract import PreparedRun, option
-from integrators.native.algebra.step_records import Attempt, Choice, Reading, Scalar, Time
+from integrators.native.algebra.step_records import MethodState, Reading, Scalar, Time
 from integrators.native.loops.adaptive_steps import AdaptiveRun
 from integrators.native.loops.kernel import OnScene
 from integrators.native.step.method_options import Needs, OwnValues
@@ -209,18 +209,17 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
     def first_step(self, h: Time) -> Time:
         return jnp.asarray(self.longest) if self._chooses_by_newton else h
 
-    def choose(self, tried: Attempt) -> Choice:
-        before, after, h = tried.before, tried.after, tried.h
+    def choose(
+        self, before: MethodState, after: MethodState, h: Time, solved: Array, rtol: Scalar
+    ) -> tuple[Array, Scalar]:
         if self._chooses_by_newton:
             growth = jnp.where(after.quick >= _QUICK_STEPS, jnp.minimum(2.0, self.longest / h), 1.0)
-            return Choice(tried.solved, jnp.where(tried.solved, growth, 0.5))
+            return solved, jnp.where(solved, growth, 0.5)
         alpha = self.alpha
         of_q = ((1 - alpha) ** 2 / 4 - 1 / (6 * (1 + alpha))) * h**2 * (after.a - before.a)
-        error = jnp.sqrt(jnp.mean((of_q / after.weights) ** 2)) / tried.rtol
+        error = jnp.sqrt(jnp.mean((of_q / after.weights) ** 2)) / rtol
         # The test of q is blind to a of so small a step, with which anything passes.
         rounding = np.finfo(float).eps * jnp.max(after.weights) / h**2
-        solved = tried.solved & (
-            rounding < _ROUNDING * jnp.maximum(1.0, jnp.max(jnp.abs(before.a)))
-        )
+        solved = solved & (rounding < _ROUNDING * jnp.maximum(1.0, jnp.max(jnp.abs(before.a))))
         ratio = jnp.clip(_SAFETY * (error + 1e-12) ** (-1 / 3), _SHARPEST, _GROWTH)
-        return Choice(solved & (error <= 1.0), jnp.where(solved, ratio, _AFTER_FAILURE))
+        return solved & (error <= 1.0), jnp.where(solved, ratio, _AFTER_FAILURE)

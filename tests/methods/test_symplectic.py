@@ -9,8 +9,11 @@ from proofs import SWING, TWO_RODS, ConservingOscillator, step_of
 
 from bench.check.trials import ForcedOscillator
 from integrators import Integrator, Steps
-from integrators.methods.discrete_gradients import NoDiscreteGradient, discrete_gradient
-from integrators.methods.energy_momentum import EnergyMomentum
+from integrators.methods.energy_momentum import (
+    EnergyMomentum,
+    NoDiscreteGradient,
+    discrete_gradient,
+)
 from integrators.methods.generalized_alpha import Newmark
 from integrators.methods.lobatto_iiia_iiib import LobattoPair
 from integrators.methods.rattle import RATTLE, SHAKE, VariationalMidpoint

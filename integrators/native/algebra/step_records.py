@@ -73,25 +73,6 @@ class Errors(NamedTuple):
     x: Float[Array, " nx"]
 
 
-class Attempt(NamedTuple):
-    """A tried step for a method that chooses its steps itself."""
-
-    before: MethodState
-    after: MethodState
-    #: Size of the step in s.
-    h: Scalar
-    #: True if its equations are solved and all values finite.
-    solved: Bool[Array, ""]
-    rtol: Scalar
-
-
-class Choice(NamedTuple):
-    """Whether a tried step counts, and the ratio of the next one to it."""
-
-    accepted: Bool[Array, ""]
-    ratio: Scalar
-
-
 def largest(*parts: Array | Scalar) -> Float[Array, ""]:
     """Largest absolute value over arrays, some of them empty; NaN if an entry is NaN."""
     # JAX 0.10.2 cannot compile some programs with empty arrays and LAPACK's factorisation.

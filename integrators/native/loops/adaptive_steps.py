@@ -32,8 +32,6 @@ import numpy as np
 from integrators.contract import Trajectory, Work
 from integrators.native.algebra.step_records import (
     COUNTS,
-    Attempt,
-    Choice,
     Errors,
     Reading,
     Scalar,
@@ -61,8 +59,7 @@ from problems.equations.named_equations import turns, with_named_blocks
 from problems.system import MechatronicSystem
 
 _OK, _MOST_STEPS, _ERROR = map(int, (Ending.OK, Ending.BUDGET_EXCEEDED, Ending.ERROR_TEST_FAILED))
-_NEWTON, _NOT_FINITE = int(Ending.NEWTON_KEPT_FAILING), int(Ending.NOT_FINITE)
-_DIVERGED = int(Ending.UNBOUNDED)
+_NEWTON, _DIVERGED = int(Ending.NEWTON_FAILED), int(Ending.DIVERGED)
 
 _SAFETY = 0.9
 #: Factors of a rejected step.
@@ -180,11 +177,10 @@ class AdaptiveRun(LoopRun):
                 first, full = first + self._slots, window[-1, 0] > 0
         self._turns = [*map(int, end[4 + len(COUNTS) :])]
         rows = in_order(np.concatenate([*windows, last[None]]))
-        limits, work = (
-            (float(self._span.t_end), int(self._span.max_steps)),
-            Work(*map(int, end[2 : 4 + len(COUNTS)])),
+        work = Work(*map(int, end[2 : 4 + len(COUNTS)]))
+        return self._trajectory(
+            rows, end, float(self._span.t_end), work, int(self._span.max_steps)
         )
-        return self._trajectory(rows, end, limits[0], work, limits[1])
 
 
 def in_order(rows: np.ndarray) -> np.ndarray:
@@ -240,7 +236,7 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
             """Whether a tried step counts, the next one, its error, and how the run ends by it."""
             finite, states = jnp.isfinite(largest(*now[:-1])), (m.state.state, after.state)
             solved = finite & converged
-            choice, error = method.choose(Attempt(*states, h, solved, span.rtol)), m.error
+            choice, error = method.choose(*states, h, solved, span.rtol), m.error
             if choice is None:
                 errors, before = method.estimate(*states, h), program.read(scene, m.state)
                 error = control.error(errors, before, now, span)
@@ -248,9 +244,9 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
                 solved = finite & converged
                 error = jnp.maximum(error, 1e-4)
                 ratio = control.ratio(error, m.error, method.order_of(after.state), limits, solved)
-                choice = Choice(solved & (error <= 1.0), ratio)
-            accepted, h_next = choice.accepted, h * choice.ratio
-            reason = jnp.where(solved, _ERROR, jnp.where(finite, _NEWTON, _NOT_FINITE))
+                choice = solved & (error <= 1.0), ratio
+            accepted, h_next = choice[0], h * choice[1]
+            reason = jnp.where(solved, _ERROR, jnp.where(finite, _NEWTON, _DIVERGED))
             ending = jnp.where(~accepted & (h_next < smallest), reason, _OK)
             ending = jnp.where(accepted & ~is_bounded(now), _DIVERGED, ending)
             return accepted, jnp.maximum(h_next, smallest), error, ending

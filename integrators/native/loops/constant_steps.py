@@ -1,19 +1,22 @@
-"""Runs at constant steps, or patterns of steps: the compiled time loop.
+"""Runs at constant steps, or patterns of steps: the compiled time loop, and a step by itself.
 
 One compiled kernel serves a method on all scenes of one kind: schemes, steps, patterns, parameters
 and tolerances are traced arguments and compile nothing new. The loop stores chosen rows only, so
 memory does not grow with the number of steps.
+
+`SingleStep` is the step that the host calls again and again, as a loop in real time does.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from integrators.contract import Trajectory, Work
-from integrators.native.algebra.step_records import COUNTS, Scalar, Time
+from integrators.native.algebra.step_records import COUNTS, Reading, Scalar, Time
 from integrators.native.loops.kernel import (
     ROWS,
     STEPS,
@@ -25,13 +28,15 @@ from integrators.native.loops.kernel import (
     flat_row,
     no_counts,
     rewritten_step,
+    with_start,
 )
 from integrators.native.loops.status import Ending
-from integrators.native.step.step_program import Numbers, StepProgram
+from integrators.native.step.step_program import Carried, Numbers, StepProgram
 from integrators.output_rows import EVERY_STEP, is_row, row_times, width_of
 from integrators.resolutions import Steps
 from problems.base.runtime import Array, Float, Int, jax, jnp
 from problems.equations.formulations import Start
+from problems.equations.initial_values import consistent_start
 from problems.equations.named_equations import turns, with_named_blocks
 from problems.system import MechatronicSystem
 
@@ -127,6 +132,39 @@ class ConstantStepsRun(LoopRun):
         return kept[: (kept[: len(wanted), 0] == wanted).sum()], end
 
 
+def _one_step(
+    program: StepProgram,
+    step: Callable,
+    named: MechatronicSystem,
+    sane: Callable[[Reading], Array],
+) -> Callable[..., tuple]:
+    """The n-th step (from zero) of a loop, from its state and its ending so far.
+
+    It gives the end in s, the state and ending after it, the values there, and the report. A step
+    that is not solved is no failure with ``goes_on``.
+    """
+
+    def take(
+        p: dict, numbers: Numbers, clock: Clock, n: Array, state: Carried, ending: Array,
+        goes_on: bool = False,
+    ) -> tuple:  # fmt: skip
+        t, h = step_times(clock, n)
+        # Among many runs a failed run still takes steps, whose results are dropped. With a NaN
+        # step Newton's method ends at once.
+        h = jnp.where(ending == _OK, h, jnp.nan)
+        state, report = step(p, numbers, state, t, h)
+        now = program.read(named.with_parameters(p), state)
+        failed = jnp.where(report.solved, _REFUSED, _OK if goes_on else _NEWTON_FAILED)
+        ending = jnp.where(sane(now), jnp.where(report.converged, _OK, failed), _DIVERGED)
+        return t, state, ending, now, report
+
+    return take
+
+
+def _row(number: Array, t: Array, values: Reading) -> Float[Array, " n"]:
+    return jnp.concatenate([jnp.stack([number, t]), flat_row(values)])
+
+
 @cache
 def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Kernel:
     """The compiled time loop of a method on a kind of scene, for any numbers and parameters.
@@ -135,7 +173,6 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
     ignored. It returns the rows ``(rows, [steps done or -1, t, q, v, a, lam, x, xdot, y, notes])``
     and ``[ending, t, counts...]``.
     """
-
     named = with_named_blocks(template)
     step = rewritten_step(program, named)
 
@@ -145,18 +182,11 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
         scene = named.with_parameters(p)
         state = program.begin(scene, numbers, start, step_times(clock, 0)[1])
         first = program.read(scene, state)
-        sane = bounded(first)
+        take = _one_step(program, step, named, bounded(first))
 
         def one_step(progress: tuple) -> tuple:
             n, state, ending, counts, _ = progress
-            t, h = step_times(clock, n)
-            # Among many runs a failed run still takes steps, whose results are dropped. With a NaN
-            # step Newton's method ends at once.
-            h = jnp.where(ending == _OK, h, jnp.nan)
-            state, report = step(p, numbers, state, t, h)
-            now = program.read(scene, state)
-            failed = jnp.where(report.solved, _REFUSED, _NEWTON_FAILED)
-            ending = jnp.where(sane(now), jnp.where(report.converged, _OK, failed), _DIVERGED)
+            t, state, ending, _, report = take(p, numbers, clock, n, state, ending)
             counts = tuple(c + r for c, r in zip(counts, (1, *report.counts), strict=True))
             return n + 1, state, ending, counts, t
 
@@ -167,8 +197,7 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
                     lambda now: (now[0] < rows[k]) & (now[2] == _OK), one_step, progress
                 )
             n, state, ending, _, t = progress
-            reached = jnp.where(ending == _OK, n, -1)
-            row = jnp.concatenate([jnp.stack([reached, t]), flat_row(program.read(scene, state))])
+            row = _row(jnp.where(ending == _OK, n, -1), t, program.read(scene, state))
             return k + 1, kept.at[k].set(row), progress
 
         counts = no_counts(1, step, p, numbers, state)
@@ -185,3 +214,114 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
         return kept, jnp.stack([ending, t, steps - (ending != _OK), *counts])
 
     return Kernel(loop, form)
+
+
+@cache
+def _single(
+    program: StepProgram, template: MechatronicSystem, form: Form, goes_on: bool
+) -> tuple[Callable, Callable, int, bool]:
+    """Compiled functions of the packed arguments, which come last, that give the state at the
+    start, and that after one more step; the numbers in its row, and whether a step calls Newton's
+    method.
+
+    A state is one array: the ending, the time and values of the last step, whether it was solved,
+    the number of steps, and all that the method passes on.
+    """
+    from jax.flatten_util import ravel_pytree  # JAX is loaded late
+
+    named = with_named_blocks(template)
+    step = rewritten_step(program, named)
+
+    def begun(packed: Array) -> tuple[Array, Array, Carried]:
+        p, numbers, start, clock = form.unpack(packed)
+        scene, h = named.with_parameters(p), step_times(clock, 0)[1]
+        state = program.begin(scene, numbers, start, h)
+        row = _row(jnp.asarray(float(_OK)), clock.t0, program.read(scene, state)._replace(notes=()))
+        return row, jnp.array([1.0, 0.0]), state
+
+    size = sum(int(np.prod(shape)) for shape in form.shapes)
+    first = jax.eval_shape(begun, jax.ShapeDtypeStruct((size,), float))
+    parted = ravel_pytree(jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), first))[1]
+
+    def advance(now: Array, packed: Array) -> Array:
+        p, numbers, start, clock = form.unpack(packed)
+        _, (_, n), state = parted(now)
+        sane = bounded(Reading.of(start.z, start.xdot))
+        take = _one_step(program, step, named, sane)
+        t, state, ending, values, report = take(
+            p, numbers, clock, n.astype(int), state, jnp.asarray(_OK), goes_on
+        )
+        row = _row(1.0 * ending, t, values._replace(notes=()))
+        return ravel_pytree((row, jnp.stack([1.0 * report.solved, n + 1]), state))[0]
+
+    p, numbers, *_ = form.structs
+    _, report = jax.eval_shape(step, p, numbers, first[2], jnp.zeros(()), jnp.zeros(()))
+    iterates = any(name.startswith("newton") for name in report.turns)
+    begin = jax.jit(lambda packed: ravel_pytree(begun(packed))[0])
+    return begin, jax.jit(advance), first[0].size, iterates
+
+
+class SingleStep:
+    """A compiled step of constant size; the state stays on the device as one array.
+
+    Parameters
+    ----------
+    program, numbers
+        A native method at constant steps.
+    scene
+        The scene; the run begins at its start.
+    h, steps
+        Size of the step in s, and number of steps in a run.
+    most
+        Most iterations in each call of Newton's method, after which the step goes on; None for
+        those of the method, without which a step has failed. A method that keeps tangents takes no
+        limit: what few iterations by an old tangent leave adds up over steps.
+
+    Attributes
+    ----------
+    iterates, keeps_tangents
+        Whether a step calls Newton's method, and whether that keeps tangents over steps.
+    first
+        The state at the start, an array.
+    """
+
+    def __init__(
+        self,
+        program: StepProgram,
+        numbers: Numbers,
+        scene: MechatronicSystem,
+        h: float,
+        steps: int,
+        most: int | None = None,
+    ) -> None:
+        self._scene, self._program = scene, program
+        self.keeps_tangents = program.keeps_tangents
+        numbers = numbers if most is None else numbers._replace(most=most)
+        t0, self._start = scene.interval[0], consistent_start(scene)
+        self._t_end = t0 + steps * h
+        clock = grid(t0, self._t_end, Steps(h))[0]._replace(macro_steps=steps)
+        parts = scene.parameters(), numbers, self._start, clock
+        form = Form.of(*parts)
+        self._packed = form.pack(*parts)
+        functions = _single(program, scene.template(), form, most is not None)
+        begin, self._advance, self._width, self.iterates = functions
+        self.first = begin(self._packed)
+
+    def __call__(self, state: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Take one step; the result may not be ready yet."""
+        return self._advance(state, self._packed)
+
+    def run(self, states: Sequence[Float[Array, " n"]]) -> tuple[Trajectory, int]:
+        """Return the run that states after each step make, and the number of unconverged steps.
+
+        It ends before the first step that has no result: not solved though its iterations are not
+        limited, refused by the method, not finite, or grown beyond all bounds.
+        """
+        table = np.stack([np.asarray(state)[: self._width + 1] for state in states])
+        bad, solved = table[:, 0] != _OK, table[:, -1] > 0
+        done = int(bad.argmax()) if bad.any() else len(bad)
+        last = table[min(done, len(bad) - 1)]
+        values = with_start(self._start, self._scene, table[:done, 1:-1], ())
+        ending = Ending(int(last[0])).with_cause(self._program.functions, self._scene, values)
+        status, message = ending.outcome(float(last[1]), self._t_end)
+        return Trajectory(**values, status=status, message=message), int((~solved[:done]).sum())

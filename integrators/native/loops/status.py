@@ -11,31 +11,31 @@ from problems.system import MechatronicSystem
 
 
 class Ending(IntEnum):
-    """The ending of a time loop, as the compiled program reports it; zero while it runs."""
+    """The ending of a time loop, as the compiled program reports it; zero while it runs.
+
+    Steps that follow a tolerance fail where the smallest one does.
+    """
 
     OK = 0
-    #: At constant steps: Newton's method failed in a step; the solution is not finite or grew.
     NEWTON_FAILED = 1
+    #: The solution is not finite or grew.
     DIVERGED = 2
-    #: At chosen steps.
+    #: Of steps that follow a tolerance.
     BUDGET_EXCEEDED = 3
     ERROR_TEST_FAILED = 4
-    NEWTON_KEPT_FAILING = 5
-    NOT_FINITE = 6
-    UNBOUNDED = 7
     #: Found after the run: a step failed where constraints depend on each other.
-    SINGULAR = 8
+    SINGULAR = 5
     #: At constant steps: the method itself refused a step, whatever its equations gave.
-    REFUSED = 9
+    REFUSED = 6
 
     def with_cause(
         self, functions: StepFunctions, scene: MechatronicSystem, rows: dict[str, Any]
     ) -> Ending:
         """`SINGULAR` in the place of a step that failed after rows ``q`` and ``t``, if constraints
         depend on each other there and the method does not take that; no smaller step helps."""
-        if self not in _FAILED_STEPS or functions.takes_redundant:
-            return self
-        return Ending.SINGULAR if missing_rank(scene, rows["q"][-1], float(rows["t"][-1])) else self
+        failed = self in (Ending.NEWTON_FAILED, Ending.DIVERGED) and not functions.takes_redundant
+        singular = failed and missing_rank(scene, rows["q"][-1], float(rows["t"][-1]))
+        return Ending.SINGULAR if singular else self
 
     def outcome(self, t: float, t_end: float, max_steps: int = 0) -> tuple[str, str]:
         """Status (see `integrators.contract.STATUSES`) and message of a run that ended at t.
@@ -48,63 +48,41 @@ class Ending(IntEnum):
             Most steps of a run that chooses its steps.
         """
         status, text = _OUTCOMES[self]
-        return status, text.format(t=t, t_end=t_end, max_steps=max_steps)
+        text = text and f"Ended at t={t:.6g} s of {t_end:g} s: {text}."
+        return status, text.format(max_steps=max_steps)
 
 
-_FAILED_STEPS = (
-    Ending.NEWTON_FAILED,
-    Ending.DIVERGED,
-    Ending.NEWTON_KEPT_FAILING,
-    Ending.NOT_FINITE,
-)
-_ENDED = "Ended at t={t:.6g} s of {t_end:g} s: "
 _OUTCOMES = {
     Ending.OK: ("ok", ""),
     Ending.NEWTON_FAILED: (
         "newton_failed",
-        "Newton's method did not converge in the step to t={t:.6g} s; take a smaller step or a "
-        "method that damps more.",
+        "Newton's method did not converge; take a smaller step, another rtol or a method that "
+        "damps more, or look for a jump in the scene's equations",
     ),
     Ending.DIVERGED: (
         "diverged",
-        "The solution grew beyond all bounds or was no longer finite in the step to t={t:.6g} s; "
-        "take a smaller step, a method that damps more or, after an explicit one, an implicit one; "
-        "or check the scene's forces there.",
+        "the solution grew beyond all bounds or is not finite; take a smaller step or rtol, a "
+        "method that damps more or, after an explicit one, an implicit one; or check the scene's "
+        "forces there",
     ),
     Ending.BUDGET_EXCEEDED: (
         "budget_exceeded",
-        _ENDED + "{max_steps} steps were used up; raise max_steps, or ask for less "
-        "accuracy (a larger rtol or step).",
+        "{max_steps} steps were used up; raise max_steps, or ask for less accuracy (a larger rtol "
+        "or step)",
     ),
     Ending.ERROR_TEST_FAILED: (
         "step_too_small",
-        _ENDED + "the error test kept failing down to the smallest step; use a larger rtol, or "
-        "look for a jump in the scene's equations.",
-    ),
-    Ending.NEWTON_KEPT_FAILING: (
-        "newton_failed",
-        _ENDED + "Newton's method kept failing down to the smallest step; use another rtol, "
-        "or look for a jump in the scene's equations.",
-    ),
-    Ending.NOT_FINITE: (
-        "diverged",
-        _ENDED + "the equations are not finite from here on; check the scene's equations beyond "
-        "this time.",
-    ),
-    Ending.UNBOUNDED: (
-        "diverged",
-        _ENDED + "the solution grew beyond all bounds; use a smaller rtol or check the scene's "
-        "forces.",
+        "the error test kept failing down to the smallest step; use a larger rtol, or look for a "
+        "jump in the scene's equations",
     ),
     Ending.SINGULAR: (
         "newton_failed",
-        "The tangent is singular at t={t:.6g} s: constraints depend on each other (redundant, or "
-        "at a singular position); use ali3p[values=own] if it takes the scene, or drop dependent "
-        "constraints from the scene.",
+        "the tangent is singular: constraints depend on each other (redundant, or at a singular "
+        "position); use ali3p[values=own] if it takes the scene, or drop dependent constraints",
     ),
     Ending.REFUSED: (
         "newton_failed",
-        "The step to t={t:.6g} s has no sound solution: the method's equations do not describe the "
-        "scene there; take a smaller step or another method.",
+        "the step has no sound solution: the method's equations do not describe the scene there; "
+        "take a smaller step or another method",
     ),
 }

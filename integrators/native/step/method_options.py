@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, TypeAlias, cast
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 from integrators.contract import Integrator, option
 from integrators.native.algebra import small_matrices
@@ -77,38 +77,26 @@ class OwnValues(Integrator):
 
 
 class StageState(NamedTuple):
-    """Values that are reported at the end of the last step, and the guess of the next one."""
+    """Values that are reported at the end of the last step, the guess of the next one, None of
+    explicit methods, and what else a method passes on."""
 
     shown: Reading
-    guess: Guess
-
-
-class RatesState(NamedTuple):
-    """Values that are reported at the end of the last step, the method's own rates of v and x
-    there, and the guess of the next one if it is implicit."""
-
-    shown: Reading
-    a: Array
-    xdot: Array
-    guess: Guess = cast(Guess, None)  # explicit methods have none
-
-
-@dataclass(frozen=True)
-class RatesMethod(OwnValues):
-    """Base of implicit methods whose steps pass on rates of their own."""
-
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> RatesState:
-        z, xdot = start.z, start.xdot
-        return RatesState(self.reported(scene, z, xdot), z.a, xdot, Guess.begin(z, xdot, h))
+    guess: Any
+    own: Any = ()
 
 
 @dataclass(frozen=True)
 class StageMethod(OwnValues):
-    """Base of methods whose steps pass on nothing else."""
+    """Base of methods whose steps pass on a `StageState`."""
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> StageState:
+        shown = self.reported(scene, start.z, start.xdot)
         guess = Guess.begin(start.z, start.xdot, h)
-        return StageState(self.reported(scene, start.z, start.xdot), guess)
+        return StageState(shown, guess, self.own(scene, start, h))
+
+    def own(self, scene: MechatronicSystem, start: Start, h: Time) -> Any:
+        """Return what else the first step takes."""
+        return ()
 
 
 class EndState(NamedTuple):

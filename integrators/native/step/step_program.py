@@ -18,8 +18,6 @@ from integrators.native.algebra import klu
 from integrators.native.algebra.jaxpr_tools import with_constants
 from integrators.native.algebra.linear_solvers import DENSE, LinearSolver, SparseSolver
 from integrators.native.algebra.step_records import (
-    Attempt,
-    Choice,
     Errors,
     MethodState,
     Reading,
@@ -119,8 +117,11 @@ class StepFunctions(ABC):
         """Return the smallest and largest ratio of the next step to an accepted one."""
         return 0.0, 5.0
 
-    def choose(self, tried: Attempt) -> Choice | None:
-        """Accept a step and choose the next one; None leaves both to the controller."""
+    def choose(
+        self, before: MethodState, after: MethodState, h: Time, solved: Array, rtol: Scalar
+    ) -> tuple[Array, Scalar] | None:
+        """Return whether a tried step of size h (s) counts, and the ratio of the next one to it;
+        None leaves both to the controller. ``solved`` is true if all its values are finite, too."""
         return None
 
     def first_step(self, h: Time) -> Time:
