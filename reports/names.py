@@ -150,7 +150,6 @@ _GREEK = {
     "delta_m": "δm",
     "delta_f": "δf",
     "theta": "θ",
-    "rho_inf_x": "ρx",
 }
 Options = dict[str, str]
 

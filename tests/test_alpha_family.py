@@ -169,7 +169,6 @@ def test_free_parameters_have_the_order_that_they_claim():
     for options, wanted in [
         ({"alpha_m": 0.3, "alpha_f": 0.4, "delta_m": 0.3, "delta_f": 0.4}, 2.0),
         ({"gamma": 0.65}, 1.0),
-        ({"theta": 0.6}, 1.0),
     ]:
         method = GeneralizedAlpha(**options)
         found = [errors(method, *SPRING, h) for h in FINE]

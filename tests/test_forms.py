@@ -25,7 +25,6 @@ FORMS = {
     "bdf2[formulation=index2]": "index 2",
     "ali3p": "index 3, projected",
     "phem56": "index 2, unprojected",
-    "phem56[projection=positions]": "index 2, projected",
     "half_explicit_euler": "index 2, unprojected",
     "implicit_fast[erp=0.2]": "index 2, Baumgarte",
     "implicit_fast[erp=0]": "index 2, unprojected",
@@ -85,7 +84,7 @@ def test_a_form_is_told_of_constrained_scenes_and_stated_forms_alone():
 @pytest.mark.parametrize(
     ("text", "resolution"),
     [
-        *((text, Tolerances(1e-4, 1e-6)) for text in ("phem56", "phem56[projection=positions]")),
+        ("phem56", Tolerances(1e-4, 1e-6)),
         *((f"rodas5p[constraints={c}]", Tolerances(1e-4, 1e-6)) for c in ("index1", "projected")),
         *((f"radau_iia[formulation={f}]", Tolerances(1e-4, 1e-6)) for f in ("index3", "index2")),
         ("kvaerno5", Tolerances(1e-4, 1e-6)),

@@ -58,7 +58,7 @@ def apart(one, other):
         *long(
             ("quarter_car", MODIFIED),
             ("pendulum", "linearly_implicit_euler"),
-            ("pendulum", "phem56[steps=constant,projection=positions]"),
+            ("pendulum", "rodas5p[steps=constant,constraints=projected]"),
         ),
     ],
 )

@@ -26,12 +26,12 @@ def read(cls, text):
 
 @given(
     st.floats(0, 1),
-    st.none() | st.floats(0, 1),
+    st.none() | st.floats(-3, 0.95),
     st.sampled_from(["fixed", "updated", "guarded"]),
     st.integers(1, 99),
 )
-def test_options_round_trip_through_the_printed_name(rho, rho_x, gamma, most):
-    method = GeneralizedAlpha(rho_inf=rho, rho_inf_x=rho_x, gamma=gamma, newton_max=most)
+def test_options_round_trip_through_the_printed_name(rho, delta, gamma, most):
+    method = GeneralizedAlpha(rho_inf=rho, delta_m=delta, gamma=gamma, newton_max=most)
     assert read(GeneralizedAlpha, method.spec) == method
 
 
@@ -110,24 +110,17 @@ def test_free_parameters_round_trip_and_reach_the_scheme(gamma, alpha_m, beta):
     assert (s.alpha_f, s.theta) == (by_rule.alpha_f, by_rule.theta)
 
 
-def test_the_weights_follow_from_free_alphas_and_the_name_hides_what_decides_nothing():
+def test_the_weights_follow_from_free_alphas():
     text = "generalized_alpha[alpha_m=3/10,alpha_f=2/5,delta_m=3/10,delta_f=2/5]"
     method = read(GeneralizedAlpha, text)  # one set for q and x
-    assert method.spec == "generalized_alpha[alpha_m=0.3,alpha_f=0.4,delta_m=0.3,delta_f=0.4]"
     assert read(GeneralizedAlpha, method.spec) == method
     s = method.scheme()
     assert (s.gamma, s.theta) == (pytest.approx(0.6), pytest.approx(0.6))
     assert s.beta == pytest.approx(1.1**2 / 4)
-    shown = GeneralizedAlpha(alpha_m=0.3, delta_m=0.3, delta_f=0.4).spec
-    assert shown.startswith("generalized_alpha[rho_inf=0.8,")  # it still decides alpha_f
 
 
-def test_contradicting_parameters_are_refused_in_one_sentence():
+def test_parameters_outside_their_range_are_refused_in_one_sentence():
     for options, words in [
-        ("gamma=updated,theta=0.6", "theta=0.6 fixes a weight that gamma=updated changes"),
-        ("gamma=guarded,theta=0.6", "leave one of them out"),
-        ("rho_inf_x=0.5,delta_m=0.3,delta_f=0.4", "rho_inf_x=0.5 decides nothing"),
-        ("rho_inf=0.5,alpha_m=0.3,alpha_f=0.4,rho_inf_x=0.3", "rho_inf=0.5 decides nothing"),
         ("alpha_m=1", r"\[-3.0, 0.95\]"),
         ("gamma=4", r"\[0.0, 3.0\]"),
         ("gamma=nan", "known: fixed, guarded, updated"),
@@ -146,8 +139,6 @@ def test_claims_follow_the_free_parameters():
     one_set = {"alpha_m": 0.3, "alpha_f": 0.4, "delta_m": 0.3, "delta_f": 0.4}
     assert claims(free, **one_set) == claims(controlled, **one_set) == whole
     assert set(claims(free, gamma=0.6).values()) == {1}
-    assert claims(free, theta=0.6) == whole  # no controller
-    assert set(claims(controlled, theta=0.6).values()) == {1}
     assert claims(free, alpha_m=0.6, alpha_f=0.7) == {}  # not zero-stable
     assert claims(free, alpha_m=0.3, alpha_f=0.3) == {"q": 2, "v": 2}  # undamped on index 3
     assert claims(free, delta_m=0.6) == whole

@@ -21,7 +21,7 @@ from problems.scenes.oscillators import SpringMass
 
 MEMBERS = [
     GeneralizedAlpha(rho_inf=0.0),
-    GeneralizedAlpha(rho_inf=0.8, rho_inf_x=0.3),
+    GeneralizedAlpha(rho_inf=0.8, delta_m=0.1, delta_f=0.3),
     HHT(alpha=0.2),
     WBZ(rho_inf=0.4),
     Newmark(),
@@ -112,7 +112,7 @@ def test_hht_ends_where_it_says_and_other_methods_are_no_multistep_formulas():
     assert isinstance(GeneralizedAlpha().multistep_form(), MultistepForm)
     assert Kvaerno5().multistep_form() is None
     assert multistep_form(HHT(alpha=1 / 3).scheme()).q.infinity_stable
-    assert not multistep_form(HHT(alpha=0.55, any_alpha=True).scheme()).q.infinity_stable
+    assert not multistep_form(HHT(alpha=0.55).scheme()).q.infinity_stable
 
 
 def test_roots_on_the_circle_are_counted():
@@ -161,7 +161,7 @@ def test_the_formulas_in_varying_steps_are_those_of_the_kernel():
 
 
 def test_in_equal_steps_they_are_the_polynomials():
-    s, h = GeneralizedAlpha(rho_inf=0.8, rho_inf_x=0.3).scheme(), 0.25
+    s, h = GeneralizedAlpha(rho_inf=0.8, delta_m=0.1, delta_f=0.3).scheme(), 0.25
     r = multistep_form(s)
     pairs = [
         (position_formula(s.alpha_m, s.alpha_f, s.beta, [h] * 3, [s.gamma] * 3), r.q),

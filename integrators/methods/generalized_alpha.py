@@ -26,7 +26,6 @@ from integrators.multistep import MultistepForm
 from integrators.native.step.method_options import rho_inf_option
 from integrators.native.step.step_program import StepFunctions
 from integrators.native.step_method import NewtonOptions
-from problems.base.spec import SpecError, format_spec
 from problems.equations.block_structure import output_takes
 from problems.system import MechatronicSystem
 
@@ -140,14 +139,9 @@ class UpdatableMethod(AlphaMethod):
         return self.gamma == "guarded"
 
 
-def _shift(name: str, otherwise: str) -> Any:
+def _shift(name: str) -> Any:
     """A free alpha or delta; the recurrence is singular at 1."""
-    return option(None, f"{name}; {otherwise} if none", low=-3.0, high=0.95, kind=float)
-
-
-def _weight(name: str, otherwise: str) -> Any:
-    """A free beta or theta."""
-    return option(None, f"{name}; {otherwise} if none", low=0.0, high=3.0, kind=float)
+    return option(None, f"{name}; from rho_inf if none", low=-3.0, high=0.95, kind=float)
 
 
 @dataclass(frozen=True)
@@ -160,9 +154,6 @@ class GeneralizedAlpha(UpdatableMethod):
     )
 
     rho_inf: float = rho_inf_option(0.8)
-    rho_inf_x: float | None = option(
-        None, "the same for the controller states; rho_inf if none", low=0.0, high=1.0, kind=float
-    )
     gamma: str | float = option(
         "fixed",
         f"gamma and theta: {POLICIES}; or a number, which fixes gamma",
@@ -171,44 +162,13 @@ class GeneralizedAlpha(UpdatableMethod):
         low=0.0,
         high=3.0,
     )
-    alpha_m: float | None = _shift("alpha_m", "from rho_inf")
-    alpha_f: float | None = _shift("alpha_f", "from rho_inf")
-    beta: float | None = _weight("beta", "(gamma + 1/2)^2/4")
-    delta_m: float | None = _shift("delta_m, of the controller states", "from rho_inf_x")
-    delta_f: float | None = _shift("delta_f, of the controller states", "from rho_inf_x")
-    theta: float | None = _weight("theta, of the controller states", "1/2 + delta_f - delta_m")
-
-    def __post_init__(self) -> None:
-        if self.theta is not None and self.updated:
-            raise SpecError(
-                f"{self.name}: theta={self.theta:g} fixes a weight that gamma={self.gamma} "
-                f"changes at every step; leave one of them out."
-            )
-        if self._free_x and self.rho_inf_x is not None:
-            raise SpecError(
-                f"{self.name}: rho_inf_x={self.rho_inf_x:g} decides nothing beside delta_m and "
-                f"delta_f; leave it out."
-            )
-        if self._free and self.rho_inf != type(self).rho_inf:
-            raise SpecError(
-                f"{self.name}: rho_inf={self.rho_inf:g} decides nothing where alpha_m, alpha_f and "
-                f"those of the controller states are given; leave it out."
-            )
-
-    @property
-    def _free_x(self) -> bool:
-        """True if rho_inf_x decides nothing."""
-        return None not in (self.delta_m, self.delta_f)
-
-    @property
-    def _free(self) -> bool:
-        """True if rho_inf decides nothing."""
-        of_x = self._free_x or self.rho_inf_x is not None
-        return None not in (self.alpha_m, self.alpha_f) and of_x
-
-    @property
-    def spec(self) -> str:
-        return format_spec(self.name, self, hidden=("rho_inf",) if self._free else ())
+    alpha_m: float | None = _shift("alpha_m")
+    alpha_f: float | None = _shift("alpha_f")
+    beta: float | None = option(
+        None, "beta; (gamma + 1/2)^2/4 if none", low=0.0, high=3.0, kind=float
+    )
+    delta_m: float | None = _shift("delta_m, of the controller states")
+    delta_f: float | None = _shift("delta_f, of the controller states")
 
     def supports(self, scene: MechatronicSystem) -> str | None:
         radius = self.radius_at_infinity()
@@ -225,8 +185,7 @@ class GeneralizedAlpha(UpdatableMethod):
         return second_order_parameters(self.rho_inf, self.alpha_m, self.alpha_f, self.beta, gamma)
 
     def first_order(self) -> FirstOrder:
-        rho_inf = self.rho_inf if self.rho_inf_x is None else self.rho_inf_x
-        return first_order_parameters(rho_inf, self.delta_m, self.delta_f, self.theta)
+        return first_order_parameters(self.rho_inf, self.delta_m, self.delta_f)
 
 
 @dataclass(frozen=True)
@@ -250,8 +209,7 @@ class GeneralizedAlphaLie(GeneralizedAlpha):
 class HHT(UpdatableMethod):
     """Hilber-Hughes-Taylor member: alpha_m = 0, alpha_f = alpha in [0, 1/3].
 
-    Beyond 1/3 it damps high frequencies less again, and from 1/2 it is unstable. Such values need
-    ``any_alpha=true``.
+    Beyond 1/3 it would damp high frequencies less again, and be unstable from 1/2 on.
     """
 
     source: ClassVar[str] = "Hilber, Hughes & Taylor (1977), doi:10.1002/eqe.4290050306"
@@ -259,18 +217,10 @@ class HHT(UpdatableMethod):
     alpha: float = option(
         0.1,
         "damping parameter in [0, 1/3]; rho_inf = (1-alpha)/(1+alpha)",
-        low=-0.9,
-        high=0.9,
+        low=0.0,
+        high=1 / 3,
         always=True,
     )
-    any_alpha: bool = option(False, "allow an alpha outside [0, 1/3]")
-
-    def __post_init__(self) -> None:
-        if not (self.any_alpha or 0 <= self.alpha <= 1 / 3 + 1e-15):
-            raise SpecError(
-                f"{self.name}: alpha={self.alpha:g} lies outside [0, 1/3], where the method is "
-                f"known to be stable at every step; give any_alpha=true to allow it."
-            )
 
     def second_order(self) -> SecondOrder:
         gamma = 0.5 + self.alpha

@@ -84,10 +84,7 @@ def second_order_parameters(
 
 
 def first_order_parameters(
-    rho_inf: float,
-    delta_m: float | None = None,
-    delta_f: float | None = None,
-    theta: float | None = None,
+    rho_inf: float, delta_m: float | None = None, delta_f: float | None = None
 ) -> FirstOrder:
     """Return the parameters for x of Jansen, Whiting & Hulbert (2000) in the paper's signs.
 
@@ -95,7 +92,7 @@ def first_order_parameters(
     """
     delta_m = (3 * rho_inf - 1) / (2 * (rho_inf + 1)) if delta_m is None else delta_m
     delta_f = rho_inf / (rho_inf + 1) if delta_f is None else delta_f
-    return FirstOrder(delta_m, delta_f, 0.5 + delta_f - delta_m if theta is None else theta)
+    return FirstOrder(delta_m, delta_f, 0.5 + delta_f - delta_m)
 
 
 def updated_weight(

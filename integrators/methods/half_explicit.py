@@ -13,10 +13,10 @@ from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
-from integrators.contract import WIDER, option
+from integrators.contract import WIDER
 from integrators.native.algebra import small_matrices
 from integrators.native.algebra.step_records import Errors, Scalar, Time
-from integrators.native.step.method_options import EndMethod, EndState, moved_onto_constraints
+from integrators.native.step.method_options import EndMethod, EndState
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import (
     FreeSteps,
@@ -187,9 +187,6 @@ class PHEM56(FreeSteps, HalfExplicit):
     Stage 6 ends the step, and stage 7 gives a and lam there, with which the next step begins. x is
     taken like v. An embedded method of order four estimates the errors of q, v and x; its v is
     projected on the velocity constraint.
-
-    With ``projection=positions`` the end of the step is moved onto the constraints of positions and
-    velocities; the changes are as small as the local error.
     """
 
     name: ClassVar[str] = "phem56"
@@ -199,24 +196,7 @@ class PHEM56(FreeSteps, HalfExplicit):
         "Murua (1997), doi:10.1007/BF02684403; Arnold & Murua (1998), doi:10.1023/A:1019123010801"
     )
 
-    projection: str = option(
-        "none",
-        "none: positions drift off the constraints, slowly; positions: each step ends by moving q "
-        "and v onto them",
-        choices=("none", "positions"),
-    )
-
     order = 5
-
-    @property
-    def drift(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return "projected" if self.projection == "positions" else super().drift
-
-    @property
-    def newton_settings(self) -> NewtonSettings:
-        # The projection uses one factorisation several times, which kept tangents allow.
-        kept = self.projection == "positions"
-        return NewtonSettings(_TOLERANCE, _MOST, kept, linear_solver=self.linear_solver)
 
     @property
     def order_of_estimate(self) -> int:
@@ -255,8 +235,6 @@ class PHEM56(FreeSteps, HalfExplicit):
         rates = jnp.zeros((len(_B_EMBEDDED), groups.size)).at[0].set(first)
         (z, xdot, rates), _ = work.scan(one, (now, state.xdot, rates), _STAGES)
         z = z._replace(t=t)
-        if self.projection == "positions" and scene.sizes.nl:
-            z = moved_onto_constraints(scene, z, work)
         errors = state.errors
         if self.steps == "adaptive":
             # Beginning at zero: products of their own would be contracted with what follows.

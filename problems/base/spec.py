@@ -209,18 +209,14 @@ def forget_derived(cls: type, base: type) -> None:
             setattr(cls, name, property(value.func, doc=value.__doc__))
 
 
-def format_spec(name: str, instance: object, hidden: Iterable[str] = ()) -> str:
+def format_spec(name: str, instance: object) -> str:
     """Write ``name[option=value,...]``: options that are always shown, then changed ones, and
-    values at the start of a scene.
-
-    Those in ``hidden`` are shown only if they are changed.
-    """
+    values at the start of a scene."""
     parts = []
     options = options_of(type(instance))
     for field in sorted(options.values(), key=lambda f: not f.metadata.get("always")):
         value = getattr(instance, field.name)
-        always = field.metadata.get("always") and field.name not in hidden
-        if always or value != field.default:
+        if field.metadata.get("always") or value != field.default:
             parts.append(f"{field.name}={format_value(value)}")
     default = dict(getattr(type(instance), "given", ()))
     for key, value in getattr(instance, "given", ()):

@@ -232,8 +232,6 @@ MORE = [
     ),
     Case(HalfExplicitEuler(), on=TWO_RODS, at_end=same("q v a lam", 1)),
     *(Case(replace(PHEM, values="equations"), 80, on, **OF_PHEM) for on in (SWING, TWO_RODS)),
-    Case(replace(PHEM, projection="positions"), 40, above=same("q v", 4.8) | same("a lam", 3.8),
-         held="qv"),
 ]  # fmt: skip
 
 

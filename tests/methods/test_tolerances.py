@@ -191,16 +191,6 @@ def test_the_constraints_of_the_formulation_hold(formulation):
     assert (velocities < 1e-12) == (formulation in ("index2", "stabilised_index2"))
 
 
-@pytest.mark.parametrize("projection", long("positions", "none"))
-def test_a_projection_of_phem56_holds_positions_to_rounding(projection):
-    for size in (Steps(0.05), 1e-6):
-        steps = "constant" if isinstance(size, Steps) else "adaptive"
-        found = run(PHEM56(steps=steps, projection=projection), SWING, size)
-        positions, velocities = levels(found)
-        assert (positions < 1e-15) == (projection == "positions")
-        assert velocities < 5e-15
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("cls", [Dopri8, Kvaerno3, Radau, BDF, Rodas5P])
 def test_drift_grows_under_index_1_is_bounded_under_baumgarte_and_gone_by_projection(cls):

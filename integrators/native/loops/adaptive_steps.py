@@ -178,9 +178,7 @@ class AdaptiveRun(LoopRun):
         self._turns = [*map(int, end[4 + len(COUNTS) :])]
         rows = in_order(np.concatenate([*windows, last[None]]))
         work = Work(*map(int, end[2 : 4 + len(COUNTS)]))
-        return self._trajectory(
-            rows, end, float(self._span.t_end), work, int(self._span.max_steps)
-        )
+        return self._trajectory(rows, end, float(self._span.t_end), work, int(self._span.max_steps))
 
 
 def in_order(rows: np.ndarray) -> np.ndarray:
