@@ -11,7 +11,7 @@ beginning, with other ends, until the function is zero to the rounding of time.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from operator import attrgetter
 from typing import Any
 
@@ -72,16 +72,6 @@ def prepared(
     return PhasedRun(prepare, scene, t_end, resolution)
 
 
-@dataclass
-class _Piece:
-    """Rows of a phase, or of a part of it."""
-
-    rows: Trajectory
-    #: Number of the phase, and the held values.
-    phase: int
-    held: np.ndarray
-
-
 class PhasedRun(PreparedRun):
     """A run in phases, each prepared by the integrator.
 
@@ -101,21 +91,22 @@ class PhasedRun(PreparedRun):
         if self._over and scene.has("events"):
             raise SpecError(f"{scene.spec}: a scene with events takes sampling=hit alone.")
         self._samples = Samples.of(scene)
-        self._pieces: list[_Piece] = []
+        #: Rows, number and held values of phases, or of parts of them.
+        self._pieces: list[tuple[Trajectory, int, np.ndarray]] = []
         #: All runs in the order in which they were made, those that located events among them.
-        self._runs: list[PreparedRun] = []
-        self._ran: list[Trajectory] = []
-        march(scene, self._t_end, self._compile)
+        self._runs: list[tuple[PreparedRun, Trajectory]] = []
+        # The first phase compiles what all phases use.
+        march(scene, self._t_end, lambda phase, stop: self._run_of(phase, stop) and None)
 
     def execute(self) -> Any:
         if not self._runs:
             self.measure()
-        for run in self._runs:
+        for run, _ in self._runs:
             run.execute()
 
     def bill(self, run: Trajectory) -> dict[str, float]:
         total: dict[str, float] = {}
-        for prepared_run, rows in zip(self._runs, self._ran, strict=True):
+        for prepared_run, rows in self._runs:
             bill = prepared_run.bill(rows)
             if not bill:
                 return {}
@@ -123,7 +114,7 @@ class PhasedRun(PreparedRun):
         return total
 
     def measure(self) -> Trajectory:
-        self._pieces, self._runs, self._ran = [], [], []
+        self._pieces, self._runs = [], []
         self._phase, self._events = 0, []
         status, message = "ok", ""
         try:
@@ -135,14 +126,10 @@ class PhasedRun(PreparedRun):
             status, message = "newton_failed", f"After a jump: {error}"
         if not self._pieces:
             return Trajectory.failed(status, message)
-        last = self._pieces[-1].rows
+        last = self._pieces[-1][0]
         if status == "ok":
             status, message = last.status, last.message
         return self._joined(status, message)
-
-    def _compile(self, phase: MechatronicSystem, stop: float) -> None:
-        """Prepare the first phase, which compiles what all phases use."""
-        self._run_of(phase, stop)
 
     def _run_of(self, phase: MechatronicSystem, stop: float) -> PreparedRun:
         resolution = self._resolution
@@ -153,14 +140,12 @@ class PhasedRun(PreparedRun):
     def _measured(self, phase: MechatronicSystem, stop: float) -> Trajectory:
         """Rows of a phase up to a time in s, by a run that counts as work."""
         run = self._run_of(phase, stop)
-        rows = run.measure()
-        self._runs.append(run)
-        self._ran.append(rows)
-        return rows
+        self._runs.append((run, run.measure()))
+        return self._runs[-1][1]
 
     def _keep(self, phase: MechatronicSystem, rows: Trajectory) -> None:
         held = np.array([*phase.held_values().values()])
-        self._pieces.append(_Piece(rows, self._phase, held))
+        self._pieces.append((rows, self._phase, held))
 
     def _flow(self, phase: MechatronicSystem, stop: float) -> Cut | None:
         cut = (self._to_event if phase.has("events") else self._to_sample)(phase, stop)
@@ -197,8 +182,7 @@ class PhasedRun(PreparedRun):
                 break
             tried *= 2
         if found is None:
-            self._runs.append(run)
-            self._ran.append(rows)
+            self._runs.append((run, rows))
             self._keep(phase, rows)
             return Cut(_row(rows, -1)) if rows.status == "ok" else None
         kept, before, event, at = found
@@ -252,15 +236,14 @@ class PhasedRun(PreparedRun):
 
     def _joined(self, status: str, message: str) -> Trajectory:
         """One trajectory of all pieces; each begins with the last row of the one before."""
-        pieces = self._pieces
+        pieces, phases, held = zip(*self._pieces, strict=True)
 
         def joined(values: Callable[[Trajectory], np.ndarray]) -> np.ndarray:
-            rows = [values(piece.rows) for piece in pieces]
-            return np.concatenate([rows[0], *(own[1:] for own in rows[1:])])
+            return np.concatenate([values(rows)[k > 0 :] for k, rows in enumerate(pieces)])
 
         every = {name: joined(attrgetter(name)) for name in _GROUPS}
-        counts = [len(piece.rows.t) - int(k > 0) for k, piece in enumerate(pieces)]
-        phase = np.repeat([piece.phase for piece in pieces], counts)
+        counts = [len(rows.t) - int(k > 0) for k, rows in enumerate(pieces)]
+        phase = np.repeat(phases, counts)
         # A step over a sample ends in the next phase of the motion.
         over = self._samples.phases(every["t"]) if self._samples and self._over else None
         return Trajectory(
@@ -268,16 +251,17 @@ class PhasedRun(PreparedRun):
             status=status,
             message=message,
             work=self._work(),
-            notes={n: joined(lambda rows, n=n: rows.notes[n]) for n in pieces[0].rows.notes},
-            xd=np.repeat([piece.held for piece in pieces], counts, axis=0),
+            notes={n: joined(lambda rows, n=n: rows.notes[n]) for n in pieces[0].notes},
+            xd=np.repeat(held, counts, axis=0),
             phase=phase if over is None else over,
             events=np.array(self._events).reshape(-1, 2),
         )
 
     def _work(self) -> Work:
         """The counts of all runs; steps that located events are rejected ones."""
-        work = Work(**{f.name: _total(f.name, self._ran) for f in fields(Work)})
-        kept = _total("steps", [piece.rows for piece in self._pieces])
+        ran = [rows for _, rows in self._runs]
+        work = Work(**{f.name: _total(f.name, ran) for f in fields(Work)})
+        kept = _total("steps", [rows for rows, *_ in self._pieces])
         if work.steps is not None and kept is not None:
             located, work.steps = work.steps - kept, kept
             work.rejected = None if work.rejected is None else work.rejected + located
@@ -308,13 +292,8 @@ class _FollowedRun(PreparedRun):
 
 def _total(count: str, runs: list[Trajectory]) -> int | None:
     """The sum of a count; None if a run does not know it."""
-    total = 0
-    for rows in runs:
-        one = getattr(rows.work, count)
-        if one is None:
-            return None
-        total += one
-    return total
+    counts = [getattr(rows.work, count) for rows in runs]
+    return None if None in counts else sum(counts)
 
 
 def _row(rows: Trajectory, k: int) -> Variables:

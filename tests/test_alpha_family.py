@@ -20,7 +20,7 @@ from integrators.methods.generalized_alpha import (
     Newmark,
     WBZClassical,
 )
-from integrators.methods.generalized_alpha_parameters import (
+from integrators.methods.generalized_alpha_step import (
     first_order_parameters,
     second_order_parameters,
     smallest_safe_ratio,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from bench.running.measure import stored_rows
 from integrators import Steps
 from integrators.methods.generalized_alpha import HHT, WBZ, GeneralizedAlpha, HHTClassical, Newmark
-from integrators.methods.generalized_alpha_parameters import first_order_parameters, updated_weight
+from integrators.methods.generalized_alpha_step import first_order_parameters, updated_weight
 from integrators.native.loops import constant_steps
 from integrators.output_rows import FIRST_ROWS, SPREAD_ROWS, spread_rows
 from problems import State, jax, jnp, parameter

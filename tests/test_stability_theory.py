@@ -15,7 +15,7 @@ from bench.stability.systems import Oscillator, Relaxation
 from integrators import Steps
 from integrators.adapters.diffrax_methods import Kvaerno5
 from integrators.methods.generalized_alpha import HHT, WBZ, GeneralizedAlpha, Newmark
-from integrators.methods.generalized_alpha_parameters import multistep_form
+from integrators.methods.generalized_alpha_step import multistep_form
 from integrators.multistep import Multistep, MultistepForm, stable
 from problems.scenes.oscillators import SpringMass
 

@@ -1,6 +1,6 @@
 """The multistep formulas of generalized-alpha in varying steps, on paper.
 
-Symbols are those of `integrators.methods.generalized_alpha_parameters`. The coefficients depend on
+Symbols are those of `integrators.methods.generalized_alpha_step`. The coefficients depend on
 the steps and weights (the paper's eqs 21-27), and A is eliminated as follows. A difference u_n of
 known values is a combination of A over two times for v, three for q. The recurrence (1 - alpha_m)
 A_n+1 + alpha_m A_n = F_n, with F_n = (1 - alpha_f) a_n+1 + alpha_f a_n, reduces it to known F and

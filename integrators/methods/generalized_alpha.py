@@ -13,7 +13,8 @@ from typing import Any, ClassVar
 
 from integrators.advice import advice
 from integrators.contract import WIDER, option
-from integrators.methods.generalized_alpha_parameters import (
+from integrators.methods.generalized_alpha_step import (
+    AlphaStep,
     FirstOrder,
     Scheme,
     SecondOrder,
@@ -21,7 +22,6 @@ from integrators.methods.generalized_alpha_parameters import (
     multistep_form,
     second_order_parameters,
 )
-from integrators.methods.generalized_alpha_step import AlphaStep
 from integrators.multistep import MultistepForm
 from integrators.native.step.method_options import rho_inf_option
 from integrators.native.step.step_program import StepFunctions

@@ -26,8 +26,13 @@ import numpy as np
 
 from integrators.contract import option
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from integrators.methods.generalized_alpha_parameters import Scheme, smallest_safe_ratio
-from integrators.methods.generalized_alpha_step import AlphaState, AlphaStep, weights
+from integrators.methods.generalized_alpha_step import (
+    AlphaState,
+    AlphaStep,
+    Scheme,
+    smallest_safe_ratio,
+    weights,
+)
 from integrators.native.algebra.step_records import Errors, Scalar, Time
 from integrators.native.step.step_program import StepFunctions
 from integrators.native.step.step_work import StepWork

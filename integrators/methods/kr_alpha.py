@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple
 from integrators.advice import advice
 from integrators.contract import option
 from integrators.methods.explicit_structural import ExplicitMethod, evaluate_and_count
-from integrators.methods.generalized_alpha_parameters import SecondOrder, second_order_parameters
+from integrators.methods.generalized_alpha_step import SecondOrder, second_order_parameters
 from integrators.native.algebra import small_matrices
 from integrators.native.algebra.step_records import Reading, Scalar, Time
 from integrators.native.step.method_options import OwnValues, rho_inf_option

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import Field, dataclass, replace
+from functools import partial
 from typing import Any, ClassVar, NamedTuple, Self
 
 from integrators.contract import Integrator, PreparedRun, option
@@ -20,7 +21,6 @@ from integrators.native.loops.kernel import OnScene
 from integrators.native.step.method_options import Conditional, Needs
 from integrators.native.step.step_program import (
     Numbers,
-    SparseTangents,
     StepFunctions,
     StepProgram,
     sparse_tangents,
@@ -97,37 +97,24 @@ class NativeMethod(Integrator):
         """
         # Many runs side by side renew their tangents at different times, which costs all of them.
         method = self.keeping_tangents() if sparse and scene.dear_tangents else self
-        settings, numbers = method.newton_settings, self.numbers()
-        tangents = self._sparse_tangents(scene, sparse, numbers)
-        patterns, explicit = tangents.patterns, not settings.most
-        program = StepProgram(
-            self.functions(),
-            settings.modified,
-            patterns,
-            explicit,
-            to_rounding=settings.to_rounding,
-        )
-        return program, Numbers(numbers, settings.tolerance, settings.most, tangents.analyses)
-
-    def _sparse_tangents(
-        self, scene: MechatronicSystem, allowed: bool, numbers: Any
-    ) -> SparseTangents:
-        asked = self.newton_settings.linear_solver
-        if not allowed and asked == "sparse":
+        settings, numbers, functions = method.newton_settings, self.numbers(), self.functions()
+        if not sparse and settings.linear_solver == "sparse":
             raise SpecError(
                 f"{self.spec} cannot have sparse tangents in many runs side by side; take "
                 f"linear_solver=dense."
             )
-
-        def found() -> SparseTangents:
-            return sparse_tangents(self.functions(), numbers, scene.template())
+        tangents = partial(sparse_tangents, functions, numbers, scene.template())
 
         def fullest() -> Pattern:
-            return max(found().patterns, key=lambda pattern: pattern.fill)
+            return max(tangents()[0], key=lambda pattern: pattern.fill)
 
-        if allowed and uses_sparse(asked, scene, fullest):
-            return found()
-        return SparseTangents((), (), ())
+        taken = sparse and uses_sparse(settings.linear_solver, scene, fullest)
+        patterns, analyses = tangents() if taken else ((), ())
+        explicit = not settings.most
+        program = StepProgram(
+            functions, settings.modified, patterns, explicit, settings.to_rounding
+        )
+        return program, Numbers(numbers, settings.tolerance, settings.most, analyses)
 
     def step_method(self, scene: MechatronicSystem) -> NativeMethod | None:
         return self

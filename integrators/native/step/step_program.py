@@ -227,34 +227,33 @@ class StepProgram:
         return SparseSolver(self.patterns[k], numbers.analyses[k]) if self.patterns else DENSE
 
 
-class SparseTangents(NamedTuple):
-    """Patterns of the tangents of a step, and KLU's analyses of them."""
-
-    patterns: tuple[Pattern, ...]
-    analyses: tuple[klu.Analysis, ...]
-    #: KLU's objects, which own the memory of the analyses.
-    symbolic: tuple[Any, ...]
-
-
 def sparse_tangents(
     functions: StepFunctions, numbers: Any, template: MechatronicSystem
-) -> SparseTangents:
-    """Find the patterns of the equations that a method's step solves on a kind of scene."""
+) -> tuple[tuple[Pattern, ...], tuple[klu.Analysis, ...]]:
+    """Find the patterns of the equations that a method's step solves on a kind of scene, and KLU's
+    analyses of them."""
     leaves, tree = jax.tree.flatten(numbers)
-    return _sparse_tangents(functions, tree, tuple(map(type, leaves)), template)
+    return _sparse_tangents(functions, tree, tuple(map(type, leaves)), template)[:2]
 
 
 @cache
 def _sparse_tangents(
     functions: StepFunctions, tree: Any, kinds: tuple[type, ...], template: MechatronicSystem
-) -> SparseTangents:
+) -> tuple[tuple[Pattern, ...], tuple[klu.Analysis, ...], tuple[Any, ...]]:
+    """Patterns, analyses, and KLU's objects, which own the memory of the analyses."""
     import klujax
 
     # One pattern serves all numbers, so no number may be zero and hide an entry.
     generic = [jnp.asarray(False) if issubclass(k, (bool, np.bool_)) else 0.5 for k in kinds]
     method = functions.with_numbers(jax.tree.unflatten(tree, generic))
     residuals: list[ClosedJaxpr] = []
-    start = _at_rest(template)  # a scene computes its start with numbers
+    # A start with derivatives of zero, on which patterns do not depend; a scene computes its own
+    # with numbers.
+    q, v, x = map(jnp.asarray, template.initial_state())
+    nothing, of_x, sizes = jnp.zeros_like(v), jnp.zeros_like(x), template.sizes
+    t = jnp.asarray(template.interval[0])
+    z = Variables(q, v, nothing, jnp.zeros(sizes.nl), x, jnp.zeros(sizes.ny), t)
+    start = Start(z, of_x, nothing, of_x)._replace(constrained_jerk=nothing)
 
     def constants() -> list[list[Array]]:
         """Values that residuals close over; compiled, as each operation of a step takes as long."""
@@ -271,17 +270,8 @@ def _sparse_tangents(
     symbolic = tuple(
         klujax.analyze(jnp.asarray(p.rows), jnp.asarray(p.columns), p.size) for p in patterns
     )
-    analyses = (
+    analyses = tuple(
         klu.Analysis(p.rows, p.columns, np.asarray(s.raw))
         for p, s in zip(patterns, symbolic, strict=True)
     )
-    return SparseTangents(patterns, tuple(analyses), symbolic)
-
-
-def _at_rest(scene: MechatronicSystem) -> Start:
-    """A start with derivatives of zero: patterns do not depend on them."""
-    q, v, x = map(jnp.asarray, scene.initial_state())
-    nothing, of_x = jnp.zeros_like(v), jnp.zeros_like(x)
-    t, sizes = jnp.asarray(scene.interval[0]), scene.sizes
-    z = Variables(q, v, nothing, jnp.zeros(sizes.nl), x, jnp.zeros(sizes.ny), t)
-    return Start(z, of_x, nothing, of_x)._replace(constrained_jerk=nothing)
+    return patterns, analyses, symbolic
