@@ -52,12 +52,8 @@ _TRIED = 64
 def prepared(
     prepare: Prepare, scene: MechatronicSystem, t_end: float, resolution: Any
 ) -> PreparedRun:
-    """Prepare a run on a scene that states ``sample`` or ``events``.
-
-    Parameters
-    ----------
-    prepare
-        Prepares a run of the method on an ordinary scene.
+    """Prepare a run on a scene that states ``sample`` or ``events``, by a function that prepares a
+    run of the method on an ordinary scene.
 
     Raises
     ------
@@ -73,15 +69,7 @@ def prepared(
 
 
 class PhasedRun(PreparedRun):
-    """A run in phases, each prepared by the integrator.
-
-    Parameters
-    ----------
-    prepare
-        Prepares a run of the method on an ordinary scene.
-    scene, t_end, resolution
-        As of `integrators.contract.Integrator.prepare`.
-    """
+    """A run in phases, each prepared by the integrator; arguments as of `prepared`."""
 
     def __init__(
         self, prepare: Prepare, scene: MechatronicSystem, t_end: float, resolution: Any

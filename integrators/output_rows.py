@@ -43,15 +43,8 @@ def most_rows(width: int) -> int:
 
 
 def row_times(steps: int, width: int = 1) -> int:
-    """Return the number of equally spaced times after which steps are rows (see `is_row`).
-
-    Parameters
-    ----------
-    steps
-        Number of steps of the run.
-    width
-        Numbers in a row.
-    """
+    """Return the number of equally spaced times after which steps are rows (see `is_row`), of a run
+    with so many steps and numbers in a row."""
     most = most_rows(width)
     return EVERY_STEP if steps <= most else most // 4
 
@@ -85,22 +78,9 @@ def spread_rows(
 ) -> Int[np.ndarray, " k"]:
     """Choose the first steps and some spread over the run.
 
-    They are the start, the ``first`` steps, and about ``most`` more at equal distance.
-    The distance is a whole number of steps where a divisor of their number allows it, so that runs
-    with nested steps are shown at the same times.
-
-    Parameters
-    ----------
-    steps
-        Number of steps of the run.
-    most
-        Largest number of steps at equal distance.
-    first
-        Number of steps at the start.
-
-    Returns
-    -------
-    Step numbers in ascending order, from 0 (the start) to ``steps``.
+    They are the start, the ``first`` steps, and at most ``most`` more at equal distance, in
+    ascending order from 0 to ``steps``. The distance is a whole number of steps where a divisor of
+    their number allows it, so that runs with nested steps are shown at the same times.
     """
     most, least = min(steps, most), most // 2
     rows = next((d for d in range(most, least, -1) if steps % d == 0), most)

@@ -51,12 +51,7 @@ def stage(
 ) -> tuple[Variables, Array]:
     """Solve the equations of motion at z.q, z.v, z.x, z.t with the velocity constraint ahead.
 
-    Returns z with a, lam and y of the stage, and xdot.
-
-    Parameters
-    ----------
-    z
-        Its a, lam and y are where an iteration for y begins.
+    Returns z with a, lam and y of the stage, and xdot; an iteration for y begins at those of z.
     """
     layout, sizes = algebraic_layout(scene.sizes), scene.sizes
     guess = jnp.concatenate([z.a, z.lam, z.y])

@@ -65,14 +65,8 @@ class Bounds(NamedTuple):
     ) -> Float[Array, ""]:
         """Size of an update in its groups' bounds: 1 is just small, 0 is noise.
 
-        Parameters
-        ----------
-        unknowns
-            Values whose largest entries are the size of a group.
-        exact
-            True if the update comes from a new tangent.
-        before
-            Size of the update before it.
+        The largest entries of ``unknowns`` are the size of a group; ``exact`` is true if the update
+        comes from a new tangent, and ``before`` is the size of the update before it.
         """
         # Errors left by an old tangent point the same way in every step and add up; a new tangent
         # leaves far less than its last update.
@@ -121,32 +115,14 @@ def newton(
     call: int = 0,
     to_rounding: bool = False,
 ) -> tuple[Float[Array, " n"], Array | None, StepReport]:
-    """Solve residual(u) = 0; can be traced.
+    """Solve residual(u) = 0 from a guess; can be traced.
 
-    Returns the solution, the tangent to keep for the next call, and the report.
-
-    Parameters
-    ----------
-    residual
-        Function of the unknowns.
-    guess, old
-        Unknowns at which the iteration begins, and those at the start of the step.
-    bounds
-        Errors that may be left.
-    most
-        Limit of iterations; modified Newton may add as many of full Newton.
-    kept
-        The last tangent in the form in which modified Newton keeps it (see `LinearSolver`); None
-        for full Newton.
-    linear
-        Linear algebra of the tangents.
-    solved_after
-        Number of exact updates after which the unknowns are a solution, whatever their size: 0 if
-        the guess is one, 1 for linear equations.
-    call
-        Number of the call in its step.
-    to_rounding
-        Whether modified Newton ends at round-off, as full Newton does.
+    Returns the solution, the tangent to keep for the next call, and the report. ``old`` are the
+    unknowns at the start of the step, ``most`` is the limit of iterations, to which modified Newton
+    may add as many of full Newton. ``kept`` is the last tangent as modified Newton keeps it (see
+    `LinearSolver`), None for full Newton; it ends at round-off with ``to_rounding``. The unknowns
+    are a solution after ``solved_after`` exact updates, whatever their size: 0 if the guess is one,
+    1 for linear equations. ``call`` is the number of the call in its step.
     """
     modified, tol = kept is not None, bounds.tol
 

@@ -107,18 +107,11 @@ class StepControl:
         limits: tuple[Scalar, Scalar],
         solved: Bool[Array, ""],
     ) -> Scalar:
-        """Ratio of the next step to a tried one.
+        """Ratio of the next step to a tried one of some order.
 
-        Parameters
-        ----------
-        error, before
-            Relative size of its error, and of the last accepted step's.
-        order
-            Order of the tried step.
-        limits
-            Smallest and largest ratio after an accepted step.
-        solved
-            True if its equations are solved and all values finite.
+        ``error`` and ``before`` are the relative sizes of its error and of the last accepted
+        step's, ``limits`` the smallest and largest ratio after an accepted step; ``solved`` is true
+        if its equations are solved and all values finite.
         """
         power = 1 / (order + 1)
         ratio = _SAFETY * error ** (-0.7 * power) * before ** (0.4 * power)

@@ -188,15 +188,8 @@ _costs: dict[Callable, list[Cost]] = {}
 
 
 def loop_costs(loop: Callable, program: StepProgram, *given: Array) -> list[Cost]:
-    """Return the costs of a time loop by part, and by the turns in which they arise.
-
-    Parameters
-    ----------
-    loop, program
-        A traceable function, and the method of which it is made.
-    given
-        Its arguments, of which only shapes matter.
-    """
+    """Return the costs of a traceable time loop of a method by part, and by the turns in which they
+    arise. Of the arguments ``given`` only shapes matter."""
     if loop not in _costs:
         _costs[loop] = costs_of(loop, *given, libraries=_of_klu(program))
     return _costs[loop]

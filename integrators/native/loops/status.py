@@ -38,15 +38,8 @@ class Ending(IntEnum):
         return Ending.SINGULAR if singular else self
 
     def outcome(self, t: float, t_end: float, max_steps: int = 0) -> tuple[str, str]:
-        """Status (see `integrators.contract.STATUSES`) and message of a run that ended at t.
-
-        Parameters
-        ----------
-        t, t_end
-            Time at which the run ended, and end of the interval, in s.
-        max_steps
-            Most steps of a run that chooses its steps.
-        """
+        """Status (see `integrators.contract.STATUSES`) and message of a run that ended at t of
+        t_end, in s, with at most ``max_steps`` steps of its own choice."""
         status, text = _OUTCOMES[self]
         text = text and f"Ended at t={t:.6g} s of {t_end:g} s: {text}."
         return status, text.format(max_steps=max_steps)

@@ -115,31 +115,21 @@ class StageEquations(NamedTuple):
     def solve_from(
         self, work: StepWork, guess: Guess, h: Scalar, solved_after: Scalar = math.inf
     ) -> tuple[Variables, Array, Guess]:
-        """Solve from the values ahead of a guess; return variables, xdot and the next guess.
-
-        Parameters
-        ----------
-        h
-            Size of the step in s.
-        solved_after
-            See `StepWork.solve`.
-        """
+        """Solve from the values ahead of a guess, for a step of size h in s; return variables, xdot
+        and the next guess. ``solved_after`` is that of `StepWork.solve`."""
         z, xdot = self.solve(work, guess.ahead(h), guess.last, solved_after)
         return z, xdot, guess.after(z, xdot, h)
 
     def solve(
         self, work: StepWork, guess: Array, old: Array, solved_after: Scalar = math.inf
     ) -> tuple[Variables, Array]:
-        """Solve for the variables and xdot.
-
-        Parameters
-        ----------
-        guess, old
-            [a, lam, xdot, y] at which the iteration begins, and those at the start of the step.
-        solved_after
-            See `StepWork.solve`.
-        """
-        guess, old = self._with_mu(guess), self._with_mu(old)
+        """Solve for the variables and xdot, from [a, lam, xdot, y] at which the iteration begins,
+        and from those at the start of the step."""
+        of_mu = self.layout.mu
+        no_mu = jnp.zeros(of_mu.stop - of_mu.start)
+        guess, old = (
+            jnp.concatenate([u[: of_mu.start], no_mu, u[of_mu.start :]]) for u in (guess, old)
+        )
         a, _, _, *control = self.layout.split(old)
         rounding = (*self.rounding, *inherited(self.rounding[0], a, control))
         u = work.solve(
@@ -152,11 +142,6 @@ class StageEquations(NamedTuple):
             noise=self.noise,
         )
         return self.at(u)
-
-    def _with_mu(self, u: Array) -> Array:
-        of_mu = self.layout.mu
-        no_mu = jnp.zeros(of_mu.stop - of_mu.start)
-        return jnp.concatenate([u[: of_mu.start], no_mu, u[of_mu.start :]])
 
 
 def stage_equations(
@@ -172,14 +157,9 @@ def stage_equations(
 ) -> StageEquations:
     """Return the equations of a stage that ends at time t (s).
 
-    Parameters
-    ----------
-    before
-        Coordinates and time at which the directions Phi_q^T of mu are taken.
-    dynamics
-        Residual of the equations of motion; by default `formulations.dynamics_residual`.
-    for_controller
-        The variables that controller and outputs see.
+    The directions Phi_q^T of mu are taken at the coordinates and time ``before``. ``dynamics`` is
+    the residual of the equations of motion, by default `formulations.dynamics_residual`;
+    ``for_controller`` gives the variables that controller and outputs see.
     """
     layout = stage_layout(scene.sizes, formulation)
     motion = dynamics or (lambda z: formulations.dynamics_residual(scene, z))
