@@ -16,7 +16,7 @@ from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators.methods.half_explicit import PHEM56
 from integrators.methods.moreau_jean import MoreauJean
-from integrators.methods.stormer_verlet import StormerVerlet
+from integrators.methods.symplectic import StormerVerlet
 from integrators.resolutions import Steps, Tolerances
 from problems import ContactSystem, Variables, jax, jnp, parameter
 from problems.base.spec import SpecError

@@ -10,12 +10,12 @@ from helpers import long, toy
 from bench.running.errors import event_errors, relative_errors
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
-from integrators.methods.bdf2 import BDF2
+from integrators.methods.bdf import BDF2
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.half_explicit import PHEM56
 from integrators.methods.radau_iia import RadauIIA
 from integrators.methods.simulator_steppers import SemiImplicitEuler
-from integrators.methods.stormer_verlet import StormerVerlet
+from integrators.methods.symplectic import StormerVerlet
 from integrators.resolutions import Steps, Tolerances
 from problems import SampledSystem, held, jnp
 from problems.base.spec import SpecError

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from bench.running.errors import relative_errors
 from integrators import Steps, Tolerances
 from integrators.adapters.ida import IDA
-from integrators.methods.bdf2 import BDF2, BLieDF
+from integrators.methods.bdf import BDF2, BLieDF
 from integrators.methods.generalized_alpha import GeneralizedAlpha, GeneralizedAlphaLie
 from integrators.methods.half_explicit import PHEM56
 from problems import jax

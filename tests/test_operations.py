@@ -35,11 +35,10 @@ from integrators.adapters.ida import IDA
 from integrators.adapters.scipy_ode import Radau
 from integrators.contract import Work
 from integrators.lowering.operators import ELEMENTARY
-from integrators.methods.explicit_structural import NohBathe
+from integrators.methods.explicit_structural import KRAlpha, NohBathe
 from integrators.methods.generalized_alpha import GeneralizedAlpha, Newmark
-from integrators.methods.kr_alpha import KRAlpha
-from integrators.methods.lobatto_iiia_iiib import LobattoPair
 from integrators.methods.rodas5p import Rodas5P
+from integrators.methods.symplectic import LobattoPair
 from integrators.native.algebra import small_matrices
 from integrators.native.loops import constant_steps
 from integrators.native.loops.kernel import Form, loop_costs

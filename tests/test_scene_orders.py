@@ -11,9 +11,9 @@ from bench.running.errors import relative_errors
 from integrators import Steps, Tolerances
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
-from integrators.methods.composite import Bathe
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.half_explicit import PHEM56
+from integrators.methods.implicit_structural import Bathe
 from integrators.methods.radau_iia import RadauIIA
 from integrators.methods.rodas5p import Rodas5P
 

@@ -12,8 +12,7 @@ from bench.stability.matrices import matrices
 from bench.stability.spectra import eigenvalues, places_near, radii, spectrum
 from bench.stability.systems import Coupled, Joined, Loop, Oscillator, Relaxation
 from integrators.adapters.diffrax_methods import Dopri8, ImplicitEuler, Kvaerno5
-from integrators.methods.bdf2 import BDF2
-from integrators.methods.early_structural import Houbolt, Park
+from integrators.methods.bdf import BDF2
 from integrators.methods.explicit_structural import ExplicitGeneralizedAlpha
 from integrators.methods.generalized_alpha import (
     HHT,
@@ -24,6 +23,7 @@ from integrators.methods.generalized_alpha import (
     Newmark,
     WBZClassical,
 )
+from integrators.methods.implicit_structural import Houbolt, Park
 
 OMEGA_H = np.geomspace(1e-2, 1e4, 40)
 POINTS = 1.2 * np.exp(1j * np.arange(1, 6))

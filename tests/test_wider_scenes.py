@@ -7,7 +7,7 @@ import pytest
 from helpers import toy
 
 from integrators import Steps
-from integrators.methods.bdf2 import BDF2
+from integrators.methods.bdf import BDF2
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.radau_iia import RadauIIA
 from integrators.methods.simulator_steppers import SemiImplicitEuler

@@ -16,11 +16,11 @@ from integrators.adapters.diffrax_methods import Dopri8
 from integrators.adapters.ida import IDA
 from integrators.adapters.scipy_ode import Radau
 from integrators.methods.ali3p import ALI3P
-from integrators.methods.bdf2 import BDF2
+from integrators.methods.bdf import BDF2
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.half_explicit import PHEM56
-from integrators.methods.rattle import VariationalMidpoint
 from integrators.methods.rodas5p import Rodas5P
+from integrators.methods.symplectic import VariationalMidpoint
 from problems import (
     MechatronicSystem,
     jax,

@@ -8,17 +8,16 @@ from proofs import SWING, TWO_RODS
 from bench.check.trials import ForcedOscillator
 from bench.plugins.registry import Registry
 from integrators import Steps
-from integrators.methods.early_structural import WilsonTheta
-from integrators.methods.explicit_structural import ExplicitGeneralizedAlpha, NohBathe
+from integrators.methods.explicit_structural import CR, ExplicitGeneralizedAlpha, KRAlpha, NohBathe
 from integrators.methods.half_explicit import PHEM56, HalfExplicitEuler
-from integrators.methods.kr_alpha import CR, KRAlpha
+from integrators.methods.implicit_structural import WilsonTheta
 from integrators.methods.rodas5p import Rodas5P
 from integrators.methods.simulator_steppers import (
     ImplicitFast,
     LinearlyImplicitEuler,
     SemiImplicitEuler,
 )
-from integrators.methods.stormer_verlet import StormerVerlet
+from integrators.methods.symplectic import StormerVerlet
 from problems import jax, jnp
 from problems.base.spec import SpecError
 from problems.equations.block_structure import (

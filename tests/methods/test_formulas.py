@@ -14,17 +14,15 @@ from bench.check.trials import ForcedOscillator
 from bench.stability.systems import Oscillator
 from integrators import Steps
 from integrators.methods import half_explicit, rodas5p
-from integrators.methods.bdf2 import BDF2
-from integrators.methods.bdf_adaptive import BDFAdaptive, _respaced
+from integrators.methods.bdf import BDF2, BDFAdaptive, _respaced
+from integrators.methods.explicit_structural import KRAlpha
 from integrators.methods.generalized_alpha import GeneralizedAlphaClassical, Newmark
 from integrators.methods.half_explicit import PHEM56
 from integrators.methods.hht_i3 import HHTI3
-from integrators.methods.kr_alpha import KRAlpha
 from integrators.methods.radau_iia import RadauIIA, collocation
-from integrators.methods.rattle import RATTLE, SHAKE
 from integrators.methods.rodas5p import Rodas5P
 from integrators.methods.simulator_steppers import ImplicitFast, SemiImplicitEuler
-from integrators.methods.stormer_verlet import StormerVerlet
+from integrators.methods.symplectic import RATTLE, SHAKE, StormerVerlet
 from integrators.native.step.step_work import EquationsFinder
 from problems import jax, jnp
 from problems.equations.initial_values import consistent_start

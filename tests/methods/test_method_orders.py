@@ -25,23 +25,27 @@ from proofs import (
 from bench.check.trials import ForcedOscillator
 from integrators import Integrator, Steps
 from integrators.methods.ali3p import ALI3P
-from integrators.methods.bdf2 import BDF2
-from integrators.methods.composite import TRBDF2, Bathe, RhoInfBathe
-from integrators.methods.early_structural import Houbolt, Park, WilsonTheta
+from integrators.methods.bdf import BDF2
 from integrators.methods.energy_momentum import EnergyMomentum
-from integrators.methods.explicit_structural import ExplicitGeneralizedAlpha, NohBathe
+from integrators.methods.explicit_structural import CR, ExplicitGeneralizedAlpha, KRAlpha, NohBathe
 from integrators.methods.half_explicit import PHEM56, HalfExplicitEuler
 from integrators.methods.hht_i3 import HHTI3
-from integrators.methods.kr_alpha import CR, KRAlpha
-from integrators.methods.lobatto_iiia_iiib import LobattoPair
+from integrators.methods.implicit_structural import (
+    TRBDF2,
+    Bathe,
+    Houbolt,
+    Park,
+    RhoInfBathe,
+    WilsonTheta,
+)
 from integrators.methods.radau_iia import RadauIIA
-from integrators.methods.rattle import RATTLE, SHAKE, VariationalMidpoint
 from integrators.methods.rodas5p import Rodas5P
 from integrators.methods.simulator_steppers import (
     ImplicitFast,
     LinearlyImplicitEuler,
     SemiImplicitEuler,
 )
+from integrators.methods.symplectic import RATTLE, SHAKE, LobattoPair, VariationalMidpoint
 from problems import MechatronicSystem
 from problems.scenes.heavy_top import HeavyTop, HeavyTopR3SO3
 from problems.scenes.oscillators import SpringMass

@@ -15,22 +15,26 @@ from bench.stability.matrices import matrices
 from bench.stability.systems import LinearSystem, Oscillator, Relaxation
 from integrators import Integrator
 from integrators.methods.ali3p import ALI3P
-from integrators.methods.bdf2 import BDF2
-from integrators.methods.composite import TRBDF2, Bathe, RhoInfBathe
-from integrators.methods.early_structural import Houbolt, Park, WilsonTheta
+from integrators.methods.bdf import BDF2
 from integrators.methods.energy_momentum import EnergyMomentum
-from integrators.methods.explicit_structural import ExplicitGeneralizedAlpha, NohBathe
+from integrators.methods.explicit_structural import CR, ExplicitGeneralizedAlpha, KRAlpha, NohBathe
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha, GeneralizedAlphaClassical
 from integrators.methods.hht_i3 import HHTI3
-from integrators.methods.kr_alpha import CR, KRAlpha
+from integrators.methods.implicit_structural import (
+    TRBDF2,
+    Bathe,
+    Houbolt,
+    Park,
+    RhoInfBathe,
+    WilsonTheta,
+)
 from integrators.methods.radau_iia import RadauIIA
-from integrators.methods.rattle import RATTLE, SHAKE, VariationalMidpoint
 from integrators.methods.simulator_steppers import (
     ImplicitFast,
     LinearlyImplicitEuler,
     SemiImplicitEuler,
 )
-from integrators.methods.stormer_verlet import StormerVerlet
+from integrators.methods.symplectic import RATTLE, SHAKE, StormerVerlet, VariationalMidpoint
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from bench.check.trials import FiniteTimeBlowUp, ForcedOscillator
 from integrators import Steps, Tolerances
 from integrators.adapters.diffrax_methods import Dopri8, Kvaerno3
 from integrators.adapters.scipy_ode import BDF, Radau
-from integrators.methods.bdf_adaptive import BDFAdaptive
+from integrators.methods.bdf import BDFAdaptive
 from integrators.methods.half_explicit import PHEM56
 from integrators.methods.hht_i3 import HHTI3
 from integrators.methods.radau_iia import RadauIIA
