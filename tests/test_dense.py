@@ -65,6 +65,8 @@ def test_many_systems_are_solved_side_by_side_with_pivots_of_their_own(cases):
         assert "lapack" not in together.lower(a, b).as_text()
         wanted = np.linalg.solve(a, b[:, :, None])[:, :, 0]
         assert np.abs(together(a, b) - wanted).max() < 1e-12
+        shared = jax.jit(jax.vmap(small_matrices.solve, in_axes=(0, None)))(a, b[0])
+        assert np.abs(shared - np.linalg.inv(a) @ b[0]).max() < 1e-12
         # A matrix of NaN or without a solution does not disturb the others.
         a[0, 0, 0], a[1] = np.nan, 0.0
         found = together(a, b)

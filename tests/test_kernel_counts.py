@@ -11,7 +11,7 @@ from collections import Counter
 
 import jax
 import pytest
-from helpers import forget_programs, long, nothing_compiled
+from helpers import forget_programs, long
 
 from integrators import Steps, Tolerances
 from integrators.adapters.counting import run_counted, watch
@@ -127,16 +127,3 @@ def test_what_is_counted_is_what_was_done(newton):
     _, counts = run_counted(run.execute)
     # Full Newton has the residual from the linearisation.
     assert counts == (work.residuals if newton == "modified" else 0, work.jacobians)
-
-
-def test_schemes_steps_and_parameters_compile_nothing_new():
-    run = prepared(SliderCrank(), "modified")
-    run.measure()
-    other = GeneralizedAlpha(rho_inf=0.3, newton="modified")
-    with nothing_compiled():
-        for again in (
-            prepared(SliderCrank(l1=0.1, w0=3.0), "modified", steps=123),
-            other.prepare(SliderCrank(), 2.0, Steps(0.01, (0.3, 0.7))),
-        ):
-            again.measure()
-            assert again.kernel is run.kernel
