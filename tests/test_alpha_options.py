@@ -216,34 +216,7 @@ def test_a_cut_restarts_only_the_weight_whose_limit_it_passes():
         assert notes["theta"][2] == pytest.approx(theta, rel=1e-12)
 
 
-# ---- Newmark and HHT -------------------------------------------------------------------
-def test_newmark_is_stable_up_to_its_limit_and_not_beyond():
-    for beta, limit in [(1 / 6, 12**0.5), (1 / 12, 6**0.5), (0.0, 2.0)]:
-        method = Newmark(beta=beta, gamma=0.5)
-        assert method.stability_limit() == pytest.approx(limit)
-        for factor, grows in ((0.99, False), (1.01, True)):
-            h = factor * limit
-            run = method.prepare(Blowing(), 1000 * h, Steps(h)).measure()
-            assert (run.status == "diverged" or np.abs(run.q).max() > 1e3) == grows
-    for beta, gamma in [(0.25, 0.5), (0.3, 0.6), (0.5, 0.5)]:
-        method, h = Newmark(beta=beta, gamma=gamma), 50.0
-        assert method.stability_limit() == math.inf
-        assert np.abs(run_of(method, Blowing(), h, t_end=1000 * h).q).max() < 100
-    assert Newmark(beta=0.25, gamma=0.4).stability_limit() == 0.0
-
-
-def test_the_period_of_newmark_has_the_known_order():
-    for beta, order in [(1 / 12, 4), (1 / 6, 2), (0.25, 2), (0.0, 2)]:
-
-        def frequency_error(h):
-            q = run_of(Newmark(beta=beta), Blowing(), h, t_end=16 * h).q[:, 0]
-            # q is a pure oscillation: q+ + q- = 2 cos(omega h) q
-            return abs(math.acos((q[9] + q[7]) / (2 * q[8])) / h - 1)
-
-        found = math.log2(frequency_error(0.2) / frequency_error(0.1))
-        assert found == pytest.approx(order, abs=0.1)
-
-
+# ---- refusals ---------------------------------------------------------------------------
 def test_members_that_constraints_destabilise_and_values_outside_their_range_are_refused():
     for beta in (0.0, 1 / 12, 1 / 6):
         assert "2 beta >= gamma" in Newmark(beta=beta).supports(Pendulum())

@@ -133,6 +133,8 @@ def test_the_stability_limit_of_newmark_is_found():
         assert found.order == (4 if beta == 1 / 12 else 2)
     never = Newmark(beta=0.25, gamma=0.4)
     assert spectrum(never).limit == never.stability_limit() == 0.0
+    assert Newmark(beta=1 / 12).stability_limit() == pytest.approx(6**0.5)
+    assert Newmark().stability_limit() == Newmark(beta=0.3, gamma=0.6).stability_limit() == math.inf
 
 
 def test_newmark_bifurcates_where_the_books_say():
