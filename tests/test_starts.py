@@ -217,13 +217,14 @@ def test_a_suite_runs_a_scene_from_another_start(stepbench, tmp_path, monkeypatc
         ("run", "--set belongs to scenes; name them with -p."),
         ("solve pendulum rattle", "has no option 'keyframe'"),
     ):
-        assert words in stepbench(*asked.split(), "--set", "keyframe=home").stderr
+        assert words in stepbench(*asked.split(), "--keyframe", "home").stderr
 
 
 def test_a_new_problem_of_a_model_has_its_start(stepbench, tmp_path, keyed):
     file = tmp_path / "mine.py"
-    asked = "new", "problem", "mine", "--from", keyed, "--out", file, "--set"
-    assert not stepbench(*asked, "keyframe=home", "--set", "start.shoulder.v=-2").exit_code
+    asked = "new", "problem", "mine", "--from", keyed, "--out", file
+    start = "--keyframe", "home", "--set", "start.shoulder.v=-2"
+    assert not stepbench(*asked, *start).exit_code
     scene = Registry([file]).problem("mine")
     assert scene.spec == "mine[keyframe=home]"
     q, v, _ = scene.start()
