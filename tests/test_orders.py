@@ -14,9 +14,9 @@ from small_stores import atlas_with
 from bench.atlas.experiments import built_in_experiments
 from bench.results.orders import fit_order, fit_orders
 from bench.results.records import SceneRecord
-from reports.explanations import IGNORED, OVER, PATTERN, STIFF, TRANSIENT, UNDAMPED
 from reports.series import series_of
 from reports.tables.order_table import lost_orders_table
+from reports.wrong import IGNORED, OVER, PATTERN, STIFF, TRANSIENT, UNDAMPED
 
 STEPS = [0.1 * 2.0**-k for k in range(8)]
 

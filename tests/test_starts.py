@@ -214,7 +214,7 @@ def test_a_suite_runs_a_scene_from_another_start(stepbench, tmp_path, monkeypatc
     asked = "run", "quick", "-p", "pendulum", "-i", "rattle", "--set", "start.X=0.5"
     assert stepbench(*asked).stderr == "Error: pendulum[start.X=0.5]\n"
     for asked, words in (
-        ("run", "--set belongs to scenes; name them with -p."),
+        ("run", "--keyframe belongs to scenes; name them with -p."),
         ("solve pendulum rattle", "has no option 'keyframe'"),
     ):
         assert words in stepbench(*asked.split(), "--keyframe", "home").stderr

@@ -269,6 +269,7 @@ def command(
 def refuse(why: str, *names: str) -> None:
     """Raise SpecError on the first of these parameters that the command line gives."""
     context = click.get_current_context()
+    names = (*names, "keyframe") if "settings" in names else names
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
         if parameter.name in names and source is ParameterSource.COMMANDLINE:
