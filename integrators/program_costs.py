@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from integrators.lowering.moves import MOVES, on_numbers
 from integrators.lowering.operators import ELEMENTARY, OPERATORS
+from integrators.lowering.rules import MOVES, on_numbers
 from integrators.lowering.stablehlo import Follower, Program, Step, program
 from problems.equations.compiled import compiled
-from problems.equations.named_equations import EQUATIONS, INDEX1, part_of, turns_of
+from problems.equations.named_equations import EQUATIONS, INDEX1, innermost
 
 if TYPE_CHECKING:
     from jaxtyping import Int
@@ -269,7 +269,7 @@ class _Counter(Follower[int]):
 
     def _new_turns(self, scope: str) -> str:
         """The name of a loop or branch whose turns a run counts; empty if it has none."""
-        name = turns_of(scope)
+        name = innermost("turns", scope)
         if not name or name in self._turns:
             return ""
         self.names[name] += 1
@@ -279,9 +279,9 @@ class _Counter(Follower[int]):
         """Operations of a step in loops; None if there are none."""
         # JAX 0.12 drops the name of equations within a custom root, but not that of its loop.
         outside, equations, within = scope.partition(EQUATIONS if EQUATIONS in scope else INDEX1)
-        algebra, part = self._algebra(step), part_of(outside)
+        algebra, part = self._algebra(step), innermost("part", outside)
         amount = float(_arithmetic(step)) if algebra is None else algebra
-        if algebra is None and not part_of(within):
+        if algebra is None and not innermost("part", within):
             part = part or (RESIDUALS if equations else OWN)
         elif equations or not part:
             part = INNER

@@ -63,8 +63,6 @@ _PIECE = 500
 #: Operations, and values given to loops and solves, that a compiler takes some ten seconds for; a
 #: third of that in trees of bodies, of which those of an arm of seven joints are fewer.
 _MOST_OPERATIONS = 25_000
-#: Lines of a function, with those that write results.
-_MOST_LINES = 2 * _MOST_OPERATIONS
 
 
 def c_function(program: LoweredFunction) -> str:
@@ -83,12 +81,11 @@ def _function(name: str, program: LoweredFunction, arguments: int) -> tuple[str,
     writer = _Writer(name, program)
     loops = [_loop(writer.loop_name(node), loop) for node, loop in writer.loops.items()]
     count = writer.count + sum(inside for _, inside in loops)
-    for found, what, most in (
-        (count, "operations on numbers", _MOST_OPERATIONS),
-        (writer.length, "lines", _MOST_LINES),
-    ):
-        if found > most:
-            raise NotLowered(f"it has {found} {what}, and a compiler is given at most {most}")
+    if count > _MOST_OPERATIONS:
+        raise NotLowered(
+            f"it has {count} operations on numbers, and a compiler is given at most "
+            f"{_MOST_OPERATIONS}"
+        )
     given = [f"const double *restrict a{k}" for k in range(arguments)]
     head = ", ".join([*given, "double *restrict out"])
     passed = ", ".join([*(f"a{k}" for k in range(arguments)), "out", "s"])
@@ -145,9 +142,8 @@ class _Writer:
                 self._lines += [*self._arguments(node), _Line(node)]
             if node not in self._graph.zeros:
                 self._lines += [_Line(node, ("out", k)) for k in outputs.get(node, ())]
-        self.length = len(self._lines)
         self.count = sum(line.place is None or line.place[0] == "s" for line in self._lines)
-        self.pieces = -(-self.length // _PIECE)
+        self.pieces = -(-len(self._lines) // _PIECE)
         self._piece = {
             line.node: k // _PIECE for k, line in enumerate(self._lines) if line.place is None
         }

@@ -18,9 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from integrators.lowering.graph import Graph, LoweredFunction, NotLowered, WhileLoop
-from integrators.lowering.moves import INDICES, MOVES, on_numbers
 from integrators.lowering.operators import operator
-from integrators.lowering.rules import RULES, eliminate
+from integrators.lowering.rules import INDICES, MOVES, RULES, eliminate, on_numbers
 from integrators.lowering.stablehlo import Body, Follower, Step, Type, program
 from problems.base.runtime import jax
 

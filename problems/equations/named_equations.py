@@ -14,32 +14,21 @@ from problems.system import MechatronicSystem
 #: Names of operations in traced programs, by which those of a run are counted: a scene's equations,
 #: and Newton's method for the index-1 equations.
 EQUATIONS, INDEX1 = "equations_of_a_scene", "newton_of_index_1"
-#: Beginnings of names of parts, and of loops and branches.
-_PART, _TURNS = "part_", "turns_"
 
 
 def part(name: str) -> Any:
     """A context: operations that are traced in it belong to this part of the work."""
-    return jax.named_scope(_PART + name)
+    return jax.named_scope(f"part_{name}")
 
 
 def turns(name: str) -> Any:
     """A context: the loop or branch that is traced in it is taken as often as a run says."""
-    return jax.named_scope(_TURNS + name)
+    return jax.named_scope(f"turns_{name}")
 
 
-def part_of(scope: str) -> str:
-    """The innermost part in a scope; empty if there is none."""
-    return _innermost(_PART, scope)
-
-
-def turns_of(scope: str) -> str:
-    """The innermost counted loop or branch in a scope; empty if there is none."""
-    return _innermost(_TURNS, scope)
-
-
-def _innermost(prefix: str, scope: str) -> str:
-    return ["", *re.findall(rf"\b{prefix}(\w+)", scope)][-1]
+def innermost(kind: str, scope: str) -> str:
+    """The innermost "part" in a scope, or loop or branch ("turns"); empty if there is none."""
+    return ["", *re.findall(rf"\b{kind}_(\w+)", scope)][-1]
 
 
 def equation(function: Callable) -> Callable:
