@@ -28,8 +28,8 @@ _BEYOND = 1e12
 class Mujoco(Integrator):
     """MuJoCo's integrators on the model of a scene that was made from its file.
 
-    Loops are equalities, which MuJoCo holds by stiff, damped forces of its own: their time constant
-    of ``loop_steps`` steps makes them harder as the step falls. It has none of our multipliers.
+    Loops are equalities, which MuJoCo holds by stiff, damped forces of its own. Their time constant
+    is two steps, the least that it takes. It has none of our multipliers.
 
     Reported q and v are MuJoCo's own at the ends of its steps. a and lam solve the scene's
     equations of motion there, as for an ODE method; these were compared with MuJoCo's when the file
@@ -55,9 +55,6 @@ class Mujoco(Integrator):
         choices=("file", "euler", "implicitfast", "implicit", "discrete", "rk4"),
         always=True,
     )
-    loop_steps: float = option(
-        2.0, "time constant of a soft loop in steps; 2 is the hardest that MuJoCo takes", low=2.0
-    )
 
     def supports(self, scene: MechatronicSystem) -> str | None:
         if isinstance(scene, MujocoScene):
@@ -75,10 +72,8 @@ class Mujoco(Integrator):
         own = load_mujoco().mjtIntegrator(int(scene.model.m.opt.integrator))
         return own.name.removeprefix("mjINT_").lower()
 
-    def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Steps) -> PreparedRun:
+    def prepare(self, scene: Any, t_end: float, resolution: Steps) -> PreparedRun:
         validate(self)
-        if not isinstance(scene, MujocoScene):
-            raise SpecError(f"{self.spec} does not take {scene.spec}: {self.supports(scene)}")
         if len(resolution.pattern) > 1:
             raise SpecError(f"{self.spec} takes equal steps and no pattern of them.")
         return _MujocoRun(self, scene, t_end, resolution)
@@ -98,7 +93,7 @@ class _MujocoRun(PreparedRun):
         options.integrator = getattr(self._mujoco.mjtIntegrator, f"mjINT_{self._kind.upper()}")
         # Else MuJoCo goes on from the start where a solution has blown up.
         options.disableflags |= self._mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        self._model.eq_solref[:] = method.loop_steps * options.timestep, 1.0
+        self._model.eq_solref[:] = 2 * options.timestep, 1.0
         self._model.eq_solimp[:, :2] = 0.9999  # the hardest
         self._data = self._mujoco.MjData(self._model)
 
