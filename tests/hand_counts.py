@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-from integrators.lowering.operators import ELEMENTARY
 from integrators.program_costs import INNER, Cost, costs_of, dense
 from problems.system import MechatronicSystem
 
@@ -109,18 +108,6 @@ def semi_implicit_euler_by_hand(work: Any, scene: MechatronicSystem) -> float:
     end = 3 + 4 + 4 + CLOCK
     algebra = alpha.factorisation + alpha.solve
     return work.steps * (residual + 3 * column + algebra + energy + end)
-
-
-def noh_bathe_by_hand(work: Any, scene: MechatronicSystem) -> float:
-    """On Duffing's equation: a cos(w t) - c v - k q - k3 q^3, M = m, two substeps."""
-    force = (1 + ELEMENTARY + 1) + 1 + 1 + 3 + 3
-    evaluation = force + 1 + 1  # M a - g
-    algebra = dense(1).factorisation + 2 * dense(1).solve  # M is the same
-    substeps = 1 + 2  # p h and d
-    weights = 4 + 2 + 2
-    first = 6 + 2 + 1 + 4  # q_p, v for the forces, t - d, v_p
-    second = 6 + 2 + 8  # q, v for the forces, v
-    return work.steps * (1 + 2 * evaluation + algebra + substeps + weights + first + second + CLOCK)
 
 
 def phem56_by_hand(work: Any, scene: MechatronicSystem) -> float:

@@ -241,11 +241,3 @@ def test_a_rate_that_becomes_nan_at_constant_steps_ends_the_run_as_diverged(cls,
     assert (found.status, found.t[-1]) == ("diverged", 0.5)
     assert "Ended at t=0.6 s" in found.message
     assert np.isfinite(found.a).all()
-
-
-def test_constant_steps_are_refined_by_steps_and_adaptive_ones_by_tolerances():
-    assert Kvaerno5().controls == Dopri8().controls == "tolerance"
-    assert Kvaerno5(steps="constant").controls == "step"
-    assert Dopri8(max_steps=9).at_constant_steps() == Dopri8(max_steps=9, steps="constant")
-    assert Dopri8(steps="constant").spec == "dopri8[steps=constant]"
-    assert KenCarp4(max_steps=9).spec == "kencarp4[max_steps=9]"

@@ -79,12 +79,12 @@ def test_a_kept_reference_is_read_and_a_spoilt_one_made_anew(keeping, monkeypatc
     assert all(np.array_equal(again(t)[g], values[g]) for g in ("q", "v", "a"))
     assert all(np.array_equal(again.error[g], error[g]) for g in error)
     assert all(np.array_equal(again.largest[g][0], largest[g][0]) for g in largest)
-    assert told == ["making"]
+    assert told == ["waiting for", "making"]
     spoilt = bytearray(content)
     spoilt[len(spoilt) // 2] ^= 1
     file.write_bytes(spoilt)
     assert np.array_equal(Reference(Beside(), 0.2)(t)["q"], values["q"])
-    assert told == ["making", "making"]
+    assert told == ["waiting for", "making", "making"]
     assert file.read_bytes() == content
     # Without a folder for it nothing is kept, and nothing fails.
     monkeypatch.setattr(reference, "_file_of", lambda scene, t_end: file / "below")
@@ -111,13 +111,13 @@ def test_of_two_that_want_the_same_reference_one_makes_it(keeping, monkeypatch):
     finisher.start()
     assert np.isfinite(Reference(Beside(), 0.2)(np.array([0.1]))["q"]).all()
     finisher.join()
-    assert told == ["making", "waiting for"]
+    assert told == ["waiting for", "making", "waiting for"]
     # One that takes too long is not waited for any longer.
     file.unlink()
     monkeypatch.setattr(reference, "PATIENCE", 0.0)
     with other:
         assert np.isfinite(Reference(Beside(), 0.2).error["q"]).all()
-    assert told[2:] == ["waiting for", "making"]
+    assert told[3:] == ["waiting for", "making"]
     assert not file.exists()
 
 

@@ -78,17 +78,11 @@ def _once(scene: MechatronicSystem, t_end: float, make: Callable[[], bytes]) -> 
     lock = FileLock(path.with_name(f".{path.name}.lock"))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            lock.acquire(timeout=0)
-        except Timeout:
-            _told("waiting for", made)
-            lock.acquire(timeout=PATIENCE)
+        _told("waiting for", made)
+        with lock.acquire(timeout=PATIENCE):
+            return cached(path, anew)
     except (OSError, Timeout):  # there is no folder for it, or the other one takes too long
         return anew()
-    try:
-        return cached(path, anew)
-    finally:
-        lock.release()
 
 
 class ReferenceFailed(RuntimeError):
