@@ -213,6 +213,7 @@ def check_order(trials: list[Trial]) -> str:
     faults: list[str] = []
     for scene in (trial.scene for trial in trials if not checks.refusal(steady, trial.scene)):
         claims = checks.checked_orders(steady.claims(scene), "claims()")
+        claims = {group: order for group, order in claims.items() if scene.sizes.of(group)}
         for group, slope in (_refine(Trial(steady, scene), claims) if claims else {}).items():
             claimed, order = claims[group], slope.order
             if order is None and slope.at_round_off:
