@@ -39,9 +39,9 @@ from integrators.methods.symplectic import LobattoPair
 from integrators.native.algebra import small_matrices
 from integrators.native.loops import constant_steps
 from integrators.native.loops.kernel import Form, loop_costs
-from integrators.native.step.step_program import _at_rest
 from integrators.program_costs import NotCounted, costs_of, dense, sparse
 from problems import jax, jnp
+from problems.equations.initial_values import consistent_start
 from problems.equations.named_equations import equation, part, turns
 from problems.scenes.oscillators import Duffing, SpringMass
 from problems.scenes.pendulums import Chain, Pendulum
@@ -165,7 +165,7 @@ def turns_of(method: Any, scene: MechatronicSystem) -> dict[str, float]:
     """Operations of a turn of each loop and branch of a run, without compiling anything."""
     program, numbers = method.program(scene)
     clock, _ = constant_steps.grid(0.0, 1.0, Steps(0.1))
-    form = Form.of(scene.parameters(), numbers, _at_rest(scene), clock)
+    form = Form.of(scene.parameters(), numbers, consistent_start(scene), clock)
     kernel = constant_steps.kernel(program, scene.template(), form)
     packed, wanted = np.zeros(sum(map(math.prod, form.shapes))), (np.zeros(1, int), np.array(0))
     found = defaultdict(float)
