@@ -44,16 +44,6 @@ def test_numbers_at_the_steps_that_are_asked_for(stepbench):
 
 
 @pytest.mark.long
-def test_a_pattern_is_looked_at_as_a_whole(stepbench):
-    method = "newmark[beta=0.3,gamma=0.6]"
-    (found,) = found_by(stepbench, method, "--pattern", "0.5,0.5", "--at", "2", "--zeta", "0.1")
-    (half,) = found_by(stepbench, method, "--at", "1", "--zeta", "0.1")
-    assert found["at"]["radius"][0] == pytest.approx(half["at"]["radius"][0] ** 2, rel=1e-12)
-    assert found["pattern"] == [0.5, 0.5]
-    assert found["theory"] is None
-
-
-@pytest.mark.long
 def test_plugins_get_their_spectra_without_a_line(stepbench, plugins):
     names = "euler", "bathe_ode"
     euler, bathe = found_by(stepbench, *names, "--plugins", plugins, "--at", "0.1,1000")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers import long
 
+from bench.plugins.registry import Registry
 from bench.stability.matrices import matrices
 from bench.stability.spectra import eigenvalues, places_near, radii, spectrum
 from bench.stability.systems import Coupled, Joined, Loop, Oscillator, Relaxation
@@ -24,6 +25,8 @@ from integrators.methods.generalized_alpha import (
     WBZClassical,
 )
 from integrators.methods.implicit_structural import Houbolt, Park
+from integrators.native.step_method import NativeMethod
+from problems.base.spec import SpecError
 
 OMEGA_H = np.geomspace(1e-2, 1e4, 40)
 POINTS = 1.2 * np.exp(1j * np.arange(1, 6))
@@ -260,3 +263,44 @@ def test_overshoot_grows_as_known():
     assert spectrum(GeneralizedAlpha(rho_inf=0.8)).overshoot_orders == (0, 1)
     assert spectrum(HHT(alpha=0.3)).overshoot_orders == (0, 1)
     assert spectrum(Newmark()).overshoot_q.max() < 1 + 1e-9
+
+
+# ---- every native method ------------------------------------------------------------------
+REGISTRY = Registry()
+NATIVE = [
+    name
+    for name, plugin in REGISTRY.integrators.items()
+    if plugin.cls is not None and issubclass(plugin.cls, NativeMethod)
+]
+#: They have no form at constant steps.
+ALWAYS_ADAPTIVE = {"bdf_adaptive", "generalized_alpha_adaptive"}
+
+
+def test_all_native_methods_are_seen():
+    assert len(NATIVE) > 30
+    assert set(NATIVE) > ALWAYS_ADAPTIVE
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", NATIVE)
+def test_each_has_a_spectrum_or_a_reason(name):
+    method = REGISTRY.integrator(name)
+    constant = method.at_constant_steps()
+    if name in ALWAYS_ADAPTIVE:
+        assert constant is None
+        with pytest.raises(SpecError, match="chooses its own steps"):
+            spectrum(method, Oscillator())
+        return
+    if constant.why_not(Oscillator()):
+        with pytest.raises(SpecError, match="take generalized_alpha"):
+            spectrum(constant, Oscillator())
+        return
+    found = vars(spectrum(constant, Oscillator(), (1.0,), (0.1,)))
+    k = found["omega_h"].tolist().index(0.1)
+    # All are of order 1 at least: exp(i 0.1) has size and angle within a term of second order.
+    assert found["radius"][k] == pytest.approx(1.0, abs=0.1**2)
+    assert found["period_error"][k] == pytest.approx(0.0, abs=0.1**2)
+    assert found["damping"][k] == pytest.approx(-math.log(found["radius"][k]) / 0.1, abs=0.1**2)
+    # Eigenvalues may be more accurate than solutions: a symplectic Euler step has those of order 2.
+    assert found["order"] >= constant.claims(Oscillator())["q"]
+    assert all(found[part][k] < 1.1 for part in ("overshoot_q", "overshoot_v"))

@@ -172,13 +172,10 @@ def checked(trajectory: Trajectory, t_end: float) -> Trajectory:
         return trajectory
     y = trajectory
     if not all(np.isfinite(part).all() for part in (y.q, y.v, y.a, y.lam, y.x, y.xdot, y.y)):
-        trajectory.status = "diverged"
-        trajectory.message = "It reported success with values that are not finite."
-    elif abs(trajectory.t[-1] - t_end) > 1e-9 * max(1.0, abs(t_end)):
-        trajectory.status = "crashed"
-        trajectory.message = (
-            f"It reported success at t={trajectory.t[-1]:.9g} s instead of {t_end:.9g} s."
-        )
+        y.status, y.message = "diverged", "It reported success with values that are not finite."
+    elif abs(y.t[-1] - t_end) > 1e-9 * max(1.0, abs(t_end)):
+        said = f"It reported success at t={y.t[-1]:.9g} s instead of {t_end:.9g} s."
+        y.status, y.message = "crashed", said
     return trajectory
 
 
@@ -240,11 +237,12 @@ def errors_from_later_starts(
     return found, failed
 
 
-def readings(execute: Callable[[], object]) -> list[float]:
-    """Measure the processor time of a call in s, for the length of a timing sample.
+def least_seconds(execute: Callable[[], object]) -> float:
+    """Return the processor time of a call in s: a timing sample, the least of its readings.
 
-    A reading is of a single call, or of short ones of as many as last `SHORTEST_READING`. A call
-    that does nothing but wait has no such reading; then the mean of all is returned.
+    Other processes make a call longer, never shorter. A reading is of a single call, or of short
+    ones of as many as last `SHORTEST_READING`. A call that does nothing but wait has no such
+    reading; then the mean of all is returned.
     """
     found, calls, count, used, begun = [], 1, 0, 0.0, time.monotonic()
     # A call that waits for something else uses no processor time.
@@ -260,31 +258,18 @@ def readings(execute: Callable[[], object]) -> list[float]:
             calls *= 2
         else:
             found.append(reading / calls)
-    return found or [used / count]
-
-
-def least_seconds(execute: Callable[[], object]) -> float:
-    """Return the processor time of a call in s: a timing sample, the least of its `readings`.
-
-    Other processes make a call longer, never shorter.
-    """
-    return min(readings(execute))
+    return min(found, default=used / count)
 
 
 def digits(
     scene: MechatronicSystem, t: Float[np.ndarray, " k"], values: Mapping[str, np.ndarray]
 ) -> list[Digits]:
     """Return the published digits for which there is a row at t in s, beside its values."""
-    return [
-        Digits(
-            quantity=own.quantity,
-            t=own.t,
-            published=list(own.values),
-            computed=computed.tolist(),
-            tolerance=own.tolerance,
-        )
-        for own, computed in published_digits(scene, t, values)
-    ]
+    found = []
+    for own, computed in published_digits(scene, t, values):
+        numbers = {"published": list(own.values), "computed": computed.tolist()}
+        found.append(Digits(quantity=own.quantity, t=own.t, tolerance=own.tolerance, **numbers))
+    return found
 
 
 #: Notes that are errors: three digits of them take half the room, and no chart shows more.

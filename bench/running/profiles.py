@@ -101,29 +101,28 @@ def read_profile(name: str) -> tuple[str, ProfileFile]:
         If it is not there, is not TOML, or has an unknown key or a value of the wrong type; or if
         it includes a profile that includes others itself.
     """
-    path, profile = _read_file(name)
+    known = built_in_profiles()
+
+    def read(name: str) -> tuple[Path, ProfileFile]:
+        path = known.get(name, Path(name))
+        if path.suffix != ".toml":
+            raise SpecError(
+                f"There is no suite {name!r}; {spec.suggest(name, known)}, or give a .toml file."
+            )
+        try:
+            profile = msgspec.convert(_read_toml(path), ProfileFile)
+        except msgspec.ValidationError as error:
+            raise SpecError(f"The suite {path} is not as expected: {error}.") from None
+        return path, profile
+
+    path, profile = read(name)
     studies = [*profile.study]
     for other in profile.include:
-        _, included = _read_file(other)
+        _, included = read(other)
         if included.include:
             raise SpecError(f"{path} includes {other}, which includes others; name them all there.")
         studies += included.study
-    return path.stem, msgspec.structs.replace(profile, study=studies, include=[])
-
-
-def _read_file(name: str) -> tuple[Path, ProfileFile]:
-    known = built_in_profiles()
-    path = known.get(name, Path(name))
-    if path.suffix != ".toml":
-        raise SpecError(
-            f"There is no suite {name!r}; {spec.suggest(name, known)}, or give a .toml file."
-        )
-    data = _read_toml(path)
-    try:
-        profile = msgspec.convert(data, ProfileFile)
-    except msgspec.ValidationError as error:
-        raise SpecError(f"The suite {path} is not as expected: {error}.") from None
-    return path, msgspec.structs.replace(profile, study=list(map(_varied, profile.study)))
+    return path.stem, msgspec.structs.replace(profile, study=[*map(_varied, studies)], include=[])
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
@@ -133,9 +132,8 @@ def _read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise SpecError(f"The suite {path} cannot be read: {error.strerror}.") from None
-    except RecursionError:
-        raise SpecError(f"The suite {path} is nested too deeply.") from None
-    except ValueError as error:  # of TOML, of UTF-8, of a null byte in the path, of a huge number
+    # Of TOML, of UTF-8, of a null byte in the path, of a huge number.
+    except (ValueError, RecursionError) as error:
         raise SpecError(f"The suite {path} is not valid TOML: {error}.") from None
 
 
