@@ -87,69 +87,48 @@ _ALPHA_FAMILY = {
     *("generalized_alpha_lie", "hht", "hht_classical", "wbz", "wbz_classical", "newmark"),
 }
 #: Names of families; others are called as their methods state it.
-_FAMILIES = {
-    "generalized-alpha": "generalized-α",
-    "ida": "IDA",
-    "cvode": "CVODE",
-    "solve_dae": "solve_dae",
-    "engine": "engines",
-}
+FAMILIES = {"generalized-alpha": "generalized-α", "engine": "engines"}
+FAMILIES |= {"ida": "IDA", "cvode": "CVODE"}
 #: Options whose value says enough.
 _BARE = ("rho_inf", "alpha", "stages", "rho_b")
-#: Values that go without saying, as the method is known by them.
+#: Options at values that go without saying, as the method is known by them.
 _USUAL = {
-    ("newmark", "beta", "0.25"),
-    ("newmark", "gamma", "0.5"),
-    ("ida", "formulation", "stabilised_index2"),
-    ("bathe", "gamma", "0.5"),
-    ("wilson_theta", "theta", "1.4"),
-    ("noh_bathe", "p", "0.54"),
-    ("rattle", "multiplier", "averaged"),
-    ("variational_midpoint", "multiplier", "averaged"),
-    ("semi_implicit_euler", "erp", "0.2"),
-    ("implicit_fast", "erp", "0.2"),
-    ("linearly_implicit_euler", "erp", "1.0"),
-    ("moreau_jean", "theta", "0.5"),
+    "newmark": {"beta": "0.25", "gamma": "0.5"},
+    "ida": {"formulation": "stabilised_index2"},
+    "bathe": {"gamma": "0.5"},
+    "wilson_theta": {"theta": "1.4"},
+    "noh_bathe": {"p": "0.54"},
+    "moreau_jean": {"theta": "0.5"},
+    "linearly_implicit_euler": {"erp": "1.0"},
+    "rattle": {"multiplier": "averaged"},
+    "variational_midpoint": {"multiplier": "averaged"},
+    "semi_implicit_euler": {"erp": "0.2"},
+    "implicit_fast": {"erp": "0.2"},
 }
 #: Forms of a constrained system, and what becomes of the drift off its constraints.
 _FORMS = {
-    "index3": "index 3",
-    "stabilised_index2": "GGL",
-    "index2": "index 2",
-    "index1": "index 1",
-    "ode": "index 1",
-    "joint_coordinates": "minimal coordinates",
-    "unprojected": "unprojected",
-    "projected": "projected",
-    "baumgarte": "Baumgarte",
+    **{"index3": "index 3", "index2": "index 2", "index1": "index 1", "ode": "index 1"},
+    **{"stabilised_index2": "GGL", "joint_coordinates": "minimal coordinates"},
+    **{"unprojected": "unprojected", "projected": "projected", "baumgarte": "Baumgarte"},
     "soft": "soft loops",
 }
-_VALUES = {(option, k): v for option in ("formulation", "constraints") for k, v in _FORMS.items()}
-_VALUES |= {
-    ("newton", "full"): "full Newton",
-    ("newton", "modified"): "modified",
-    ("newton", "modified_exact"): "modified, exact",
-    ("start", "corrected"): "corrected start",
-    ("gamma", "updated"): "γ updated",
-    ("gamma", "guarded"): "γ guarded",
-    ("linear_solver", "sparse"): "sparse",
-    ("linear_solver", "dense"): "dense",
-    ("steps", "constant"): "constant steps",
-    ("values", "equations"): "a, λ of the equations",
-    ("multiplier", "one_sided"): "one-sided λ",
-    ("method", "trapezoidal_index2"): "trapezoidal",
-    ("integrator", "euler"): "Euler",
-    ("integrator", "rk4"): "RK4",
-    ("method", "adams"): "Adams",
+#: Values of options in words; others are told with the option.
+_VALUES = {
+    "formulation": _FORMS,
+    "constraints": _FORMS,
+    "newton": {"full": "full Newton", "modified": "modified", "modified_exact": "modified, exact"},
+    "start": {"corrected": "corrected start"},
+    "gamma": {"updated": "γ updated", "guarded": "γ guarded"},
+    "linear_solver": {"sparse": "sparse", "dense": "dense"},
+    "steps": {"constant": "constant steps"},
+    "values": {"equations": "a, λ of the equations"},
+    "multiplier": {"one_sided": "one-sided λ"},
+    "method": {"trapezoidal_index2": "trapezoidal", "adams": "Adams"},
+    "integrator": {"euler": "Euler", "rk4": "RK4"},
 }
 _GREEK = {
-    "alpha_m": "αm",
-    "alpha_f": "αf",
-    "beta": "β",
-    "gamma": "γ",
-    "delta_m": "δm",
-    "delta_f": "δf",
-    "theta": "θ",
+    **{"alpha_m": "αm", "alpha_f": "αf", "delta_m": "δm", "delta_f": "δf"},
+    **{"beta": "β", "gamma": "γ", "theta": "θ"},
 }
 Options = dict[str, str]
 
@@ -196,17 +175,12 @@ def named_labels(text: str, labels: Iterable[str]) -> list[str]:
     SpecError
         If there is no such integrator.
     """
-    short = short_names(labels)
-    specs = {label: label.partition(" x ")[0] for label in short}
-    found = [
-        label
-        for label, spec in specs.items()
-        if text.strip() in (label, spec, spec.partition("[")[0], short[label])
-    ]
+    short, text, found = short_names(labels), text.strip(), []
+    for label, name in short.items():
+        spec = label.partition(" x ")[0]
+        found += [label] if text in (label, spec, spec.partition("[")[0], name) else []
     if not found:
-        raise SpecError(
-            f"There is no integrator {text.strip()!r} in the store; {suggest(text, short)}."
-        )
+        raise SpecError(f"There is no integrator {text!r} in the store; {suggest(text, short)}.")
     return found
 
 
@@ -222,11 +196,6 @@ def scene_name(scene: str) -> str:
     return name.replace("_", " ") + bracket + rest
 
 
-def family_name(family: str) -> str:
-    """A family of integrators as a person reads it."""
-    return _FAMILIES.get(family, family)
-
-
 def label_parts(label: str) -> tuple[str, Options, str]:
     """Name, options and pattern of steps; a label that is no specification is all name."""
     spec, _, steps = label.partition(" x ")
@@ -239,7 +208,8 @@ def label_parts(label: str) -> tuple[str, Options, str]:
 def _parts(label: str) -> tuple[str, Options, str]:
     """The parts that are said."""
     name, options, steps = label_parts(label)
-    said = {k: v.removesuffix(".0") for k, v in options.items() if (name, k, v) not in _USUAL}
+    usual = _USUAL.get(name, {})
+    said = {k: v.removesuffix(".0") for k, v in options.items() if usual.get(k) != v}
     return name, said, steps
 
 
@@ -247,7 +217,7 @@ def _written(name: str, options: Mapping[str, str], steps: str) -> str:
     known = BUILT_IN[name].name if name in BUILT_IN else name
     head = " ".join([known, *(options[key] for key in _BARE if key in options)])
     rest = [
-        _VALUES.get((key, value)) or f"{_GREEK.get(key, key.replace('_', ' '))} {value}"
+        _VALUES.get(key, {}).get(value) or f"{_GREEK.get(key, key.replace('_', ' '))} {value}"
         for key, value in options.items()
         if key not in _BARE
     ]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from bench.results.records import (
     Environment,
+    MethodFacts,
     Plan,
     Record,
     SceneRecord,
@@ -55,6 +56,11 @@ class StoredRuns:
     def names(self) -> Names:
         """Short names of the integrators, by label."""
         return short_names(s.label for own in self.series.values() for s in own)
+
+    @property
+    def facts(self) -> Mapping[str, MethodFacts]:
+        """What is known of the integrators, by name."""
+        return self.plan.integrators if self.plan else {}
 
     @property
     def mine(self) -> str:

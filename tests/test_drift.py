@@ -24,9 +24,9 @@ from integrators.contract import Trajectory
 from integrators.resolutions import Steps
 from problems.base.spec import SpecError
 from problems.truth.reference import Reference
-from reports.pages.drift import drift_chapter, drift_chart
+from reports.pages.html_report import Site
 from reports.pages.report import read_report
-from reports.pages.site import Site
+from reports.pages.studies import drift_chart, drift_page
 
 #: The step of the oscillator at omega h = 0.2 pi.
 H = 0.6283185307179586
@@ -164,7 +164,7 @@ RUNS = [
 
 def test_rows_say_the_numbers_and_a_section_how_runs_ended():
     failed = msgspec.structs.replace(RUNS[2], status="diverged", message="It is gone.", steps=9)
-    (section,) = drift_chapter({run.key: run for run in [*RUNS[:2], failed]}).sections
+    (section,) = drift_page({run.key: run for run in [*RUNS[:2], failed]}).sections
     assert section.parts[0] == ["newmark ended as diverged: It is gone."]
     rows = {tuple(row[:2]): row[2:] for row in drift_table([*RUNS, failed]).rows}
     said = rows["rattle", "position residual [Φ]"]

@@ -7,12 +7,12 @@ from planted import STEPS, planted
 from small_stores import atlas_with
 
 from bench.results.records import SceneRecord
-from reports.pages.jumps import jumps_chapter
 from reports.pages.report import Report
+from reports.pages.studies import jumps_page, policies_table
 from reports.questions import plain
 from reports.scenes import StoredRuns
 from reports.series import series_of
-from reports.tables.jump_tables import events_table, policies_table
+from reports.tables.run_tables import events_table
 from reports.wrong import IGNORED, OVER, policy, wrong_on, wrong_sentences
 
 
@@ -61,7 +61,7 @@ def stored():
 
 
 def test_policies_of_a_scene_stand_side_by_side_and_ignored_samples_are_wrong(stored):
-    first, other, ball = jumps_chapter(stored).sections
+    first, other, ball = jumps_page(stored).sections
     assert (first.title, other.title, ball.title) == ("pd", "pd[kp=3]", "ball")
     _, verdict, table = first.parts
     assert table.head == ["integrator", "sampling=hit", "sampling=ignore"]
@@ -77,7 +77,7 @@ def test_policies_of_a_scene_stand_side_by_side_and_ignored_samples_are_wrong(st
     assert len(other.parts) == 2
     for run in stored.series["pd[sampling=ignore]"][0].records:  # they say it themselves
         run.message = "Samples are ignored."
-    assert jumps_chapter(stored).sections[0].parts[1].words.endswith("(above 0.1): 0.")
+    assert jumps_page(stored).sections[0].parts[1].words.endswith("(above 0.1): 0.")
 
 
 def test_events_are_counted_beside_those_of_the_reference(stored):
@@ -125,4 +125,4 @@ def test_a_report_without_jumps_has_no_chapter_on_them(tmp_path):
     with Store(plant(tmp_path / "plain", everything())) as store:
         report = Report(store)
     assert "jumps.html" not in [chapter.file for chapter in report.chapters]
-    assert not any(card for chapter in report.scenes for card in chapter.cards[:1])
+    assert not any(card for chapter in report.scenes for card in chapter.values["cards"][:1])

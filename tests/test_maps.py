@@ -20,7 +20,7 @@ from bench.sweeps.variation import find_range
 from integrators import Steps, Tolerances
 from problems.truth.reference import Reference
 from problems.variables import GROUPS
-from reports.pages.outcome_map import _OTHERS, map_chart
+from reports.pages.maps import _OTHERS, map_chart
 
 REGISTRY = Registry()
 ADAPTIVE, KVAERNO = "generalized_alpha_adaptive[newton=modified]", "kvaerno3[steps=constant]"

@@ -12,7 +12,7 @@ from small_stores import atlas_with
 
 from reports.formatting import symbols
 from reports.names import BUILT_IN, short_name, short_names
-from reports.pages.method_chapter import atlas_table
+from reports.pages.method_page import atlas_table
 from reports.pages.templating import escape_markdown
 
 ROOT = Path(__file__).parents[1]

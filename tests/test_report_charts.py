@@ -19,6 +19,7 @@ from bench.results.store import Store
 from reports.charts.errors import convergence_chart, error_against_cost, error_charts
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import ERRORS, MOST_ROWS, histories, thinned, trajectory_chart
+from reports.pages.page import Page
 from reports.pages.report import read_report
 from reports.questions import Question
 from reports.series import series_of
@@ -193,8 +194,9 @@ def test_only_what_varies_is_drawn_over_time_errors_logarithmically(styles):
 
 def test_a_scene_s_page_shows_errors_over_time_where_they_are_stored(tmp_path):
     def over_time(name):
-        (chapter,) = [c for c in read_report(folder).scenes if c.name == name]
-        return [name for figure in chapter.tabs[1].figures for name in figure.charts]
+        (page,) = [p for p in read_report(folder).scenes if p.values["key"] == name]
+        tab = Page("", "", sections=[page.values["tabs"][1]])
+        return [name for figure in tab.figures for name in figure.charts]
 
     folder = plant(tmp_path, everything())
     assert over_time("pendulum") == ["scene-2-1-trajectory"]

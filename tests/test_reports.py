@@ -25,9 +25,9 @@ from bench.results.records import Record, median
 from bench.results.store import Store
 from reports.formatting import cost_text, milliseconds, number, symbols
 from reports.pages import html_report
-from reports.pages.chapter import Text
 from reports.pages.markdown_report import _FIGURES as FIGURES
 from reports.pages.markdown_report import write_markdown_report
+from reports.pages.page import Text
 from reports.pages.report import read_report
 from reports.series import series_of
 from reports.tables.run_tables import summary_table
@@ -101,17 +101,17 @@ def test_runs_that_a_method_does_not_support_are_no_failures(tmp_path: Path) -> 
     (chapter,) = [c for c in report.chapters if c.file == "failures.html"]
     failed, unsupported = chapter.sections
     assert "1 ok, 2 not supported, 0 failed with a reason." in report.stored.state
-    _, summary, *_ = report.scenes[0].tabs[0].parts
+    _, summary, *_ = report.scenes[0].values["tabs"][0].parts
     assert {row[0]: row[-2] for row in summary.rows}["odd"] == "refused: It takes no rods."
     assert (report.failed, failed.parts[0].words) == (
         0,
         "Every run that its method supports reached the end.",
     )
     assert unsupported.parts[0].rows == [["odd", "pendulum", "2", "It takes no rods."]]
-    own = {m.label: m for m in report.methods}
-    _, refused = own["odd"].others[-1].parts
+    own = {m.values["key"]: m for m in report.methods}
+    _, refused = own["odd"].sections[-1].parts
     assert refused.rows == unsupported.parts[0].rows
-    assert own["good"].others[-1].parts == [Text("All its runs reached the end.")]
+    assert own["good"].sections[-1].parts == [Text("All its runs reached the end.")]
 
 
 def test_failures_are_listed_with_their_reason_and_do_no_harm(

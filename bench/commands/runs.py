@@ -253,7 +253,7 @@ def map_(o: Given) -> None:
     from bench.commands.terminal import show
     from bench.sweeps.outcome_map import map_job
     from bench.sweeps.variation import SweepRequest
-    from reports.pages.outcome_map import write_map_page
+    from reports.pages.maps import write_map_page
 
     request = SweepRequest(scene.spec, method.spec, options.sizes(o), o.t_end)
     task = request, names, o.ranges, counts, o.error, o.threshold

@@ -44,7 +44,7 @@ def drift(o: Given) -> None:
     from bench.results.store import Store
     from bench.results.studies import drift_table
     from bench.running.drift import drift_job
-    from reports.pages.drift import write_drift_page
+    from reports.pages.studies import write_drift_page
 
     results, faults = [], list[str]()
     task = drift_job, scene, methods, o.budget, faults, o.step, o.count
@@ -125,7 +125,7 @@ def stability(o: Given) -> None:
     from bench.commands.terminal import show
     from bench.stability.analysis import analysis_job
     from bench.stability.tables import stability_tables
-    from reports.pages.stability import write_stability_page
+    from reports.pages.maps import write_stability_page
 
     faults: list[str] = []
     task = o.system, o.zeta, o.pattern or (1.0,), o.at or (), o.ratios
@@ -165,7 +165,7 @@ def atlas(o: Given) -> None:
     from bench.commands.terminal import RunProgress, show
     from bench.results.store import Store
     from bench.results.studies import part_table
-    from reports.pages.atlas import write_atlas_page
+    from reports.pages.studies import write_atlas_page
 
     experiments = read_experiments(o.experiments)
     registry = options.usable_registry(o.plugins)

@@ -12,7 +12,7 @@ from reports.charts.mechanism import mechanism, motion
 from reports.charts.rendering import picture
 from reports.formatting import file_name, number, paragraphs
 from reports.names import scene_name
-from reports.pages.chapter import Chapter, Figure, Section, Text, write_chapter
+from reports.pages.page import Figure, Page, Section, Text, write_page
 from reports.tables.scene_tables import parameters_table, scene_facts
 
 T = TypeVar("T")
@@ -50,8 +50,8 @@ def write_animation(title: str, drawings: Sequence[Mapping[str, Any]], path: Pat
     """
     if path.suffix != ".html":
         raise NoPicture(f"{path.name} is not a page; give a name that ends in .html.")
-    chapter = Chapter(path.name, title, "", [Section(title, [_shown(title, motion(drawings))])])
-    return write_chapter(chapter, path.parent, programs=["motion.js"])
+    page = Page(path.name, title, sections=[Section(title, [_shown(title, motion(drawings))])])
+    return write_page(page, path.parent, programs=["motion.js"])
 
 
 def _shown(title: str, drawn: T | None) -> T:
@@ -69,22 +69,25 @@ def write_catalogue(scenes: Sequence[SceneRecord], folder: Path) -> Path:
         parts = [
             Figure(caption, {file_name(scene.problem): mechanism(scene.drawings)}),
             *map(Text, paragraphs(scene.description)),
-            dict([*_catalogue_facts(scene), *scene_facts(scene)]),
+            _catalogue_facts(scene) | scene_facts(scene),
             parameters_table(scene),
         ]
         sections.append(Section(title, parts, scene.problem))
     about = f"{len(scenes)} scenes, with the difficulties that each of them has."
-    return write_chapter(Chapter("catalogue.html", "Catalogue of scenes", about, sections), folder)
+    return write_page(Page("catalogue.html", "Catalogue of scenes", about, sections), folder)
 
 
-def _catalogue_facts(scene: SceneRecord) -> list[tuple[str, str]]:
-    """Pairs (name, text) that only the catalogue shows."""
-    found = [("Equations", "; ".join(scene.equations))]
-    if scene.rates:
-        r = {name: number(value) for name, value in scene.rates.items()}
-        text = f"eigenvalues from {r['slowest']} to {r['fastest']} 1/s, decay up to {r['decay']} "
-        text += f"1/s, oscillation up to {r['oscillation']} rad/s"
-        found.append(("Rates along the motion", text))
-    found.append(("Expected difficulties", "; ".join(scene.difficulties)))
-    found.append(("Tags", ", ".join(scene.tags)))
-    return [(name, text) for name, text in found if text]
+def _catalogue_facts(scene: SceneRecord) -> dict[str, str]:
+    """Texts by name that only the catalogue shows."""
+    r = {name: number(value) for name, value in (scene.rates or {}).items()}
+    rates = r and (
+        f"eigenvalues from {r['slowest']} to {r['fastest']} 1/s, decay up to {r['decay']} 1/s, "
+        f"oscillation up to {r['oscillation']} rad/s"
+    )
+    found = {
+        "Equations": "; ".join(scene.equations),
+        "Rates along the motion": rates or "",
+        "Expected difficulties": "; ".join(scene.difficulties),
+        "Tags": ", ".join(scene.tags),
+    }
+    return {name: text for name, text in found.items() if text}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from functools import partial
 from importlib import resources
 from importlib.metadata import version
@@ -13,11 +12,11 @@ import vl_convert
 
 from problems.base.cache import cached, put
 from reports.charts.vega_lite import chart_json
-from reports.pages.chapter import FOLDER, FRONT, Page
-from reports.pages.report import read_report
-from reports.pages.site import SEARCHED, Site
+from reports.pages.page import FOLDER, FRONT, Link, Page
+from reports.pages.report import Report, read_report
 from reports.pages.site_data import site_data
 from reports.pages.templating import html
+from reports.tables.glossary import TERMS
 
 FILE = FRONT
 #: Scripts that are made: the library that draws, and the data of all pages with a question.
@@ -27,6 +26,64 @@ _QUESTION_SCRIPTS = (DATA, "question.js", "answers.js", "marks.js", "plots.js", 
 _FRONT_SCRIPTS = (*_QUESTION_SCRIPTS, "words.js", "panels.js", "heat.js", "profile.js")
 #: Scripts of all pages but the front page.
 _DRAWING_SCRIPTS = (LIBRARY, "charts.js", "motion.js")
+#: Pages beside a report that commands write into its folder, with their titles in the contents.
+_BESIDE = {
+    "catalogue.html": "Catalogue of scenes",
+    "map.html": "Map of outcomes",
+    "stability.html": "Stability",
+}
+#: Parts of the contents that show what is searched for, and nothing before.
+SEARCHED = ("Methods by name", "Words")
+
+
+class Site:
+    """All pages of a report, and the addresses from one to another.
+
+    ``folder`` is the run folder. ``single`` says whether one file holds all pages; a page is then a
+    part with an anchor.
+    """
+
+    def __init__(self, report: Report, folder: Path, single: bool = False) -> None:
+        self.report, self.folder, self.single = report, folder, single
+        front = Page(FRONT, "Overview", heading="Answer", kind="front")
+        self.glossary = Page("glossary.html", "Glossary", kind="glossary", values={"terms": TERMS})
+        self.glossary.runs = [term.anchor for term in TERMS]
+        own = [*report.scenes, *report.methods]
+        self.pages = [front, *own, *report.chapters, self.glossary]
+        #: Anchors and short names of the integrators and scenes that have a page.
+        self.names = {p.values["key"]: (p.anchor, p.title) for p in reversed(own)}
+        self._places = {anchor: p.path for p in self.pages for anchor in p.anchors}
+
+    def contents(self, here: str) -> list[tuple[str, list[Link]]]:
+        """The contents at the side of a page: headings, and the links below each."""
+        root = "../" * here.count("/")  # the way to the run folder
+        headings = "Answer", "Scenes", "Not measured yet", "Why", "Beside", *SEARCHED
+        below: dict[str, list[Link]] = {heading: [] for heading in headings}
+        for p in self.pages:
+            if p.heading:
+                now = p.path == here and not self.single
+                below[p.heading].append(Link(root + self.link(p), p.title, p.count, now))
+        for file, title in _BESIDE.items():
+            if not self.single and (self.folder / file).is_file():
+                below["Beside"].append(Link(root + file, title))
+        methods, words = below[SEARCHED[0]], below[SEARCHED[1]]
+        methods += [Link(root + self.link(p), p.title) for p in self.report.methods]
+        place = (root + self.link(self.glossary)).partition("#")[0]
+        words += [Link(f"{place}#{term.anchor}", term.title) for term in TERMS]
+        return [(heading, links) for heading, links in below.items() if links]
+
+    def link(self, page: Page) -> str:
+        """The address of a page, relative to the run folder."""
+        if self.single:
+            return "#main" if page.kind == "front" else f"#{page.anchor}"
+        return page.path
+
+    def address(self, anchor: str, here: str) -> str:
+        """The address of an anchor for a page: the anchor alone if it is on the same page."""
+        file = "" if self.single else self._places.get(anchor, "")
+        if file in ("", here):
+            return f"#{anchor}"
+        return f"{file.removeprefix(FOLDER) if here.startswith(FOLDER) else file}#{anchor}"
 
 
 def write_html_report(folder: Path, single_file: bool = False) -> Path:
@@ -73,27 +130,23 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
     return site.folder / FILE
 
 
-def _written(site: Site, pages: Sequence[Page], made: Mapping[str, str]) -> str:
+def _written(site: Site, pages: list[Page], made: dict[str, str]) -> str:
     """The text of a file with these pages."""
-    here, kind = pages[0].path, pages[0].kind
+    here, kind, report = pages[0].path, pages[0].kind, site.report
     asking = _FRONT_SCRIPTS if kind == "front" else _QUESTION_SCRIPTS if kind == "scene" else ()
-    programs = (
-        "kept.js",
-        *(asking if DATA in made else ()),
-        "page.js",
-        *(_DRAWING_SCRIPTS if site.single or kind != "front" else ()),
-    )
+    drawing = _DRAWING_SCRIPTS if site.single or kind != "front" else ()
+    failed = f", {report.failed} failed" if report.failed else ""
     return html(
-        programs,
+        ("kept.js", *(asking if DATA in made else ()), "page.js", *drawing),
         assets=None if site.single else FOLDER if kind == "front" else "",
         made=made,
         address=partial(site.address, here=here),
         names=site.names,
-        report=site.report,
-        site=site,
+        report=report,
         pages=pages,
-        title=("" if kind == "front" else f"{pages[0].title} · ") + site.report.title,
-        about=f"{site.report.title} · {site.runs_text}",
+        pictures=None,
+        title=("" if kind == "front" else f"{pages[0].title} · ") + report.title,
+        about=f"{report.title} · {len(report.run_ids)} runs{failed}",
         home="../" * here.count("/") + site.link(site.pages[0]),
         contents=site.contents(here),
         searched=SEARCHED,

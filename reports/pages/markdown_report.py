@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import quote
 
 from problems.base.cache import put
 from reports.charts.rendering import draw
-from reports.formatting import file_name
-from reports.names import scene_name
-from reports.pages.chapter import FOLDER, Figure
-from reports.pages.report import Report, read_report
+from reports.pages.page import FOLDER
+from reports.pages.report import read_report
 from reports.pages.templating import markdown
 from reports.tables.ranking_tables import standings_table
-from reports.verdicts import DIFFER, headlines
+from reports.verdicts import headlines
 
 FILE = "report.md"
 _FIGURES = "report_figures"
@@ -39,46 +36,29 @@ def write_markdown_report(folder: Path) -> Path:
         If the folder holds no readable store.
     """
     report = read_report(folder)
-    charts = {name: chart for f in _figures(report) for name, chart in f.charts.items()}
+    overview = report.overview
+    figures = [overview, *(f for p in (*report.scenes, *report.chapters) for f in p.figures)]
+    charts = {name: chart for figure in figures for name, chart in figure.charts.items()}
     failed = draw(charts, folder / _FIGURES)
-    files = {name: FOLDER + quote(_scene_file(name)) for name in report.series}
-    names = {**report.names, **{name: scene_name(name) for name in report.series}}
+    files = {f"{page.anchor}.md": page for page in report.scenes}
+    names = {**report.names, **{page.values["key"]: page.title for page in report.scenes}}
     own = folder / FOLDER
     own.mkdir(exist_ok=True)
-    for chapter in report.scenes:
-        text = markdown(
-            "scene.md.j2",
-            names,
-            report=report,
-            scene=chapter,
-            index=FILE,
-            figures=f"../{_FIGURES}",
-            failed=failed,
-        )
-        put(own / _scene_file(chapter.name), text)
+    same = {"report": report, "failed": failed}
+    for file, page in files.items():
+        put(own / file, markdown("scene.md.j2", names, page=page, figures=f"../{_FIGURES}", **same))
     for old in own.glob("scene-*.md"):
-        if old.name not in map(_scene_file, (chapter.name for chapter in report.scenes)):
+        if old.name not in files:
             old.unlink()
     text = markdown(
         "report.md.j2",
         names,
-        report=report,
         answer=headlines(report.answered, report.names),
-        doubts=[[DIFFER], *report.wrong],
         standings=standings_table(report.answer),
-        scenes=[(scene_name(s.name), files[s.name]) for s in report.scenes],
+        overview=overview,
+        scenes=[(page.title, FOLDER + quote(file)) for file, page in files.items()],
         figures=_FIGURES,
-        failed=failed,
+        **same,
     )
     put(folder / FILE, text)
     return folder / FILE
-
-
-def _scene_file(name: str) -> str:
-    return f"scene-{file_name(name)}.md"
-
-
-def _figures(report: Report) -> Iterator[Figure]:
-    yield report.overview
-    for chapter in (*report.scenes, *report.chapters):
-        yield from chapter.figures

@@ -14,9 +14,9 @@ from bench.results.records import NOT_TRIED, UNSUPPORTED, Record, SceneRecord
 from bench.results.timings import FEWEST, LEAST_OF_FEW, median_interval
 from reports.charts.mechanism import little_picture
 from reports.formatting import number, tie_text
-from reports.names import family_name, form_name, scene_name
+from reports.names import FAMILIES, form_name, scene_name
+from reports.pages.page import page_file
 from reports.pages.report import Report
-from reports.pages.site import method_page, scene_page
 from reports.questions import (
     BOTH,
     GRID,
@@ -98,13 +98,13 @@ def _method(report: Report, series: Sequence[Series], label: str, family: str) -
     return {
         "label": label,
         "short": report.names[label],
-        "family": family_name(family),
+        "family": FAMILIES.get(family, family),
         "form": form_name(r for s in series if s.label == label for r in s.ok),
         "light": style.color,
         "dark": style.dark,
         "shape": style.shape,
         "dash": list(style.dash),
-        "page": method_page(label),
+        "page": page_file("method", label),
     }
 
 
@@ -122,7 +122,7 @@ def _scene(
         "name": scene_name(name),
         "kind": kind_of(scene.tags if scene else ()),
         "about": " · ".join([*filter(None, [options]), *tags]),
-        "page": scene_page(name),
+        "page": page_file("scene", name),
         "groups": groups,
         "wrong_a": [places[s.label] for s in series if s.never_right("a")],
         "picture": little_picture(scene.drawings) if scene else [],
@@ -233,14 +233,15 @@ def _wrong(report: Report, group: str, chosen: Filters) -> dict[str, Any]:
     """Sentences on runs that are wrong without warning, per filter and per scene."""
     wrong, ids = wrong_runs(report.stored, group), report.run_ids
     scenes = {r.key: k for k, own in report.measured.items() for s in own for r in s.records}
-    pages = {"method": method_page, "scene": scene_page, "atlas": "atlas.html#atlas-{}".format}
-    pages["run"] = lambda key: f"{scene_page(scenes[key])}#{ids[key]}"
 
     def linked(piece: Piece) -> str | dict[str, str]:
         """A part of a sentence: text, or a reference with its page."""
         if isinstance(piece, str):
             return piece
-        page = pages[piece.kind](piece.key)
+        if piece.kind == "run":
+            page = f"{page_file('scene', scenes[piece.key])}#{ids[piece.key]}"
+        else:
+            page = page_file(piece.kind, piece.key)
         return {"kind": piece.kind, "key": piece.key, "text": piece.text, "page": page}
 
     def said(names: Collection[str]) -> list[list[Any]]:

@@ -43,7 +43,7 @@ def html(
     Parameters
     ----------
     programs
-        Names of its scripts, in their order.
+        Names of its scripts, in their order; ``made`` has those that are no files of assets.
     assets
         Address of the folder of assets, relative to the page, with a slash at its end; None for a
         page that holds what it needs of them.
@@ -52,8 +52,6 @@ def html(
         glossary, whose anchors are its own.
     names
         Anchors and short names of integrators and scenes, which stand for them in tables.
-    made
-        Scripts by name that are no files of assets.
     **values
         For the template.
     """
@@ -92,33 +90,27 @@ def _prose(address: Callable[[str], str] | None) -> Callable[[object], Markup]:
     """
     used: set[str] = set()
 
-    def prose(text: object) -> Markup:
-        pieces = _CODE.split(str(text))
-        said = [_with_dois(symbols(piece), terms) for piece in pieces]
-        said[1::2] = [Markup("<code>{}</code>").format(piece) for piece in pieces[1::2]]
-        return Markup("").join(said)
-
     def terms(text: str) -> Markup:
         parts, at = [], 0
         for start, end, term in terms_in(text):
-            if address is None or term.anchor in used:
-                continue
-            used.add(term.anchor)
-            link = _TERM_LINK.format(address(term.anchor), term.definition, text[start:end])
-            parts += [escape(text[at:start]), link]
-            at = end
+            if address and term.anchor not in used:
+                used.add(term.anchor)
+                link = _TERM_LINK.format(address(term.anchor), term.definition, text[start:end])
+                parts += [escape(text[at:start]), link]
+                at = end
         return Markup("").join([*parts, escape(text[at:])])
+
+    def prose(text: object) -> Markup:
+        said = [_doi(piece, terms) for piece in _CODE.split(str(text))]
+        said[1::2] = [Markup("<code>{}</code>").format(p) for p in _CODE.findall(str(text))]
+        return Markup("").join(said)
 
     return prose
 
 
-def _doi(text: object) -> Markup:
-    """A filter that makes links of DOIs only."""
-    return _with_dois(symbols(str(text)), escape)
-
-
-def _with_dois(text: str, others: Callable[[str], Markup]) -> Markup:
-    parts, at = [], 0
+def _doi(text: object, others: Callable[[str], Markup] = escape) -> Markup:
+    """A filter that makes links of DOIs, and λ of lam."""
+    text, parts, at = symbols(str(text)), [], 0
     for found in _DOI.finditer(text):
         name = found.group(1).rstrip(".,;:)")
         parts += [others(text[at : found.start()]), _DOI_LINK.format(name, name)]
@@ -158,7 +150,6 @@ def _environment(autoescape: bool) -> jinja2.Environment:
         "code": code,
         # These differ between pages.
         "prose": jinja2.pass_context(lambda page, text: page["prose"](text)),
-        "name": jinja2.pass_context(lambda page, key: _named(key, page["names"])),
         "table": jinja2.pass_context(lambda page, table: markdown_table(table, page["names"])),
     }
     return environment
@@ -167,13 +158,10 @@ def _environment(autoescape: bool) -> jinja2.Environment:
 def escape_markdown(text: object) -> str:
     """Text on one line in which no character is Markdown; lam is λ, and ``name`` is code."""
     pieces = _CODE.split(symbols(" ".join(str(text).split())))
-    pieces[::2] = map(_escaped, pieces[::2])
+    signs = re.compile(r"([\\`*_\[\]|#~$])")
+    pieces[::2] = [signs.sub(r"\\\1", escape_html(piece, quote=False)) for piece in pieces[::2]]
     pieces[1::2] = map(code, pieces[1::2])
     return "".join(pieces)
-
-
-def _escaped(flat: str) -> str:
-    return re.sub(r"([\\`*_\[\]|#~$])", r"\\\1", escape_html(flat, quote=False))
 
 
 def code(text: object) -> str:
@@ -182,28 +170,28 @@ def code(text: object) -> str:
     return f"`{flat}`".replace("|", "\\|") if flat else ""
 
 
-def _named(key: str, names: Mapping[str, str]) -> str:
-    """A short name; one that has none is code."""
-    return escape_markdown(names[key]) if key in names else code(key)
-
-
 def markdown_table(table: Table | None, names: Mapping[str, str] = MappingProxyType({})) -> str:
-    """A table in GitHub's Markdown, with its caption and note; nothing for None."""
+    """A table in GitHub's Markdown, with its caption and note; nothing for None.
+
+    A name of an integrator or a scene that has no short one is code.
+    """
     if table is None:
         return ""
-    lines = [
-        _row(escape_markdown(names.get(head, head)) for head in table.head),
-        _row("---" for _ in table.head),
-    ]
+
+    def row(cells: Iterable[str]) -> str:
+        return f"| {' | '.join(cells)} |"
+
+    lines = [row(escape_markdown(names.get(head, head)) for head in table.head)]
+    lines.append(row("---" for _ in table.head))
     for i, cells in enumerate(table.rows):
-        shown = [
-            _named(c, names) if j in table.code else escape_markdown(c) for j, c in enumerate(cells)
-        ]
-        lines.append(_row(f"**{c}**" if (i, j) in table.best else c for j, c in enumerate(shown)))
+        shown = []
+        for j, c in enumerate(cells):
+            named = j in table.code
+            cell = (
+                code(c) if named and c not in names else escape_markdown(names[c] if named else c)
+            )
+            shown.append(f"**{cell}**" if (i, j) in table.best else cell)
+        lines.append(row(shown))
     # With a colon: a line that is all bold would pass for a heading.
     parts = [f"**{escape_markdown(table.caption)}**:", "\n".join(lines)]
     return "\n\n".join([*parts, escape_markdown(table.note)] if table.note else parts)
-
-
-def _row(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(cells)} |"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -33,23 +34,17 @@ _NOTE = (
 
 
 def stored_order_tables(folder: Path) -> list[Table]:
-    """Return the order tables of a run folder, one per study that asks for it.
-
-    Raises
-    ------
-    bench.results.store.StoreError
-        If the folder holds no readable store.
-    """
+    """Return the order tables of the store in a run folder, one per study that asks for it."""
     with Store(folder) as store:
         return order_tables(store.plan(), store.records())
 
 
 def order_tables(plan: Plan | None, records: Mapping[str, Record]) -> list[Table]:
     """Return the order tables of all studies that ask for one."""
-    studies = [s for s in (plan.studies if plan else ()) if FIGURE in s.figures]
     made = (
         order_table(series_of(records[k] for k in study.cells if k in records), study.title)
-        for study in studies
+        for study in (plan.studies if plan else ())
+        if FIGURE in study.figures
     )
     return [table for table in made if table]
 
@@ -71,21 +66,19 @@ def order_table(series: Sequence[Series], title: str, scenes: Sequence[str] = ()
         claims = s.finest.claims or {}
         rows.append([name, "claimed", *(str(claims.get(g, NO_VALUE)) for g in groups)])
         for norm, said in _MEASURED.items():
-            cells = (_cell(s.fit(g, norm), claims.get(g), norm) for g in groups)
-            rows.append([name, said, *cells])
+            rows.append([name, said])
+            for g in groups:
+                fit = s.fit(g, norm)
+                order = fit.order if fit.verdict == "converges" and fit.order else 0.0
+                unknown = fit.order is None and fit.verdict != STUCK
+                short = norm == "settled" and g in claims and claims[g] - order > _SHORT
+                cell = NO_VALUE if unknown else order_text(order) if order else "0"
+                rows[-1].append(cell + " *" * short)
     head = ["scene" if scenes else "integrator", "order"]
     head += ["λ" if g == "lam" else g for g in groups]
     few = [name for name, s in stepped if len(s.ok) < 3]
     missing = f" Left out, with fewer than three runs to the end: {', '.join(few)}." if few else ""
     return Table(title, head, rows, code=(), note=_NOTE + missing)
-
-
-def _cell(fit: Fit, claimed: int | None, norm: str) -> str:
-    if fit.order is None and fit.verdict != STUCK:
-        return NO_VALUE
-    order = fit.order if fit.verdict == "converges" and fit.order else 0.0
-    short = claimed is not None and norm == "settled" and claimed - order > _SHORT
-    return (order_text(order) if order else "0") + (" *" if short else "")
 
 
 def lost_orders_table(
@@ -106,7 +99,14 @@ def lost_orders_table(
             if not _is_lost(fit, claimed):
                 continue
             transient = settled.order is not None and not _is_lost(settled, claimed)
-            found = _ends(s, group) if fit.verdict == STUCK else order_text(fit.order or 0.0)
+            found = order_text(fit.order or 0.0)
+            if fit.verdict == STUCK:
+                name = "h" if s.controls == "step" else "rtol"
+                ends = [
+                    f"{number(r.error(group, NORM))} at {name}={number(step_or_tolerance(r))}"
+                    for r in (s.ok[0], s.ok[-1])
+                ]
+                found = f"none: error {', '.join(ends)}"
             if transient:
                 found += f"; after the start transient {order_text(settled.order or 0.0)}"
             why = explained(s, group, described.get(scene), atlas, transient)
@@ -131,16 +131,5 @@ def lost_orders_table(
 
 def _is_lost(fit: Fit, claimed: int | None) -> bool:
     """Whether errors do not converge, or with less than the claimed order."""
-    if fit.verdict == STUCK:
-        return True
-    return claimed is not None and fit.order is not None and claimed - fit.order >= _LOSS
-
-
-def _ends(s: Series, group: str) -> str:
-    """The errors of the coarsest and of the finest run."""
-    name = "h" if s.controls == "step" else "rtol"
-    ends = [
-        f"{number(r.error(group, NORM))} at {name}={number(step_or_tolerance(r))}"
-        for r in (s.ok[0], s.ok[-1])
-    ]
-    return f"none: error {', '.join(ends)}"
+    order = math.inf if fit.order is None or claimed is None else fit.order
+    return fit.verdict == STUCK or (claimed or 0) - order >= _LOSS

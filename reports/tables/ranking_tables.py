@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 from bench.results.quantities import COST, COSTS, NORM, NORMS, RANKED_COSTS
 from bench.results.records import MethodFacts
@@ -22,36 +21,28 @@ _TIES = (
 )
 
 
-def _verdicts(
-    caption: str,
-    head: str,
-    rows: Mapping[str, Sequence[Answer]],
-    names: Names,
-    note: str,
-    scene: str | None = None,
-) -> Table:
-    """A table of verdicts: a column per cost, and |Φ| of the winners, left out if it is empty.
+def _verdicts(rows: Mapping[str, tuple[str, Sequence[Answer]]], names: Names) -> list[list[str]]:
+    """Rows of verdicts: a column per cost, and |Φ| of the winners, left out if it is empty.
 
-    A row has the answers by cost to one question on ``scene``, or on that of the row's name.
+    A row has a scene, and the answers by cost to one question. The first row is the head.
     """
     cells: list[list[str]] = []
-    for name, by_cost in rows.items():
-        place = name if scene is None else scene
-        judged = [found.scenes[place] for found in by_cost if place in found.scenes]
-        if not judged:
-            reason = f"cannot be judged: {unjudged(by_cost[0], place)}"
+    for name, (scene, by_cost) in rows.items():
+        judged = [found.scenes[scene] for found in by_cost if scene in found.scenes]
+        if judged:
+            target = by_cost[0].question.target
+            held = [violation_text((s.run for s in a.first), target) or NO_VALUE for a in judged]
+            shown = held if len({*held}) > 1 else held[:1]
+            said = "" if {*held} == {NO_VALUE} else " · ".join(shown)
+            cells.append([name, *(verdict(own, names) for own in judged), said])
+        else:
+            reason = f"cannot be judged: {unjudged(by_cost[0], scene)}"
             cells.append([name, reason, *[""] * len(by_cost)])
-            continue
-        target = by_cost[0].question.target
-        held = [violation_text((s.run for s in own.first), target) or NO_VALUE for own in judged]
-        shown = held if len({*held}) > 1 else held[:1]
-        said = "" if {*held} == {NO_VALUE} else " · ".join(shown)
-        cells.append([name, *(verdict(own, names) for own in judged), said])
-    costs = [COSTS[found.question.cost].least for found in next(iter(rows.values()))]
-    whole = [head, *costs, f"|Φ| of the winners, {NORMS[NORM]}"]
-    count = len(whole) - (not any(row[-1] for row in cells))
-    more: dict[str, Any] = {"code": ()} if scene is not None else {}
-    return Table(caption, whole[:count], [row[:count] for row in cells], note=note, **more)
+    _, first = next(iter(rows.values()))
+    costs = [COSTS[found.question.cost].least for found in first]
+    count = len(costs) + 1 + any(row[-1] for row in cells)
+    head = ["", *costs, f"|Φ| of the winners, {NORMS[NORM]}"]
+    return [row[:count] for row in (head, *cells)]
 
 
 def targets_table(series: Sequence[Series], names: Names) -> Table | None:
@@ -60,17 +51,18 @@ def targets_table(series: Sequence[Series], names: Names) -> Table | None:
     None for fewer than two integrators.
     """
     found = answers({"": series}, TABLE_GROUPS, TABLE_TARGETS) if len(series) > 1 else {}
+    asked = [question for question in found if question.cost == COST]
+    if not asked:
+        return None
     rows = {
-        f"{question.group} to {question.accuracy}": [
-            found[replace(question, cost=cost)] for cost in RANKED_COSTS
-        ]
-        for question in found
-        if question.cost == COST
+        f"{q.group} to {q.accuracy}": ("", [found[replace(q, cost=c)] for c in RANKED_COSTS])
+        for q in asked
     }
+    (_, *head), *cells = _verdicts(rows, names)
     note = f"Relative error: {NORMS[NORM]}. {_TIES} Seconds also compare languages; counts and "
     note += "operations do not."
-    caption, head = "Cheapest way to an accuracy", "relative error"
-    return _verdicts(caption, head, rows, names, note, "") if rows else None
+    head = ["relative error", *head]
+    return Table("Cheapest way to an accuracy", head, cells, code=(), note=note)
 
 
 def winners_table(found: Mapping[Question, Answer], names: Names) -> Table | None:
@@ -80,9 +72,10 @@ def winners_table(found: Mapping[Question, Answer], names: Names) -> Table | Non
     if not several:
         return None
     scenes = dict.fromkeys([*several, *(k for own in by_cost for k in own.unjudged)])
+    (_, *head), *cells = _verdicts({k: (k, by_cost) for k in scenes}, names)
     caption = f"Cheapest way to {by_cost[0].question.text}"
     note = f"{_TIES} Other accuracies: on the scenes' pages."
-    return _verdicts(caption, "scene", dict.fromkeys(scenes, by_cost), names, note)
+    return Table(caption, ["scene", *head], cells, note=note)
 
 
 def standings_table(found: Answer) -> Table | None:
@@ -94,7 +87,7 @@ def standings_table(found: Answer) -> Table | None:
     return Table(
         f"Standings: {COSTS[question.cost].least} to {question.accuracy} in {question.quantity}",
         ["integrator", "alone cheapest", "tied", "reached", "tried"],
-        [[s.label, *map(str, (s.alone, s.tied, s.reached, s.tried))] for s in rows],
+        [[label, *map(str, counts)] for label, *counts in rows],
         note=f"Numbers of scenes. Relative error: {NORMS[NORM]}. First places count on scenes "
         "on which several integrators are compared.",
     )

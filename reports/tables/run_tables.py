@@ -1,4 +1,4 @@
-"""Tables of runs: errors and orders, all runs, drift, failures, timing."""
+"""Tables of runs: errors and costs, all runs, drift, events, failures."""
 
 from __future__ import annotations
 
@@ -9,41 +9,31 @@ from types import MappingProxyType
 from bench.results.quantities import ERROR_MEANING, LEVELS, NORM, TRUST, VIOLATIONS
 from bench.results.records import UNSUPPORTED, Record
 from bench.results.table import Table
-from reports.formatting import (
-    NO_VALUE,
-    component_text,
-    cost_text,
-    milliseconds,
-    number,
-)
+from reports.formatting import NO_VALUE, component_text, cost_text, milliseconds, number
 from reports.names import form_name
-from reports.series import (
-    Series,
-    groups_of,
-    ok_runs,
-    reference_error,
-)
+from reports.series import Series, groups_of, ok_runs, reference_error
 
 
 def summary_table(series: Sequence[Series]) -> Table:
     """One row per integrator: best errors, costs of its most accurate run, endings."""
     groups = groups_of(ok_runs(series))
-    rows, best, doubtful = [], set(), False
-    for s in series:
+    rows, doubtful = [], False
+    sure: dict[str, list[tuple[float, int]]] = {g: [] for g in groups}
+    for i, s in enumerate(series):
         run = near[1] if (near := s.nearest("q")) else None
-        nearest = {g: near[0] if (near := s.nearest(g)) else None for g in groups}
-        errors = {f"error in {g}": number(error) for g, error in nearest.items()}
-        for g, error in nearest.items():
+        row = {"integrator": s.label}
+        for g in groups:
+            error = near[0] if (near := s.nearest(g)) else None
+            row[f"error in {g}"] = number(error)
             if error is not None and error <= TRUST * reference_error(s.ok, g, NORM):
-                errors[f"error in {g}"] += " *"
+                row[f"error in {g}"] += " *"
                 doubtful = True
-        most = run.resolution if run else NO_VALUE
-        row = {"integrator": s.label, **errors, **_costs(run), "runs": s.statuses}
-        rows.append({**row, "most accurate run": most})
-    for j, g in enumerate(groups, 1):
-        sure = [i for i, row in enumerate(rows) if "*" not in row[f"error in {g}"]]
-        errors = [(near[0], i) for i in sure if (near := series[i].nearest(g))]
-        best |= {(min(errors)[1], j)} if errors and len(rows) > 1 else set()
+            elif error is not None:
+                sure[g].append((error, i))
+        row |= {**_costs(run), "runs": s.statuses}
+        rows.append(row | {"most accurate run": run.resolution if run else NO_VALUE})
+    several = len(rows) > 1
+    best = {(min(own)[1], j) for j, own in enumerate(sure.values(), 1) if own and several}
     note = f"Smallest error over the runs. {ERROR_MEANING} Time and counts: of the run that is "
     note += "most accurate in q."
     if doubtful:
@@ -65,48 +55,27 @@ def runs_table(
     ids: Mapping[str, str] | None = None,
     components: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> Table | None:
-    """Every run with its errors, work and ending.
+    """Every run with its errors, each with its worst component, work and ending.
 
     ``ids`` are the anchors of the rows by key, ``components`` the names of components by group.
     """
     records = [(s, r) for s in series for r in s.records]
-    groups = groups_of(r for _, r in records)
-    if not records:
-        return None
-    rows = [
-        {
-            "integrator": s.label,
-            "run": r.resolution,
-            "ending": r.status,
-            **{f"error in {group}": _error(r, group, components) for group in groups},
-            "steps": _steps(r),
-            "rejected": _count(r.work.get("rejected")),
-            **_costs(r),
-        }
-        for s, r in records
-    ]
-    return Table.from_dicts(
-        "All runs",
-        rows,
-        note=f"{ERROR_MEANING} The worst component is named. The reasons of failed runs are below.",
-        ids=[ids[r.key] for _, r in records] if ids else [],
-    )
-
-
-def _steps(record: Record) -> str:
-    """The steps of a run; of one that reached the end also those at which errors were measured."""
-    steps = record.work.get("steps")
-    partly = record.status == "ok" and record.rows < (steps or 0)
-    return f"{steps}, {record.rows} of them measured" if partly else _count(steps)
-
-
-def _error(record: Record, group: str, components: Mapping[str, Sequence[str]]) -> str:
-    """The error with its worst component: 0.7 roll."""
-    errors = record.components.get(group, {}).get(NORM, [])
-    sizes = [math.inf if e is None else e for e in errors]
-    worst = sizes.index(max(sizes)) if len(sizes) > 1 else None
-    name = "" if worst is None else component_text(group, worst, components).partition(" [")[0]
-    return f"{number(record.error(group, NORM))} {name}".strip()
+    groups, rows = groups_of(r for _, r in records), []
+    for s, r in records:
+        row = {"integrator": s.label, "run": r.resolution, "ending": r.status}
+        for g in groups:
+            sizes = [math.inf if e is None else e for e in r.components.get(g, {}).get(NORM, [])]
+            worst = component_text(g, sizes.index(max(sizes)), components) if sizes[1:] else ""
+            error = f"{number(r.error(g, NORM))} {worst.partition(' [')[0]}"
+            row[f"error in {g}"] = error.strip()
+        # Of a run that reached the end also the steps at which errors were measured.
+        steps = r.work.get("steps")
+        partly = r.status == "ok" and r.rows < (steps or 0)
+        row["steps"] = f"{steps}, {r.rows} of them measured" if partly else _count(steps)
+        rows.append(row | {"rejected": _count(r.work.get("rejected")), **_costs(r)})
+    anchors = [ids[r.key] for _, r in records] if ids else []
+    note = f"{ERROR_MEANING} The worst component is named. The reasons of failed runs are below."
+    return Table.from_dicts("All runs", rows, note=note, ids=anchors) if rows else None
 
 
 def invariants_table(series: Sequence[Series]) -> Table | None:
@@ -117,8 +86,8 @@ def invariants_table(series: Sequence[Series]) -> Table | None:
     runs = [(s, s.finest) for s in series if s.ok]
     unit = next((f" in {r.constraint_unit}" for _, r in runs if r.constraint_unit), "")
     columns = {
-        f"Φ of {level}{after}": [r.constraint.get(level) for _, r in runs]
-        for level, after in zip(LEVELS, [unit and unit + s for s in ("", "/s", "/s²")], strict=True)
+        f"Φ of {level}{unit and unit + after}": [r.constraint.get(level) for _, r in runs]
+        for level, after in zip(LEVELS, ("", "/s", "/s²"), strict=True)
     }
     for group, name in VIOLATIONS.items():
         columns[f"{name}, relative"] = [r.error(group, NORM) for _, r in runs]
@@ -136,6 +105,22 @@ def invariants_table(series: Sequence[Series]) -> Table | None:
         note="Largest over time; relative: divided by the change of Φ that positions or velocities "
         "of their size make; the energy relative to the motion's largest kinetic energy.",
     )
+
+
+def events_table(series: Sequence[Series]) -> Table | None:
+    """The events of the finest run of each integrator; None if the runs have no events."""
+    eventful = [s for s in series if any(r.events for r in s.ok)]
+    rows = []
+    for s in eventful:
+        events = s.finest.events
+        other = sum(r.events["events"] != r.events["expected"] for r in s.ok if r.events)
+        found = f"{events['events']:g} of {events['expected']:g}"
+        row = [s.label, s.finest.resolution, found, number(events["time"])]
+        rows.append([*row, f"{other} of {len(s.ok)}"])
+    note = "Times off: the largest difference from the time of the same event in the reference."
+    head = ["integrator", "finest run", "events found", "times off in s"]
+    head.append("runs with another number")
+    return Table("Events", head, rows, note=note) if rows else None
 
 
 def failures_table(records: Sequence[Record]) -> Table | None:

@@ -27,22 +27,21 @@ def unknowns(scene: SceneRecord) -> str:
     return ", ".join(f"{n} {names[n > 1]}" for n, names in sizes if n)
 
 
-def scene_facts(scene: SceneRecord) -> list[tuple[str, str]]:
-    """Pairs (name, text): interval, size, reference, sensitivity, source, faults."""
-    errors = [f"{g} {number(e)}" for g, e in scene.reference_error.items()]
-    growth = (
-        scene.growth and f"a small change of the start grows up to {number(scene.growth)} times"
-    )
-    found = [
-        ("Interval", f"{number(scene.t0)} s to {number(scene.t_end)} s"),
-        ("Size", unknowns(scene)),
-        ("Reference", scene.reference_method),
-        ("Its own relative error", ", ".join(errors)),
-        ("Sensitivity", f"{growth} (2-norm, relative to sizes)" if growth else ""),
-        ("Source", scene.source),
-        ("Faults", " ".join(scene.faults)),
-    ]
-    return [(name, text) for name, text in found if text]
+def scene_facts(scene: SceneRecord) -> dict[str, str]:
+    """Texts by name: interval, size, reference, sensitivity, source, faults."""
+    growth = f"a small change of the start grows up to {number(scene.growth)} times"
+    found = {
+        "Interval": f"{number(scene.t0)} s to {number(scene.t_end)} s",
+        "Size": unknowns(scene),
+        "Reference": scene.reference_method,
+        "Its own relative error": ", ".join(
+            f"{g} {number(e)}" for g, e in scene.reference_error.items()
+        ),
+        "Sensitivity": f"{growth} (2-norm, relative to sizes)" if scene.growth else "",
+        "Source": scene.source,
+        "Faults": " ".join(scene.faults),
+    }
+    return {name: text for name, text in found.items() if text}
 
 
 def references_table(scenes: Mapping[str, SceneRecord]) -> Table | None:

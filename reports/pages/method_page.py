@@ -1,0 +1,142 @@
+"""One integrator's page of the report: its claims, its runs on all scenes, its failures."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from bench.results.quantities import COSTS, GROUPS, NORM, NORMS, WRONG
+from bench.results.records import NOT_TRIED, MethodFacts
+from bench.results.studies import ExperimentResult, spared
+from bench.results.table import Table
+from reports.charts.maps import method_strip
+from reports.formatting import file_name, milliseconds, number
+from reports.names import form_name
+from reports.pages.page import Figure, Page, Section, Text, page_file
+from reports.ranking import Answer
+from reports.scenes import StoredRuns
+from reports.series import Series, groups_of
+from reports.tables.order_table import order_table
+from reports.tables.ranking_tables import claims_text
+from reports.tables.run_tables import failures_table, notes_table, unsupported_table
+from reports.verdicts import stored_card
+
+#: An integrator that is not known to reach the accuracy.
+_STATES = {"far": "not reached", "failed": "no run reached the end"}
+
+
+def plugin_option(facts: MethodFacts | None) -> str:
+    """The option that a command needs to know an integrator."""
+    files = sorted(Path(file).name for file in facts.sources) if facts else []
+    return "".join(f" --plugins {shlex.quote(file)}" for file in files)
+
+
+def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[Answer]) -> Page:
+    """The page of one integrator, with one step pattern, over all scenes.
+
+    Parameters
+    ----------
+    label
+        The integrator.
+    stored
+        The runs of the report.
+    answer
+        The answer to the first question.
+    over
+        The answers to that question for all accuracies.
+    """
+    by_scene = {k: s for k, own in stored.series.items() for s in own if s.label == label}
+    first = next(iter(by_scene.values()))
+    runs = [r for s in by_scene.values() for r in s.records]
+    name = first.records[0].integrator
+    facts = stored.facts.get(name)
+    stability = [
+        Text("Spectral radius, damping and period error over the step:"),
+        Text(f'stepbench stability "{name}"{plugin_option(facts)}', "code"),
+    ]
+    strip = Figure(
+        f"Error in {answer.question.quantity} ({NORMS[NORM]}) at most so large, by "
+        f"{COSTS[answer.question.cost].words}; numbers are multiples of the least cost. A column "
+        f"'wrong' counts runs that reach the end with an error above {WRONG:g} and say nothing.",
+        {f"chart-{file_name(label)}-strip": method_strip(label, over, by_scene)},
+    )
+    unsupported, atlas = unsupported_table(runs), atlas_table(name, [*stored.atlas.values()])
+    wrong = "; some are wrong" * any(r.wrong(group) for r in runs for group in GROUPS)
+    fine = f"All its runs{' on scenes that it supports' * bool(unsupported)} reached the end"
+    failed = failures_table(runs) or Text(f"{fine}{wrong}.")
+    orders = order_table([*by_scene.values()], "Its orders, scene by scene", [*by_scene])
+    card = [*map(Text, stored_card(label, answer, stored))]
+    values = {
+        "key": label,
+        "title": facts.title.rstrip(".") if facts else "",
+        "said": [
+            Section("Where it wins, loses and fails", card),
+            Section("Its stability", stability if first.controls == "step" else []),
+        ],
+        "facts": Section("What it is", [_facts(name, first, facts)]),
+        "scenes": Section("On all scenes", [strip, _scenes_table(label, by_scene, answer)]),
+    }
+    sections = [
+        Section("Orders", [orders]),
+        Section("Failures of the atlas", [atlas]),
+        Section("Where it fails", [failed, notes_table(runs), unsupported]),
+    ]
+    title, file = stored.names[label], page_file("method", label)
+    return Page(file, title, sections=sections, heading="", kind="method", values=values)
+
+
+def _facts(name: str, series: Series, facts: MethodFacts | None) -> dict[str, str]:
+    """Texts by name: options, formulation, claimed orders, choice of steps, source."""
+    options = re.search(r"\[(.*)\]$", name)
+    steps = "at constant steps" if series.controls == "step" else "chosen by the method"
+    pattern = series.records[0].pattern
+    if len(pattern) > 1:
+        steps = f"in the pattern {'/'.join(f'{f:g}' for f in pattern)}"
+    own = options.group(1).replace(",", ", ").replace("=", " = ") if options else "none"
+    texts = {
+        "Full name": series.label,
+        "Options": own,
+        "Formulation": form_name(series.ok) or (facts.formulation if facts else ""),
+        "Orders claimed": claims_text(facts),
+        "Steps": steps,
+        "Source": facts.source if facts else "",
+    }
+    return {name: text for name, text in texts.items() if text}
+
+
+def _scenes_table(label: str, series: Mapping[str, Series], answer: Answer) -> Table:
+    """A row per scene: best errors, cost to the accuracy, its multiple of the best, endings."""
+    groups = groups_of(r for s in series.values() for r in s.ok)
+    question, cost = answer.question, COSTS[answer.question.cost]
+    column = "time in ms" if cost.is_time else cost.words
+    rows = []
+    for scene, s in series.items():
+        judged = answer.scenes.get(scene)
+        entry = judged.entries.get(label) if judged else None
+        state = _STATES.get(str(entry.state), "reached") if entry else "not judged"
+        if all(r.status in NOT_TRIED for r in s.records):
+            state = "not tried"
+        value = (milliseconds if cost.is_time else number)(entry.value if entry else None)
+        row = {"scene": scene, "accuracy": state, column: value}
+        row["multiple of the best"] = number(entry.ratio if entry else None)
+        for g in groups:
+            row[f"error in {g}"] = number(near[0] if (near := s.nearest(g)) else None)
+        rows.append(row | {"runs": s.statuses, "resolutions": s.resolutions})
+    note = (
+        f"Accuracy: {question.text}; {cost.words}: {cost.title} of its "
+        f"cheapest run there. Errors: the smallest of its runs, relative, {NORMS[NORM]}."
+    )
+    return Table.from_dicts("Its runs, scene by scene", rows, note=note)
+
+
+def atlas_table(name: str, experiments: Sequence[ExperimentResult]) -> Table | None:
+    """Parts of each experiment that spare a method, of all that apply; None without any."""
+    rows = []
+    for found in experiments:
+        if cases := [c for part in found.parts for c in part.cases if c.integrator == name]:
+            rows.append([f"{found.number}. {found.title}", spared(cases)])
+    note = "Parts of an experiment of the failure atlas that spare the method, of all that apply."
+    head = ["failure", "spared"]
+    return Table("Failures of the atlas", head, rows, code=(), note=note) if rows else None

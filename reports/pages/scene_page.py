@@ -1,0 +1,277 @@
+"""One scene's page of the report: what it is, and figures and tables of its studies."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from bench.results.flat_rows import published_table
+from bench.results.quantities import ERROR_MEANING, GROUPS, NORM, NORMS, VIOLATIONS
+from bench.results.records import Rows, Study
+from bench.results.store import StoreError
+from reports.charts.errors import convergence_chart, error_charts
+from reports.charts.line_styles import LineStyle
+from reports.charts.mechanism import mechanism, motion
+from reports.charts.over_time import (
+    COMPONENTS_SHOWN,
+    ERRORS,
+    before_divergence,
+    histories,
+    thinned,
+    trajectory_chart,
+)
+from reports.charts.work import bills
+from reports.formatting import number, paragraphs, words
+from reports.names import scene_name
+from reports.pages.page import Figure, Page, Section, Text, page_file
+from reports.scenes import StoredRuns
+from reports.series import Series, groups_of, ok_runs, reference_error, series_of
+from reports.tables.mathml import mathml
+from reports.tables.order_table import order_table
+from reports.tables.ranking_tables import targets_table
+from reports.tables.run_tables import events_table, invariants_table, runs_table, summary_table
+from reports.tables.scene_tables import parameters_table, scene_facts, unknowns
+
+#: Tabs of a scene's page: anchor, title, and what a reader learns there.
+_TABS = {
+    "cost": (
+        "Orders and cost",
+        "How fast the errors fall with the step, and what an accuracy costs.",
+    ),
+    "time": (
+        "Errors over time",
+        "How far the methods are from the reference at each time, and the motion itself.",
+    ),
+    "drift": (
+        "Constraints and energy",
+        "How well the methods keep what should stay constant: constraints, and the energy of a "
+        "system that conserves it.",
+    ),
+    "steps": (
+        "Steps and γ",
+        "The steps that methods with a tolerance choose, and the weights of the recurrence at "
+        "each.",
+    ),
+    "runs": ("All runs", ""),
+}
+#: Most lines that a reader can tell apart over time, and in a chart of errors.
+MOST_LINES, MOST_ERRORS = 12, 24
+#: Notes of a run that a chart of a tab shows over time: its name, they, and their meaning.
+_HISTORIES = {
+    "time": (
+        "errors",
+        tuple(ERRORS),
+        "the relative error of the worst component of each group; down is better",
+    ),
+    "drift": (
+        "drift",
+        ("position", "velocity", "energy"),
+        "how far the constraints are violated, and how far the energy has changed",
+    ),
+    "steps": ("steps", ("h", "gamma"), "step size and weights of the recurrence"),
+}
+_BILLS = (
+    "Floating-point operations of each run by part; their sum stands after the name. Those of "
+    "native methods are counted in the program of their steps; the arithmetic of solvers of other "
+    "libraries is estimated by its published formulas."
+)
+#: How charts with a legend are used.
+_USE = (
+    "A click on a name in a legend isolates it (Shift: several); Ctrl and the wheel zoom, dragging "
+    "pans, a double click resets."
+)
+
+
+def scene_page(
+    anchor: str,
+    name: str,
+    stored: StoredRuns,
+    read_rows: Callable[[str], Rows],
+    styles: Mapping[str, LineStyle],
+    ids: Mapping[str, str],
+    plugins: Mapping[str, str],
+) -> Page:
+    """The page of one scene over one interval: a picture, tabs and cards.
+
+    Parameters
+    ----------
+    anchor
+        Its anchor, with which the names of its charts begin.
+    name
+        Its title in the store.
+    read_rows
+        Gives the rows of a run by key.
+    styles, ids
+        Styles of integrators by label, and anchors of runs by key.
+    plugins
+        The options by which a command knows integrators, by label.
+    """
+    scene, series = stored.scenes.get(name), stored.series[name]
+    runs = [r for s in series for r in s.records]
+    table = runs_table(series, ids, scene.components if scene else {})
+    names = {label: style.name for label, style in styles.items()}
+    parts: dict[str, list[Any]] = {topic: [] for topic in _TABS}
+    parts["cost"] = [summary_table(series), targets_table(series, names)] if series else []
+    parts["drift"] = [invariants_table(series)]
+    whole = f"All {len(table.rows) if table else 0} runs on this scene"
+    parts["runs"] = [Section(whole, [table], folded=True)]
+    studies = stored.studies(name)
+    for n, study in enumerate(studies, 1):
+        # A study without a title has the scene's name, which is the heading above it.
+        title = "Accuracy and cost" if study.title in ("", name) else study.title
+        part = _Study(f"{anchor}-{n}", name, study, stored, styles)
+        parts["cost"].append(Section(title, part.cost(), f"{anchor}-study-{n}"))
+        drawn = part.over_time(read_rows) if "trajectory" in study.figures else {}
+        for topic, own in drawn.items():
+            parts[topic].append(Section(title if len(studies) > 1 else "", own))
+    tabs = []
+    for (topic, own), (title, learn) in zip(parts.items(), _TABS.values(), strict=True):
+        lead = [Text(learn, "learn")] if learn else []
+        said = own if any(own) else [Text("Nothing of this is stored for this scene.")]
+        tabs.append(Section(title, [*lead, *said], f"{anchor}-{topic}"))
+    picture = None
+    if scene and scene.drawings:
+        ends = [number(drawing["t"]) for drawing in (scene.drawings[0], scene.drawings[-1])]
+        caption = f"The scene from t={ends[0]} s to {ends[1]} s (solid)."
+        picture = Figure(caption, {f"{anchor}-scene": mechanism(scene.drawings)}, on_paper=True)
+    cards = [
+        Section("Events", [events_table(series)]),
+        Section("Published digits", [published_table(scene.published) if scene else None]),
+        Section("Parameters", [parameters_table(scene) if scene else None]),
+    ]
+    # A command does not say the absolute tolerance, unless it is the usual one.
+    usual = all(not (r.rtol and r.atol) or math.isclose(r.atol, r.rtol / 100) for r in runs)
+    measured = [title for title, own in stored.series.items() if own]
+    values = {
+        "key": name,
+        "anchor": anchor,
+        "title": scene.title.rstrip(".") if scene else "",
+        "about": paragraphs(scene.description) if scene else [],
+        "facts": scene_facts(scene) if scene else {},
+        "difficulties": scene.difficulties if scene else [],
+        "motion": motion(scene.drawings) if scene else None,
+        "equations": [*map(mathml, scene.equations)] if scene else [],
+        "unknowns": unknowns(scene) if scene else "",
+        "tabs": tabs,
+        "cards": cards,
+        "place": measured.index(name) if runs else None,
+        "end": f"{runs[0].t_end:g}" if runs and usual else "",
+        "plugins": plugins,
+    }
+    return Page(
+        page_file("scene", name),
+        scene_name(name),
+        sections=[Section("", [picture]), *tabs, *cards],
+        heading="Scenes" if runs else "Not measured yet",
+        kind="scene",
+        values=values,
+        runs=[anchor, *(ids[r.key] for r in runs)],
+    )
+
+
+class _Study:
+    """The parts of one study of a scene; names of its charts begin with ``name``."""
+
+    def __init__(
+        self,
+        name: str,
+        title: str,
+        study: Study,
+        stored: StoredRuns,
+        styles: Mapping[str, LineStyle],
+    ) -> None:
+        self.name, self.study, self.styles = name, study, styles
+        self.scene = stored.scenes.get(title)
+        self.records = {r.key: r for s in stored.series[title] for r in s.records}
+        self.series = series_of(self.records[k] for k in study.cells if k in self.records)
+
+    def cost(self) -> list[Any]:
+        """Charts of errors and operations, and orders."""
+        series, figures, ok = self.series, [], ok_runs(self.series)
+        shown, left_out = _most_accurate(series, MOST_ERRORS)
+        if "convergence" in self.study.figures:
+            norms = [NORM, *["end"] * any(r.constraint for r in self.records.values())]
+            groups = groups_of(ok)
+            caption = (
+                f"Error {words(NORMS[norm] for norm in norms)} against step size; thin grey lines "
+                f"have the slope of a whole order. {self._own_error(groups)}{left_out}"
+            )
+            made = {n: convergence_chart(shown, groups, self.styles, n) for n in norms}
+            charts = {f"{self.name}-convergence-{n}": chart for n, chart in made.items()}
+            figures.append(Figure(caption, charts))
+        if "work_precision" in self.study.figures:
+            groups = groups_of(ok, ("q", "a", *VIOLATIONS))
+            caption = (
+                f"Error {NORMS[NORM]} against cost: median seconds per run or counted work. A line "
+                f"joins the resolutions of one integrator. {ERROR_MEANING} "
+                f"{self._own_error(groups)}{left_out}"
+            )
+            # A page draws this one itself, for any question.
+            chart = error_charts(shown, groups, ["seconds", "residuals"], self.styles)
+            figures.append(Figure(caption, {f"{self.name}-work_precision": chart}, on_paper=True))
+            chart = bills(series, self.styles)
+            figures.append(Figure(_BILLS, {f"{self.name}-operations": chart}))
+            caption = (
+                f"Error in a against error in q, each {NORMS[NORM]}: good in q is not always good "
+                f"in a. On the dashed line both have the same relative error.{left_out}"
+            )
+            chart = error_charts(shown, ["a"], ["q"], self.styles)
+            figures.append(Figure(caption, {f"{self.name}-accuracy": chart}))
+        return [
+            Text(self.study.note) if self.study.note else None,
+            *figures,
+            Text(_USE, "note") if any(figures) else None,
+            Section("Fitted orders", [order_table(series, "Orders")], folded=True),
+        ]
+
+    def over_time(self, read_rows: Callable[[str], Rows]) -> dict[str, list[Any]]:
+        """Charts over time of the finest run of each integrator, by tab."""
+        few, left_out = _most_accurate(self.series, MOST_LINES)
+        runs, scene = [], self.scene
+        for s in few:
+            try:
+                rows: Rows | None = thinned(read_rows(s.finest.key))
+            except (KeyError, StoreError):
+                continue
+            if s.finest.status != "ok" and scene:
+                rows = before_divergence(rows, scene.reference)
+            runs += [(s.label, rows)] if rows and rows.t else []
+        noted, found = [(label, rows) for label, rows in runs if rows.notes], {}
+        for topic, (kind, notes, said) in _HISTORIES.items():
+            caption = f"Over time, for the finest run of each: {said}.{left_out}"
+            chart = histories(noted, self.styles, notes)
+            found[topic] = [Figure(caption, {f"{self.name}-{kind}": chart})]
+        reference = thinned(scene.reference) if scene and scene.reference else None
+        sampled = [rows for _, rows in runs] or [reference or Rows(t=[])]
+        groups = [group for group in GROUPS if any(rows.values.get(group) for rows in sampled)]
+        # "x5" is the fifth controller state over time, "q2:q1" a coordinate over another one.
+        named = [re.findall(r"([a-z]+)(\d+)", text) for text in self.study.components]
+        chosen = [[(group, int(i) - 1) for group, i in places] for places in named]
+        caption = "Values over time"
+        caption += "; the reference is the broad grey line." if reference else "."
+        caption += left_out
+        sizes, names = (scene.sizes, scene.components) if scene else ({}, {})
+        if not chosen and any(size > COMPONENTS_SHOWN for size in sizes.values()):
+            caption += f" Of each group the first {COMPONENTS_SHOWN} components are shown."
+        styles = {label: self.styles[label] for label, _ in runs}
+        chart = trajectory_chart(runs, reference, groups, styles, names, chosen)
+        found["time"].append(Figure(caption, {f"{self.name}-trajectory": chart}))
+        return found
+
+    def _own_error(self, groups: Sequence[str]) -> str:
+        errors = {g: reference_error(self.records.values(), g, NORM) for g in groups}
+        shown = ", ".join(f"{g} {number(e)}" for g, e in errors.items() if e > 0)
+        about = "The reference's own error (dashed where near), relative to the same sizes"
+        return f"{about}: {shown}." if shown else ""
+
+
+def _most_accurate(series: Sequence[Series], most: int) -> tuple[Sequence[Series], str]:
+    """At most so many series, those with the smallest errors in q; and a sentence that says so."""
+    if len(series) <= most:
+        return series, ""
+    ranked = sorted(series, key=lambda s: s.finest.error("q", NORM) or math.inf)
+    chosen = {s.label for s in ranked[:most]}
+    said = f" Of {len(series)} integrators those {most} are shown that err least in q."
+    return [s for s in series if s.label in chosen], said
