@@ -136,8 +136,13 @@ def wrong_runs(stored: StoredRuns, group: str, label: str = "") -> list[Wrong]:
     ]
 
 
-def wrong_sentences(found: Iterable[Wrong], group: str, names: Names) -> list[Sentence]:
-    """How many runs are wrong without warning; who is so in every run on a scene."""
+def wrong_sentences(
+    found: Iterable[Wrong], group: str, names: Names, here: str = ""
+) -> list[Sentence]:
+    """How many runs are wrong without warning; who is so in every run on a scene.
+
+    The scene ``here`` is not named.
+    """
     found = [*found]
     silent, warned = sum(w.silent for w in found), sum(w.warned for w in found)
     if not silent + warned:
@@ -147,12 +152,11 @@ def wrong_sentences(found: Iterable[Wrong], group: str, names: Names) -> list[Se
     about = f"error in {quantity(group)} above {WRONG:g}, {NORMS[NORM]}"
     more = f"; with a warning: {warned}" if warned else ""
     said: list[Sentence] = [[f"Wrong without warning: {count} ({about}){more}."]]
-    several = len({w.scene for w in found}) > 1
     where: dict[str, list[Sentence]] = {}
     for w in found:
         if w.kind == "every" and w.silent and w.best:
             error, run = w.best
-            place: Sentence = [scene_ref(w.scene), ": "] if several else []
+            place: Sentence = [scene_ref(w.scene), ": "] if w.scene != here else []
             own = where.setdefault(w.label, [])
             own.append([*place, Ref("run", run.key, number(error))])
     who = ([method_ref(k, names), " (", *listed(each), ")"] for k, each in where.items())

@@ -61,7 +61,7 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
     )
     never = "Wrong at every resolution, silently (smallest error): wrong ({}0.2)."
     assert said() == [head.format(3, ""), never.format("s: ")]
-    assert plain(wrong_sentences(found(), "a", {})[-1]) == never.format("")
+    assert plain(wrong_sentences(found(), "a", {}, "s")[-1]) == never.format("")
     assert said("lam") == []
     every, coarsest = silent_tables(found(), "a", scenes)
     assert every.caption == "Wrong at every resolution, in acceleration: 2 runs"

@@ -244,11 +244,12 @@ def _wrong(report: Report, group: str, chosen: Filters) -> dict[str, Any]:
             page = page_file(piece.kind, piece.key)
         return {"kind": piece.kind, "key": piece.key, "text": piece.text, "page": page}
 
-    def said(names: Collection[str]) -> list[list[Any]]:
-        sentences = wrong_sentences([w for w in wrong if w.scene in names], group, report.names)
+    def said(names: Collection[str], here: str = "") -> list[list[Any]]:
+        own = [w for w in wrong if w.scene in names]
+        sentences = wrong_sentences(own, group, report.names, here)
         return [[*map(linked, parts)] for parts in sentences]
 
     return {
         "filters": {key: said(names) for key, (_, names) in chosen.items()},
-        "scenes": [said([name]) for name in report.measured],
+        "scenes": [said([name], name) for name in report.measured],
     }

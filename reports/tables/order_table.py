@@ -72,8 +72,8 @@ def order_table(series: Sequence[Series], title: str, scenes: Sequence[str] = ()
                 order = fit.order if fit.verdict == "converges" and fit.order else 0.0
                 unknown = fit.order is None and fit.verdict != STUCK
                 short = norm == "settled" and g in claims and claims[g] - order > _SHORT
-                cell = NO_VALUE if unknown else order_text(order) if order else "0"
-                rows[-1].append(cell + " *" * short)
+                cell = (order_text(order) if order else "0") + " *" * short
+                rows[-1].append(NO_VALUE if unknown else cell)
     head = ["scene" if scenes else "integrator", "order"]
     head += ["λ" if g == "lam" else g for g in groups]
     few = [name for name, s in stepped if len(s.ok) < 3]
