@@ -91,13 +91,6 @@ def test_a_table_for_people_has_residuals_of_constraints(stepbench):
     assert "constraint residual" in shown.output
 
 
-def test_an_output_folder_that_cannot_be_made_is_refused(refused, tmp_path):
-    (tmp_path / "file").write_text("a file")
-    assert "is no folder; name one" in refused("run", "--out", tmp_path / "file")
-    assert "Not a directory" in refused("run", "--out", tmp_path / "file/below")
-    assert (tmp_path / "file").read_text() == "a file"
-
-
 @pytest.mark.usefixtures("without_processes")
 def test_failed_runs_exit_with_their_reason_and_still_answer(stepbench):
     result = stepbench("solve", "pendulum", "ida[formulation=index3]", "--json")

@@ -66,6 +66,14 @@ leave --rtol out | map pendulum generalized_alpha_adaptive --over rtol,th0 --rto
 give --rtol      | map pendulum generalized_alpha_adaptive --over rtol,th0 --step 0.1
 rtol=-1 is not   | map pendulum generalized_alpha_adaptive --over rtol,th0 --range rtol:-1..1
 
+'0.1,,0.05,0.025' is not a list of numbers | order spring_mass newmark --steps 0.1,,0.05,0.025
+is not a list of numbers                   | order spring_mass newmark --steps 0.1,0.05,0.025,
+'' is not a list of numbers                | order spring_mass newmark --steps ''
+'m' is given twice                         | order spring_mass newmark --set m=1 --set ' m =2'
+not of the form name=value                 | order spring_mass newmark --set 'm= '
+not of the form name=value                 | order spring_mass newmark --set ' =1'
+The budget is nan; give a time in s above  | order spring_mass newmark --budget nan
+The budget is 0.0                          | order spring_mass newmark --budget 0
 at least three                             | order pendulum newmark --steps 0.1,0.05
 chooses its own steps                      | order pendulum ida
 Missing argument 'INTEGRATOR...'           | order pendulum
@@ -95,6 +103,9 @@ The name 'pendulum' is taken by            | new integrator pendulum
 scene.txt is not the name of a Python file | new problem scene --out scene.txt
 no folder 'nowhere'; make it first.        | new problem scene --out nowhere/scene.py
 mine.py is there already                   | new problem mine
+--from takes a model                       | new integrator my_method --from one.py
+there is no file 'robot.xml'.              | new problem my_robot --from robot.xml
+--set belongs to a model                   | new problem my_robot --set contacts=left_out
 
 did you mean 'pendulum'                    | recommend pendulun
 did you mean 'pendulum'                    | recommend pendulun ida

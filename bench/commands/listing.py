@@ -56,9 +56,7 @@ def list_(o: Given) -> None:
 
     \b
     Examples:
-      stepbench list
       stepbench list integrators
-      stepbench list pendulum generalized_alpha
       stepbench list pendulum --set th0=3.0
       stepbench list pendulum car_axis --draw --out mechanisms
     """
@@ -204,7 +202,6 @@ def new(o: Given) -> None:
     Examples:
       stepbench new integrator my_method
       stepbench new problem my_scene --out scenes/my_scene.py
-      stepbench new problem my_robot --from robot.xml --set contacts=left_out
       stepbench new problem my_robot --from robot.xml --keyframe home --set start.hip=0.3
     """
     if o.model is not None and (o.kind != "problem" or o.model.suffix not in SUFFIXES):

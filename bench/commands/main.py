@@ -71,10 +71,6 @@ class ShortErrors(click.Group):
                 f"The system refused: {error.strerror or error}{name}; check the path, its "
                 f"permissions and the free space."
             )
-        except ValueError as error:  # of the system, before any command has begun
-            if "embedded null" not in str(error):  # "byte" or "character", by the release
-                raise
-            refusal = click.ClickException("A path has a null byte in it; name another one.")
         except MemoryError:
             refusal = click.ClickException(
                 "This process gets no more memory; end other programs, or raise its limit (ulimit "

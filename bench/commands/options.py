@@ -66,9 +66,8 @@ class PathName(click.Path):
                 self.fail(f"there is no {self.kind} {text!r}.", param, ctx)
             if self.kind == "file" and not path.parent.is_dir():
                 self.fail(f"there is no folder {str(path.parent)!r}; make it first.", param, ctx)
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
-            self.fail(f"{text!r} names no {self.kind}: {reason}.", param, ctx)
+        except OSError as error:
+            self.fail(f"{text!r} names no {self.kind}: {error.strerror}.", param, ctx)
         return path
 
 

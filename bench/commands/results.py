@@ -45,10 +45,7 @@ def report(o: Given) -> None:
     \b
     Examples:
       stepbench report --open
-      stepbench report before --single-file
       stepbench report stepbench-results --csv -o records.csv
-      stepbench report --json > records.json
-      stepbench report --figure work_precision --scene pendulum --error a:max
       stepbench report --figure convergence --scene pendulum --error lam:settled \\
           -i newmark -i hht -o orders.pdf
     """
@@ -101,7 +98,6 @@ def compare(o: Given) -> None:
 
     \b
     Examples:
-      stepbench compare before after
       stepbench compare before after --fail-on error:1.1,work:1.05,time:1.5
       stepbench compare before after --json > changes.json
     """

@@ -113,7 +113,6 @@ def stability(o: Given) -> None:
     Examples:
       stepbench stability "generalized_alpha[rho_inf=0.8]" newmark kvaerno5
       stepbench stability "generalized_alpha[gamma=updated]" --pattern 0.3,0.7 --at 4.47
-      stepbench stability "newmark[beta=0]" --at 1,1.9,2.1 --json
       stepbench stability my_method --plugins my_method.py
     """
     for value in o.at or ():

@@ -107,7 +107,6 @@ def run_(o: Given) -> None:
 
     \b
     Examples:
-      stepbench run
       stepbench run paper --out paper-results
       stepbench run -p pendulum -i ida -i "generalized_alpha[rho_inf=0.6]"
       stepbench run --mine my_method --plugins my_method.py
@@ -246,8 +245,7 @@ def recommend_(o: Given) -> None:
     Examples:
       stepbench recommend slider_crank --error a:1e-3
       stepbench recommend my_scene.py --error q:1e-4 --cost operations
-      stepbench recommend robot.xml --set contacts=left_out
-      stepbench recommend quarter_car --error a:settled:1e-3 --budget 20
+      stepbench recommend robot.xml --set contacts=left_out --budget 20
       stepbench recommend pendulum generalized_alpha ida --error a:1e-3
       stepbench recommend iftomm --rule iftomm
     """

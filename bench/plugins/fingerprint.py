@@ -14,7 +14,6 @@ import os
 import platform
 import shlex
 import sys
-from collections.abc import Iterable
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -45,20 +44,14 @@ def environment() -> Environment:
         cores=psutil.cpu_count(logical=True) or 1,
         memory_gib=round(psutil.virtual_memory().total / 2**30, 1),
         platform=platform.platform(),
-        versions={"python": platform.python_version()}
-        | _versions(("stepbench",))
-        | library_versions(),
+        versions={"python": platform.python_version()} | versions(("stepbench", *LIBRARIES)),
         clock="processor time of all threads of the process, the least of single runs",
     )
 
 
 @cache
-def library_versions() -> dict[str, str]:
-    """Return the versions of the installed libraries that compute."""
-    return _versions(LIBRARIES)
-
-
-def _versions(packages: Iterable[str]) -> dict[str, str]:
+def versions(packages: tuple[str, ...]) -> dict[str, str]:
+    """Return the versions of the packages that are installed."""
     found = {}
     for package in packages:
         with suppress(PackageNotFoundError):
@@ -95,7 +88,7 @@ def fingerprint(made: type = object, folders: tuple[str, ...] = _ALL) -> str:
             digest.update(_source(file.parent, "*.py").encode())
         digest.update(str(vars(base).get("source_text", "")).encode())  # no module has written it
     flags = [os.environ.get(flag, "").replace(SOONER, "") for flag in FLAGS]
-    digest.update(repr((sorted(library_versions().items()), flags)).encode())
+    digest.update(repr((sorted(versions(LIBRARIES).items()), flags)).encode())
     return digest.hexdigest()[:12]
 
 

@@ -59,7 +59,7 @@ TOLD = re.compile(
 ANY = {
     "empty": "", "blank": " \t", "sequences": "\x1b[31mred\x1b]0;title\x07\x9b2J\rover",
     "direction": "\u202ependulum\u2066", "long": "x" * 10_000, "words": "no such thing " * 1000,
-    "lines": "line\n" * 1000, "not UTF-8": os.fsdecode(b"\xff\xfe"), "null": "pen\0dulum",
+    "lines": "line\n" * 1000, "not UTF-8": os.fsdecode(b"\xff\xfe"),
     "deep": "newmark" + "[" * 10_000, "half": "newmark[beta=",
     "twice": "newmark[beta=0.25,beta=0.25]", "key": "newmark[=1]", "number": "newmark[beta=nan]",
     "module": "os.system",
@@ -76,7 +76,7 @@ ADDRESS = ANY | {
 PLACE = {
     "pipe": "{odd}/pipe", "socket": "{odd}/socket", "null device": "/dev/null",
     "full device": "/dev/full", "below a file": "{odd}/file.txt/below", "long": "x" * 10_000,
-    "deep": "x/" * 5_000, "null": "re\0sults", "circle": "{odd}/circle", "empty": "",
+    "deep": "x/" * 5_000, "circle": "{odd}/circle", "empty": "",
     "blank": "  ",
 }  # fmt: skip
 PLUGIN = PLACE | {"text": "{odd}/file.txt", "none": "{odd}/none", "binary": "{odd}/bits.py"}
