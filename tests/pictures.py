@@ -31,8 +31,8 @@ COLUMNS, SIDE, FINE = 4, 240, 4
 GALLERY = """\
 # Gallery
 
-One picture of each scene: its motion at seven times, from pale to solid. `stepbench list NAME` says
-all about a scene, `stepbench show NAME --animate` plays it. `make pictures` draws them again.
+One picture of each scene shows its motion at seven times, from pale to solid. `stepbench show NAME
+--animate` plays the motion, `stepbench list NAME` describes the scene. `make pictures` draws them.
 
 """
 

@@ -84,12 +84,12 @@ def against_a_loop(problem: str, name: str, rounds: int) -> Row:
         return lambda: [*Batch(of.runs(MEMBERS), of.end).blocks(jobs=jobs)]
 
     calls: dict[str, Callable[[], object]] = {
-        "loop, taken": lambda: [single.execute() for single in singles],
-        "one thread, taken": lambda: [*batch.blocks(jobs=1)],
-        "all threads, taken": lambda: [*batch.blocks()],
-        "loop, made and taken": lambda: [of.single(k).execute() for k in range(ALONE)],
-        "one thread, made and taken": ensemble(1),
-        "all threads, made and taken": ensemble(None),
+        "loop, run": lambda: [single.execute() for single in singles],
+        "one thread, run": lambda: [*batch.blocks(jobs=1)],
+        "all threads, run": lambda: [*batch.blocks()],
+        "loop, prepare and run": lambda: [of.single(k).execute() for k in range(ALONE)],
+        "one thread, prepare and run": ensemble(1),
+        "all threads, prepare and run": ensemble(None),
     }
     times: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(rounds):
