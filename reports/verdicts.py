@@ -58,7 +58,7 @@ def headline(found: Answer, names: Names, of: Answer | None = None) -> Sentence:
     on = every if count == judged else f"{count} of {judged} scenes"
     but = f"; nobody reaches {missed}" if missed else ""
     if alone < count:
-        but = f", tied on {count - alone}" if alone else ", always tied"
+        but = f", with {counted(count - alone, 'tie')}"
     kind = {1: "one", 2: "two"}.get(len(lead), "many")
     said = HEADLINES[kind].rpartition("{who}")[2].format(count=len(lead), on=on, but=but)
     who = listed([method_ref(label, names)] for label in lead) if kind != "many" else []
@@ -144,8 +144,8 @@ def _near(found: SceneAnswer, names: Names) -> str:
 _PLACES = {
     "alone": "Cheapest alone by {}: ",
     "tied": "Tied for the cheapest by {}: ",
-    "dearer": "Dearer than the cheapest by {}: ",
-    "single": "With none to compare: ",
+    "dearer": "More {} than the cheapest: ",
+    "single": "No other method to compare: ",
     "unknown": "At a cost that is not measured: ",
     "far": "Does not reach it: ",
     "failed": "Fails: ",

@@ -34,11 +34,11 @@ from reports.scenes import stored_runs
 from reports.series import Series, ok_runs, reference_error
 
 _MEANING = (
-    "Costs at equal error are interpolated between runs. In brackets: the ends over the run and "
-    "its later starts, of times with the interval of their samples; of a median over scenes the 95 "
-    "% interval of the sign test, of fewer than six scenes the ends. 'At least' and 'at most': the "
-    "coarsest run of one is better than asked, or only one gets there from some starts; 'coarsest "
-    "runs': those of both are better. Not judged: below a hundred times the reference's own error."
+    "Costs at equal error are interpolated between runs. In brackets: the smallest and largest "
+    "ratio from the start and later starts, with the intervals of times. For medians: the 95 % "
+    "interval of the sign test, or the extremes of fewer than six scenes. 'At least', 'at most': "
+    "the coarsest run of one has a smaller error, or only one reaches it from some starts. "
+    "'Coarsest runs': both have. Not judged: below 100 times the reference's own error."
 )
 #: An error of zero has no logarithm; smaller ones are rounding.
 _LEAST_ERROR = 1e-16
@@ -93,7 +93,7 @@ class Versus:
 
     @property
     def wins(self) -> tuple[int, int]:
-        """On how many scenes the first one is cheaper beyond doubt, and the second."""
+        """On how many scenes the first one is significantly cheaper, and the second."""
         apart = [d.ratio for d in self.duels.values() if d.told_apart and d.ratio is not None]
         return sum(r > 1 for r in apart), sum(r < 1 for r in apart)
 
@@ -128,11 +128,11 @@ class Versus:
             where = f"the median of {len(both)} scenes" if len(both) > 1 else scene_name(both[0])
             apart = ", not told apart" * (found.low <= 1 <= found.high)
             said += f"{two} costs {found.text(' times')} as much as {one}, {where}{apart}; "
-        said += f"{one} wins beyond doubt on {self.wins[0]} and {two} on {self.wins[1]} of "
+        said += f"{one} is significantly cheaper on {self.wins[0]} and {two} on {self.wins[1]} of "
         said += counted(len(judged), "scene")
         if len(judged) > 1:
             no, p = "not " * (self.p_value > 1 - LEVEL), f"p = {self.p_value:.2g}"
-            said += f"; {no}significant over the scenes (sign test: {p})"
+            said += f"; over all scenes {no}significant (sign test: {p})"
         return f"{said}."
 
 
@@ -223,7 +223,7 @@ def _cost_at(line: _Line, target: float) -> Samples | None:
 class SideBySide(NamedTuple):
     """Sentences and plain data of two integrators, one per accuracy, and their table.
 
-    The table has a row per scene and a column per accuracy; bold is a ratio beyond doubt.
+    The table has a row per scene and a column per accuracy; bold is a significant ratio.
     """
 
     sentences: list[str]
@@ -277,7 +277,7 @@ def side_by_side(
         rows,
         best={(i, j) for j, c in enumerate(columns, 1) for i, scene in enumerate(scenes)
               if c.duels[scene].told_apart},
-        note=f"Above 1 {names[first]} is cheaper; bold: beyond doubt. {_MEANING}",
+        note=f"Above 1 {names[first]} is cheaper; bold: significant. {_MEANING}",
     )  # fmt: skip
     plain = [
         {"first": first, "second": second, **asdict(c.question)}

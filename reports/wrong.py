@@ -160,7 +160,7 @@ def wrong_sentences(
             own = where.setdefault(w.label, [])
             own.append([*place, Ref("run", run.key, number(error))])
     who = ([method_ref(k, names), " (", *listed(each), ")"] for k, each in where.items())
-    lead = "Wrong at every resolution, silently (smallest error): "
+    lead = "Wrong without warning at every step and tolerance (smallest error): "
     return said + ([[lead, *listed(who), "."]] if where else [])
 
 

@@ -107,7 +107,7 @@ def test_ignored_samples_are_the_cause_of_an_error_even_in_positions(stored):
     wrong = [wrong_on("pd", s, "q", own, atlas)]
     count, who = map(plain, wrong_sentences(wrong, "q", {}, "pd"))
     assert count.startswith("Wrong without warning: 2 of 2 runs that reached the end")
-    assert who == "Wrong at every resolution, silently (smallest error): m (1)."
+    assert who == "Wrong without warning at every step and tolerance (smallest error): m (1)."
     assert [w.cause for w in wrong] == [IGNORED]
 
 

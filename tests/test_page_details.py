@@ -153,7 +153,7 @@ def test_the_card_of_a_method_says_where_it_wins_loses_and_fails(tmp_path):
     assert method_card(tmp_path, "good[rho_inf=0.8]") == [
         f"good 0.8 (index 3) {reaches} 2 of 2 scenes tried.",
         "Cheapest alone by operations: spring mass.",
-        "Dearer than the cheapest by operations: pendulum (1.92 times the cost of adaptive).",
+        "More operations than the cheapest: pendulum (1.92 times the cost of adaptive).",
         "All of its runs reached the end.",
     ]
     assert method_card(tmp_path, "poor") == [

@@ -173,14 +173,14 @@ def test_the_sign_test_over_the_scenes_is_the_binomial_one_and_the_sentence_tell
     ):  # fmt: skip
         assert over(*factors).p_value == p
     goal = "By operations at 1e-3 in acceleration (largest over time): second costs"
-    wins = "first wins beyond doubt on {} and second on {} of {}"
+    wins = "first is significantly cheaper on {} and second on {} of {}"
     assert over(1.5, 1.6, 1.7, 1.8, 1.9, 2.1).sentence == (
         f"{goal} 1.75 times (1.5 to 2.1) as much as first, the median of 6 scenes; "
-        f"{wins.format(6, 0, '6 scenes')}; significant over the scenes (sign test: p = 0.031)."
+        f"{wins.format(6, 0, '6 scenes')}; over all scenes significant (sign test: p = 0.031)."
     )
     assert over(0.5, 0.8, 1.05).sentence == (
         f"{goal} 0.8 times (0.5 to 1.05) as much as first, the median of 3 scenes, not told apart; "
-        f"{wins.format(0, 2, '3 scenes')}; not significant over the scenes (sign test: p = 0.5)."
+        f"{wins.format(0, 2, '3 scenes')}; over all scenes not significant (sign test: p = 0.5)."
     )
     assert over(2.0).sentence == (
         f"{goal} 2 times as much as first, s0; {wins.format(1, 0, '1 scene')}."

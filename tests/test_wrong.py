@@ -59,7 +59,7 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
         "Wrong without warning: {} of 4 runs that reached the end "
         "(error in acceleration above 0.1, largest over time){}."
     )
-    never = "Wrong at every resolution, silently (smallest error): wrong ({}0.2)."
+    never = "Wrong without warning at every step and tolerance (smallest error): wrong ({}0.2)."
     assert said() == [head.format(3, ""), never.format("s: ")]
     assert plain(wrong_sentences(found(), "a", {}, "s")[-1]) == never.format("")
     assert said("lam") == []
@@ -126,9 +126,8 @@ def test_pages_and_terminal_say_the_same(store):
     assert operations.endswith("cheapest on 1 of 2 scenes.")
     assert time.startswith("Least time to 1e-4 in acceleration: good 0.8 is cheapest on both ")
     assert count.startswith("Wrong without warning: ")
-    assert (
-        silent == "Wrong at every resolution, silently (smallest error): ringing 1 (pendulum: 9)."
-    )
+    lead = "Wrong without warning at every step and tolerance (smallest error)"
+    assert silent == f"{lead}: ringing 1 (pendulum: 9)."
     write_html_report(store)
     write_markdown_report(store)
     data = page_data(store)

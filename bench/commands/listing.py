@@ -261,8 +261,8 @@ def _number(key: str, text: str) -> float:
 def check(o: Given) -> None:
     """Check scenes and integrators against the rules for plugins.
 
-    A name may have options; of a Python file everything in it is checked. One line per check
-    tells the result, and how to mend a fault. The exit code is 1 if a check fails.
+    Give names, also with options, or Python files with plugins. Each check prints one line: its
+    result, and how to correct a fault. The exit code is 1 if a check fails.
 
     \b
     Examples:

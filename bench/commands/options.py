@@ -157,7 +157,8 @@ _OPTIONS = {
     "plugins": ("--plugins", "Python file, or folder of them, with more scenes or integrators; "
                 "repeatable.", _is(metavar="FILE_OR_FOLDER", multiple=True)),
     "problems": ("-p --problem", "Only this scene; repeatable.", _is(multiple=True)),
-    "integrators": ("-i --integrator", "Only this integrator, or one more; repeatable.",
+    "integrators": ("-i --integrator", "Only this integrator, be it in the suite or not; "
+                    "repeatable.",
                     _is(multiple=True)),
     "mine": ("--mine", "Your integrator: it is run beside the others, and the report opens with it "
              "highlighted.", _is(metavar="INTEGRATOR")),
@@ -165,12 +166,12 @@ _OPTIONS = {
               _is(metavar="H1,H2,...", callback=_numbers)),
     "count": ("--steps", "Number of steps.", _is(click.IntRange(2, 10**9), default=100_000)),
     "rate": ("--rate", "Steps per second.", _is(click.FloatRange(0, min_open=True), required=True)),
-    "iterations": ("--iterations", "Most iterations in each call of Newton's method; 1 and "
-                   "unlimited side by side if not given.", _is(click.IntRange(1, 1000))),
+    "iterations": ("--iterations", "Limit of iterations in each call of Newton's method; "
+                   "both 1 and unlimited if not given.", _is(click.IntRange(1, 1000))),
     "duration": ("--duration", "Length of the run in s; the scene's interval if not given.", _REAL),
     # of many runs as one program
     "ensemble": ("--ensemble", "Run N members, a million at most, in one compiled program; needs "
-                 "--vary. --budget is that of some 1000 members.",
+                 "--vary. --budget is for some 1000 members.",
                  _is(click.IntRange(1, MOST_MEMBERS), "N")),
     "vary": ("--vary", "Draw h, a parameter or an option of each member evenly from this range (in "
              "the logarithm if it is wide); repeatable.", _RANGES),
@@ -190,18 +191,19 @@ _OPTIONS = {
     "zeta": ("--zeta", "Damping ratio of the oscillator; 0 if not given.", _REAL),
     "system": ("--system", "Linear test system; for relaxation, omega is the decay rate.",
                _is(click.Choice(SYSTEMS), default=SYSTEMS[0])),
-    "ratios": ("--ratios/--no-ratios", "Seek the largest safe ratio of two steps in turns, which "
-               "takes seconds.", _is(default=True)),
+    "ratios": ("--ratios/--no-ratios", "Find the largest safe ratio of two alternating steps, in "
+               "some seconds.", _is(default=True)),
     # of questions
-    "error": ("--error", "Relative error that counts.", _is(metavar="GROUP:NORM")),
+    "error": ("--error", "Relative error to compare.", _is(metavar="GROUP:NORM")),
     "errors": ("--error", "Largest error that is allowed, such as a:1e-3 (if not given), "
                "q:end:1e-6, energy:1e-4 or points:1e-3; repeatable where integrators are named.",
                _is(metavar="QUANTITY:LIMIT", multiple=True)),
     "targets": ("--target", "Error at which costs are compared; repeatable; 1e-2, 1e-4 and 1e-6 if "
                 "not given.", _is(float, multiple=True)),
-    "rule": ("--rule", "Errors that are asked for if none is given; iftomm: of the named points, "
-             "0.1 and 0.001.", _is(click.Choice([*RULES]), default="work-precision")),
-    "cost": ("--cost", "Cost that counts; seconds if they scatter little, else operations.",
+    "rule": ("--rule", "Errors if --error is not given; iftomm: 0.1 and 0.001 at the named points "
+             "of the scene.", _is(click.Choice([*RULES]), default="work-precision")),
+    "cost": ("--cost", "Cost to compare; if not given, seconds if they scatter little, else "
+             "operations.",
              _is(metavar="|".join(COSTS))),
     "ranked_by": ("--cost", "Cost by which integrators are ranked.",
                   _is(click.Choice([*PARTS]), default="seconds")),

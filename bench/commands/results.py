@@ -92,9 +92,9 @@ def report(o: Given) -> None:
 def compare(o: Given) -> None:
     """Compare the results in OLD and NEW, run by run.
 
-    Errors and counts are compared as they are, times where the interval of the quotient of the
-    medians lies on one side of 1 and the quotient is beyond the noise. Times from different
-    machines or versions, and of runs whose source is the same, are shown, but are no regression.
+    Times differ if the interval of the quotient of the medians lies on one side of 1 and the
+    quotient is larger than the noise. Times from different machines or versions, and of runs whose
+    source is the same, are shown, but never count as regressions.
 
     \b
     Examples:
@@ -117,8 +117,8 @@ def compare(o: Given) -> None:
 def merge_(o: Given) -> None:
     """Put results of several folders into one.
 
-    Each record keeps the machine that measured it. Of a run that several folders have, that of
-    the folder named last is kept.
+    Each record keeps the machine that measured it. If several folders have the same run, the last
+    one is kept.
 
     \b
     Examples:
@@ -139,9 +139,9 @@ def merge_(o: Given) -> None:
 def versus_(o: Given) -> None:
     """Compare integrators A and B at equal error.
 
-    Costs at equal error are interpolated between the runs in FOLDER, scene by scene. An interval
-    has the spread over later starts of the motion and that of times; over the scenes, the sign test
-    says whether one of the two is cheaper.
+    Costs at equal error are interpolated between the runs in FOLDER, scene by scene. The interval
+    of a ratio covers other starts of the motion and the scatter of times. The sign test over all
+    scenes tells whether one of the two is cheaper.
 
     \b
     Examples:

@@ -224,8 +224,8 @@ def map_(o: Given) -> None:
 
     Each point is a run: ok, inaccurate, failed in Newton's method, or diverged; all are run in one
     compiled program. Writes a page with the map, coloured by outcome and error. Steps and wide
-    ranges are divided evenly in their logarithm. Write step.h, scene.NAME or integrator.NAME for a
-    name that stands for two things.
+    ranges are divided evenly in their logarithm. If scene and integrator have the same NAME, write
+    step.h, scene.NAME or integrator.NAME.
 
     \b
     Examples:

@@ -24,11 +24,11 @@ from problems.base.spec import SpecError
 def drift(o: Given) -> None:
     """Measure what drifts over many constant steps.
 
-    It measures: the energy, relative to the motion's largest kinetic energy; conserved momenta;
-    residuals of the constraints and of their rates. The table gives the value of each furthest from
-    zero (negative: lost), the slope of a straight line through all rows, and whether the drift is
-    none, linear, bounded or neither. A run that blows up ends there, and says when. The folder
-    keeps long runs beside other results, whose report has a chapter on them.
+    It measures the energy, relative to the motion's largest kinetic energy, conserved momenta, and
+    residuals of the constraints and of their rates. The table gives the value furthest from zero
+    (negative: lost), the slope of a straight line through all rows, and whether the drift is none,
+    linear, bounded or neither. A run that blows up ends there. The report of the folder gets a
+    chapter on drift.
 
     \b
     Examples:
@@ -69,10 +69,9 @@ def drift(o: Given) -> None:
 def realtime(o: Given) -> None:
     """Run methods with a fixed budget per step, as in real time.
 
-    Each step of 1/RATE takes at most so many iterations of Newton's method and goes on, converged
-    or not; explicit and linearly implicit methods have none. The host calls one compiled step for
-    each tick. The tables have the time per step, the steps that took longer than 1/RATE, and errors
-    and residuals of the same run.
+    Each step is 1/RATE long. Newton's method has at most --iterations, and the run goes on,
+    converged or not; explicit and linearly implicit methods have none. The tables have the time per
+    step, the number of steps that took longer than 1/RATE, and errors and residuals of the run.
 
     \b
     Examples:
@@ -107,7 +106,7 @@ def stability(o: Given) -> None:
     The amplification matrix of each integrator is found by taking its step on a linear system. From
     it come the spectral radius, numerical damping, period error, overshoot, stability limit,
     bifurcation, and the largest ratio of steps that is safe. Writes a page with charts and maps.
-    With --pattern omega h is that of the macro step, and so is the radius.
+    With --pattern, omega h and radius are those of the macro step.
 
     \b
     Examples:

@@ -231,15 +231,13 @@ def suite_of_orders(
 def recommend_(o: Given) -> None:
     """Find the integrator, and its step or tolerance, that reaches an accuracy at the least cost.
 
-    Without names all that take the scene are tried, and dropped as soon as they cannot win. The
-    best are tried with constant steps and another Newton's method, too. FILE is a file with one
-    scene of your own, or a model of MuJoCo or URDF. The same command goes on with the runs that are
-    stored; a larger --budget tries more.
+    Without INTEGRATOR all methods that can solve the scene are tried, the best also with constant
+    steps and another Newton's method. FILE is a Python file with one scene, or a model of MuJoCo or
+    URDF. The same command continues a search; a larger --budget tries more.
 
-    Of each INTEGRATOR that is named, or that a SUITE has for its scenes, the largest step or
-    tolerance is found that meets every error: each search is a bisection that follows the
-    convergence of its own errors. The rule iftomm is that of the IFToMM benchmark library; on a
-    scene without named points it limits the change of energy.
+    With INTEGRATOR or SUITE, the largest step or tolerance that meets every error is found for each
+    integrator, by bisection. The rule iftomm is that of the IFToMM benchmark library; on a scene
+    without named points it limits the change of energy.
 
     \b
     Examples:

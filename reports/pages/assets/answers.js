@@ -60,7 +60,7 @@
     const [, one, two] = rows[0] || [0, 0, 0], most = one + two;
     const lead = rows.filter(([, alone, tied]) => alone === one && alone + tied === most).map(([m]) => stepbench.methodRef(m));
     const kind = !most ? missed < count ? "unpriced" : count ? "nobody" : "unjudged" : ["", "one", "two"][lead.length] ?? "many";
-    const but = one < most ? one ? `, tied on ${two}` : ", always tied" : missed ? `; nobody reaches ${missed}` : "";
+    const but = one < most ? `, with ${two} ${two === 1 ? "tie" : "ties"}` : missed ? `; nobody reaches ${missed}` : "";
     const values = { on: most && most < count ? `${most} of ${count} scenes` : every, but, count: lead.length, target: question.target, any: count === 1 ? "the scene" : `any of the ${count} scenes judged` };
     const [before, after] = data.headlines[kind].replace(/\{(on|but|count|target|any)\}/g, (_, name) => values[name]).split("{who}");
     const [first] = of ? stepbench.standings(of) : [], own = first && rows.find(([m]) => m === first[0]);
