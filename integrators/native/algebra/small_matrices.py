@@ -19,8 +19,6 @@ from problems.equations.named_equations import part
 
 #: Largest size of a matrix for these functions; the libraries are faster with larger ones.
 MOST = 32
-#: Largest size of many matrices side by side.
-MOST_OF_MANY = 13
 #: A power of two above all rows.
 _ROOM = 64
 
@@ -34,9 +32,7 @@ def inverse(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
     @alone.def_vmap
     def _(size: int, batched: list[bool], a: Array) -> tuple[Array, bool]:
-        if a.shape[1] > MOST_OF_MANY:
-            return jnp.linalg.inv(a), True
-        return _side_by_side(a, jnp.broadcast_to(jnp.eye(a.shape[1]), a.shape)), True
+        return jnp.linalg.inv(a), True
 
     with part("factorisations"):
         return alone(a)
@@ -58,8 +54,7 @@ def solve(a: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
     @alone.def_vmap
     def _(size: int, batched: list[bool], *parts: Array) -> tuple[Array, bool]:
         a, b = (x if o else jnp.stack([x] * size) for x, o in zip(parts, batched, strict=True))
-        many = _side_by_side if a.shape[1] <= MOST_OF_MANY else jnp.linalg.solve
-        return many(a, b[:, :, None])[:, :, 0], True
+        return jnp.linalg.solve(a, b[:, :, None])[:, :, 0], True
 
     # An elimination has no derivative in reverse; a linear system has.
     return jax.lax.custom_linear_solve(
@@ -111,18 +106,6 @@ def _by_elimination(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
     return w[row_of][:, column_of]
 
 
-def _side_by_side(a: Float[Array, "k n n"], b: Float[Array, "k n m"]) -> Float[Array, "k n m"]:
-    """Solutions of a x = b for many matrices a ``(k, n, n)`` and b ``(k, n, m)``.
-
-    Gauss-Jordan elimination with the largest pivot of each column. The matrices are along the last
-    axis, so that the processor works with several at once.
-    """
-    w = jnp.moveaxis(jnp.concatenate([a, b], axis=2), 0, 2)
-    for k in range(a.shape[1]):
-        w = unfused(partial(_eliminated, k), w)
-    return jnp.moveaxis(w, 2, 0)
-
-
 def unfused(function: Callable, *args: Any) -> Any:
     """Compute function(*args) in a branch that is always taken.
 
@@ -164,19 +147,6 @@ def size(program: Any) -> int:
         called = [value for value in equation.params.values() if is_program(value)]
         steps += sum(map(size, called)) if called else 1
     return steps
-
-
-def _eliminated(k: int, w: Array) -> Array:
-    """Eliminate the k-th unknown, the first column of w, and drop this column."""
-    pivot = k + jnp.argmax(jnp.abs(w[k:, 0]), axis=0)
-    # Choices one after the other: indexing by the pivots would take the matrices one by one.
-    of_pivot = w[k]
-    for i in range(k + 1, len(w)):
-        of_pivot = jnp.where(pivot == i, w[i], of_pivot)
-    row = of_pivot[1:] / of_pivot[0]
-    below = jnp.where(pivot == jnp.arange(k + 1, len(w))[:, None, None], w[k], w[k + 1 :])
-    others = (part[:, 1:] - part[:, :1] * row for part in (w[:k], below))
-    return jnp.concatenate([next(others), row[None], *others])
 
 
 def without_products(function: Callable) -> Callable:
