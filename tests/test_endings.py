@@ -91,7 +91,7 @@ def test_sparse_tangents_that_are_singular_from_the_first_end_with_their_name(me
 def test_a_run_ends_after_its_start():
     for method, resolution in (("phem56", Tolerances(1e-6)), ("generalized_alpha", Steps(0.1))):
         for t_end in (0.1, 0.35, np.nan):
-            with pytest.raises(SpecError, match=r"does not lie after the start 0\.35 s"):
+            with pytest.raises(SpecError, match=r"does not lie after the start at 0\.35 s"):
                 REGISTRY.integrator(method).prepare(Pendulum(), t_end, resolution)
 
 

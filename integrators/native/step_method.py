@@ -25,7 +25,7 @@ from integrators.native.step.step_program import (
     StepProgram,
     sparse_tangents,
 )
-from integrators.resolutions import Steps, Tolerances
+from integrators.resolutions import Steps, Tolerances, check_end
 from problems.base import spec
 from problems.base.spec import SpecError
 from problems.equations.sparsity import Pattern, uses_sparse
@@ -126,11 +126,7 @@ class NativeMethod(Integrator):
         if isinstance(resolution, Steps) != (self.controls == "step"):
             takes = "Steps(h)" if self.controls == "step" else "Tolerances(rtol)"
             raise SpecError(f"{self.spec} takes {takes}; {resolution} came.")
-        if not scene.interval[0] < t_end:
-            raise SpecError(
-                f"The end {t_end:g} s does not lie after the start {scene.interval[0]:g} s; give a "
-                f"later one."
-            )
+        t_end = check_end(scene.interval[0], t_end)
         method = OnScene(scene, *self.program(scene), self.notes_on(scene))
         if isinstance(resolution, Steps):
             return ConstantStepsRun(method, t_end, resolution)

@@ -71,12 +71,7 @@ def test_redundant_constraints_leave_the_motion_as_it_is(scene, newton):
 
 
 @pytest.mark.long
-def test_other_methods_fail_on_them_and_say_so_and_the_penalty_changes_iterations_alone():
-    for method in (GeneralizedAlpha(), BDF2(), Dopri8(steps="constant")):
-        assert run(method, Pendulum()).status == "ok"
-        failed = run(method, Doubled())
-        assert failed.status in ("newton_failed", "diverged")
-        assert "t=0.36" in failed.message
+def test_the_penalty_changes_iterations_alone():
     weak, strong = (run(ALI3P(penalty=penalty), Doubled()) for penalty in (1e2, 1e8))
     assert weak.q == pytest.approx(strong.q, abs=1e-11)
     assert (weak.work.newton or 0) > 1.5 * (strong.work.newton or 1e9)
