@@ -126,7 +126,7 @@ class Versus:
         if found and found.ratio:
             both = [k for k in judged if self.duels[k].known is not None]
             where = f"the median of {len(both)} scenes" if len(both) > 1 else scene_name(both[0])
-            apart = ", not told apart" * (found.low <= 1 <= found.high)
+            apart = ", not significant" * (found.low <= 1 <= found.high)
             said += f"{two} costs {found.text(' times')} as much as {one}, {where}{apart}; "
         said += f"{one} is significantly cheaper on {self.wins[0]} and {two} on {self.wins[1]} of "
         said += counted(len(judged), "scene")

@@ -47,7 +47,7 @@ def test_a_package_with_entry_points_is_listed_run_and_reported(tmp_path):
     for kind, name in (("problems", "ramp_oscillator"), ("integrators", "euler")):
         (row,) = (row for row in listed[kind] if row["name"] == name)
         assert (row["available"], row["origin"]) == (True, "tiny-plugins 0.1")
-    assert "6 cells: 6 ok" in stepbench("run", "one.toml", "--out", "out")
+    assert "6 runs: 6 ok" in stepbench("run", "one.toml", "--out", "out")
     with Store(tmp_path / "out") as store:
         records = store.records().values()
     assert {record.integrator.split("[")[0] for record in records} == {"euler", "newmark"}

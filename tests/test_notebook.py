@@ -130,7 +130,7 @@ def test_a_suite_is_run_reported_and_loaded_and_its_rows_open_in_pandas(
     results = run(suite, out, integrators=["newmark", "wbz"])
     assert results.runs.integrator.nunique() == 2
     assert (out / "report.html").is_file()
-    assert "4 cells: 4 ok, 0 failed with a reason; 4 measured now" in capsys.readouterr().out
+    assert "4 runs: 4 ok, 0 failed with a reason; 4 measured now" in capsys.readouterr().out
     text = stepbench("report", out, "--csv").stdout
     frame = pandas.read_csv(io.StringIO(text), float_precision="round_trip")
     assert frame.error_q_max.tolist() == results.runs.error_q_max.tolist()

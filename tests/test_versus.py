@@ -179,8 +179,9 @@ def test_the_sign_test_over_the_scenes_is_the_binomial_one_and_the_sentence_tell
         f"{wins.format(6, 0, '6 scenes')}; over all scenes significant (sign test: p = 0.031)."
     )
     assert over(0.5, 0.8, 1.05).sentence == (
-        f"{goal} 0.8 times (0.5 to 1.05) as much as first, the median of 3 scenes, not told apart; "
-        f"{wins.format(0, 2, '3 scenes')}; over all scenes not significant (sign test: p = 0.5)."
+        f"{goal} 0.8 times (0.5 to 1.05) as much as first, the median of 3 scenes, "
+        f"not significant; {wins.format(0, 2, '3 scenes')}; "
+        "over all scenes not significant (sign test: p = 0.5)."
     )
     assert over(2.0).sentence == (
         f"{goal} 2 times as much as first, s0; {wins.format(1, 0, '1 scene')}."

@@ -137,7 +137,7 @@ def test_mine_is_run_reported_and_told(stepbench, monkeypatch, tmp_path):
 
     def run_suite(suite, registry, out, *more):
         asked.append(suite.plan.mine)
-        return [ended("ok")], ["1 cell: 1 ok"]
+        return [ended("ok")], ["1 run: 1 ok"]
 
     def card(folder, integrator):
         return [f"{integrator or 'All'} wins in {folder.name}."]
@@ -151,7 +151,7 @@ def test_mine_is_run_reported_and_told(stepbench, monkeypatch, tmp_path):
     mine, then, every, counts = result.stdout.splitlines()
     assert (mine, every) == ("wbz[rho_inf=0.8] wins in out.", "All wins in out.")
     assert then.startswith(f"Next: stepbench report {tmp_path / 'out'} --open ")
-    assert counts == "1 cell: 1 ok"
+    assert counts == "1 run: 1 ok"
     assert stepbench("run", "--out", tmp_path / "out").stdout.startswith("All wins in out.\nNext: ")
     for name in ("", "wbzz"):
         wrong = stepbench("run", "--mine", name)

@@ -133,7 +133,7 @@ def merge_(o: Given) -> None:
 
 @options.command(
     "versus", "first second folder error targets cost as_json",
-    error={"help": "Relative error that counts; a,lam:max asks for both at once.",
+    error={"help": "Relative error to compare; a,lam:max asks for both at once.",
            "default": f"a:{NORM}"},
 )  # fmt: skip
 def versus_(o: Given) -> None:

@@ -64,7 +64,7 @@ def run_suite(
     cut = any(record.status == INTERRUPTED for record in records)
     again = ", which the same command runs again" if cut else ""
     told = [
-        f"{counted(len(records), 'cell')}: {endings(records)}{again}; {measured} measured now, "
+        f"{counted(len(records), 'run')}: {endings(records)}{again}; {measured} measured now, "
         f"{len(records) - measured} kept from before."
     ]
     if results:
@@ -139,7 +139,7 @@ def run_(o: Given) -> None:
             click.echo(line)
     statuses = [record.status for record in records]
     if "ok" not in statuses:
-        raise click.ClickException(f"No cell succeeded. {in_common(records)}")
+        raise click.ClickException(f"No run succeeded. {in_common(records)}")
     if cut := statuses.count(INTERRUPTED):
         raise click.ClickException(
             f"Not complete: {counted(cut, 'run')} interrupted; the same command runs what is "

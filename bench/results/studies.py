@@ -264,7 +264,7 @@ def part_table(part: PartResult) -> Table:
         rows.append([case.label, found, *where, case.verdict, remark])
         if case.healthy:
             best.add((len(rows) - 1, 4))
-    note = f"Measured: {quantity_text}. Spared is what lies within {bounds(part.healthy)}."
+    note = f"Measured: {quantity_text}. Spared (not affected): {bounds(part.healthy)}."
     told = [(case.label, case.expected) for case in part.cases if case.expected]
     texts = [e.why for _, e in told] + [f"{label}: {e.formula}" for label, e in told if e.formula]
     if why := "; ".join(filter(None, dict.fromkeys(texts))):

@@ -174,7 +174,7 @@ class Race:
         counts = Counter(map(self._fate, every))
         fates = ", ".join(f"{count} {fate}" for fate, count in counts.items())
         runs = sum(len(c.runs) for c in every if not c.refusal)
-        tried = f"Of {len(every)} methods and forms: {fates}; {runs} runs."
+        tried = f"Of {len(every)} methods and variants: {fates}; {runs} runs."
         if not self._named:
             specs = [c.method.spec for c in every if c.runs]
             of_forms = [n for n, own in map(split_spec, specs) if not FORMS.keys().isdisjoint(own)]

@@ -151,7 +151,7 @@ class Recommendation:
         ):
             remark(_STORED)
             within = f", within {self.budget:g} s" if self.of_all else ""
-            progress.note(f"{len(self.candidates)} methods and forms on {self.name}{within}:")
+            progress.note(f"{len(self.candidates)} methods and variants on {self.name}{within}:")
             try:
                 runner.draft = True
                 self._race(store, runner)

@@ -38,18 +38,18 @@ _DEFINITIONS = {
     "oscillation that has none.",
     "Drift": "The growth of what should stay constant: the constraint residual, or the energy of a "
     "system that conserves it.",
-    "Floor": "A hundred times the reference's own error: below it an error says nothing.",
+    "Floor": "A hundred times the reference's own error; smaller errors are not used.",
     "GGL": "The formulation of Gear, Gupta and Leimkuhler, which holds the constraints at the "
     "level of positions and of velocities at once and has index 2.",
-    "Hit, spared": "The verdict of an experiment of the failure atlas: a number of the method lies "
-    "outside of the interval in which a method passes; spared: within.",
+    "Hit, spared": "Verdicts of an experiment of the failure atlas: a method is hit if its number "
+    "lies outside of the interval in which methods pass, and spared if within.",
     "Index, index 1, index 2, index 3, index1, index2, index3": "The number of differentiations "
     "that turn equations with constraints into differential equations: 3 with constraints on "
     "positions, and the higher the harder.",
     "Multiplier": "An unknown λ, the force that holds a constraint.",
     "Newton iteration, modified Newton, full Newton": "A linear solve that improves the guess of "
-    "an implicit step; full Newton takes a new tangent each time, modified Newton keeps an old "
-    "one.",
+    "an implicit step; full Newton computes its matrix (tangent) anew each time, modified "
+    "Newton keeps it.",
     "Norm": "The rule that makes one number of an error over time: its largest value over all "
     "steps unless another is named.",
     "ODE form": "The equations solved for the accelerations, constraints differentiated twice "
@@ -81,9 +81,9 @@ _DEFINITIONS = {
     "values that do not fit the method.",
     "Stiff, stiffness": "A system is stiff if it has parts that decay or oscillate much faster "
     "than the motion that is of interest.",
-    "Tie, tied": "Two methods tie if their costs cannot be told apart: times by the quotients "
-    "within rounds of samples, operations within 10 %; one that is the cheapest if the runs start "
-    "later on the same motion ties, too.",
+    "Tie, tied": "Two methods tie if their costs do not differ significantly: times by their "
+    "quotients in each round of samples, operations by 10 %; a method that is the cheapest from a "
+    "later start of the runs ties, too.",
     "Tolerance, rtol": "The local error that a method with steps of its own choice allows itself "
     "in a step: rtol, relative to the value, and atol, which is rtol/100 unless another is named.",
 }

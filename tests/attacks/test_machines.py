@@ -17,7 +17,7 @@ PROFILE = (
     "samples = 1\n[[study]]\nproblems = ['oscillator']\nintegrators = ['newmark']\n"
     "steps = [0.1, 0.05]\n"
 )
-OK = "2 cells: 2 ok, 0 failed"
+OK = "2 runs: 2 ok, 0 failed"
 attack = pytest.mark.attack
 
 
