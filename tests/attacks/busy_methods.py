@@ -41,8 +41,6 @@ class Run(PreparedRun):
                 if self.how == "locks":  # the interpreter, so that no thread runs, in turns
                     ctypes.PyDLL(None).usleep(900_000)
                 time.sleep(0.02)
-        if self.how == "computes":  # half a second
-            sum(range(30_000_000))
         empty = np.zeros((5, 0))
         exact = {"lam": empty} | self.exact(self.t)
         return Trajectory(t=self.t, x=empty, xdot=empty, y=empty, **exact)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -35,9 +33,7 @@ def disk(tmp_path) -> Path:
     return tmp_path / "disk"
 
 
-def ask(
-    *arguments: object, limits: Callable[[], None] | None = None, **variables: str | None
-) -> tuple[int, str]:
+def ask(*arguments: object, **variables: str | None) -> tuple[int, str]:
     """Exit code and output of a command; a variable that is None is taken out."""
     environment = {**os.environ, **{k: v for k, v in variables.items() if v is not None}}
     for name in (k for k, v in variables.items() if v is None):
@@ -45,7 +41,6 @@ def ask(
     done = subprocess.run(
         [STEPBENCH, *map(str, arguments)],
         env=environment,
-        preexec_fn=limits,
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
@@ -55,10 +50,6 @@ def ask(
     output = done.stdout + done.stderr
     assert "Traceback" not in output, output
     return done.returncode, " ".join(output.split())
-
-
-def limit(which: int, most: int) -> Callable[[], None]:
-    return lambda: resource.setrlimit(which, (most, most))
 
 
 def stored(out: Path) -> list[float]:
@@ -114,22 +105,8 @@ def test_a_disk_that_is_full_while_measuring_costs_no_earlier_result(disk, profi
     assert f"{OK} with a reason; 0 measured now, 2 kept" in fourth[1]
 
 
-@attack
-def test_a_disk_that_is_full_while_pages_are_written_costs_the_pages(disk, profile):
-    script = "mount -t tmpfs -o size=700k tmpfs $D\n" + RUN + ROOM + RUN
-    full, again = in_a_namespace(script, disk, profile)
-    assert full[0] == 1
-    assert OK in full[1]
-    assert "No space left on device" in full[1]
-    assert "The results are stored." in full[1]
-    assert again[0] == 0
-    assert "0 measured now, 2 kept" in again[1]
-
-
 READ_ONLY = {
     "run": ("run $T --out $D/out", "Read-only file system"),
-    "fresh": ("run $T --out $D/out --fresh", "Read-only file system"),
-    "new store": ("run $T --out $D/other", "Read-only file system"),
     "report": ("report $D/out", "The results are stored."),
     "export": ("report $D/out --csv -o $D/x.csv", "Read-only file system"),
     "figure": ("report $D/out --figure work_precision --scene oscillator -o $D/f.svg", "Read-only"),
@@ -148,26 +125,6 @@ def test_a_folder_that_is_read_only_is_named_by_every_command(disk, profile):
         assert code == 1, (command, text)
         assert sentence in text, (command, text)
     assert len(stored(disk / "out")) == 2
-
-
-# ---- limits ----------------------------------------------------------------------------
-@attack
-@pytest.mark.parametrize(
-    ("which", "most"),
-    [
-        (resource.RLIMIT_AS, 200 << 20),
-        (resource.RLIMIT_AS, 2000 << 20),
-        (resource.RLIMIT_CPU, 1),
-    ],
-)
-def test_too_little_memory_or_time_is_no_success(tmp_path, profile, which, most):
-    out = tmp_path / "out"
-    small = ["--jobs", 1, "--budget", 5]
-    code, text = ask("run", profile, "--out", out, *small, limits=limit(which, most))
-    assert (code == 0) == (OK in text), text
-    # The same command measures what was lost, once there is room.
-    code, text = ask("run", profile, "--out", out, "--jobs", 1, "--fresh")
-    assert (code, OK in text) == (0, True), text
 
 
 # ---- variables -------------------------------------------------------------------------

@@ -9,8 +9,6 @@ import random
 import shutil
 import signal
 import sqlite3
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -161,31 +159,6 @@ def test_pages_in_work_end_with_their_command(folder):
     process.check_obeys(INT)
 
 
-@pytest.mark.parametrize(
-    "number", [pytest.param(INT, marks=long), pytest.param(TERM, marks=attack)]
-)
-def test_a_reader_that_reads_nothing_more_holds_nothing_up(folder, number):
-    """As a pager does, or a terminal after Ctrl-S."""
-    reading, writing = os.pipe()
-    os.set_blocking(writing, False)
-    for piece in (b"x" * 4096, b"x"):
-        try:
-            while True:
-                os.write(writing, piece)
-        except BlockingIOError:
-            pass
-    os.set_blocking(writing, True)
-    process = Started(folder, "report", "planted", "--csv", output=writing)
-    process.wait_until_it_obeys()
-    time.sleep(1.0)
-    assert process.process.poll() is None
-    process.process.send_signal(INT)
-    assert process.process.wait(promised_seconds()) == 128 + INT
-    process.check_nothing_left()
-    for end in (reading, writing):
-        os.close(end)
-
-
 MOMENTS: dict[str, Callable[[Path, Started], bool]] = {
     "planning": lambda *_: True,
     "measuring": lambda folder, _: saved(folder) >= 1,
@@ -264,17 +237,6 @@ def test_a_killed_worker_costs_one_cell(folder, number, how):
 
 
 @attack
-@pytest.mark.parametrize("name", ["map", "stability"])
-def test_a_command_whose_worker_is_killed_says_so(folder, name):
-    process = Started(folder, *ENDLESS[name].split())
-    process.wait_for(lambda: process.family("worker"))
-    time.sleep(random.Random(name).uniform(0, 3))
-    os.kill(process.family("worker")[0], KILL)
-    assert process.finish() == 1, process.said
-    assert "killed from outside" in process.said
-
-
-@attack
 @pytest.mark.parametrize("number", [KILL, INT])
 def test_workers_of_a_cluster_stop_when_the_command_has_ended(folder, number):
     distributed = pytest.importorskip("distributed")
@@ -301,18 +263,4 @@ def test_a_halt_changes_no_verdict(folder, who):
     os.kill(stopped, signal.SIGCONT)
     (folder / "HELD").unlink()
     assert process.finish() == 0, process.said
-    assert "4 ok" in process.said
-
-
-@attack
-def test_a_busy_machine_changes_no_verdict(folder):
-    (folder / "busy.toml").write_text(HELD.format(how="computes"))
-    others = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(6)]
-    try:
-        process = Started(folder, *BUSY_RUN, "--budget", "1")
-        assert process.finish() == 0, process.said
-    finally:
-        for other in others:
-            other.kill()
-            other.wait()
     assert "4 ok" in process.said
