@@ -67,15 +67,6 @@ class DiffraxSolver(ODEMethod):
     def step_method(self, scene: MechatronicSystem) -> NativeMethod | None:
         return self._on(scene) if self.controls == "step" else None
 
-    def scheme(self, scene: MechatronicSystem) -> DiffraxScheme:
-        """The solver as runs on a scene need it."""
-        return DiffraxScheme(
-            self.library_class,
-            scene.template(),
-            self.projects(scene),
-            self.baumgarte(scene) is not None,
-        )
-
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Any) -> PreparedRun:
         method = self._on(scene)
         if self.controls == "step":
@@ -83,7 +74,9 @@ class DiffraxSolver(ODEMethod):
         return DiffraxAdaptiveRun(method, t_end, resolution, self.max_steps)
 
     def _on(self, scene: MechatronicSystem) -> DiffraxStepMethod:
-        return DiffraxStepMethod(self.scheme(scene), scene, self.baumgarte(scene))
+        baumgarte, projects = self.baumgarte(scene), self.projects(scene)
+        key = self.library_class, scene.template(), projects, baumgarte is not None
+        return DiffraxStepMethod(DiffraxScheme(*key), scene, baumgarte)
 
 
 def _method(name: str, library_class: str, order: int, source: str, text: str) -> Any:

@@ -48,15 +48,8 @@ _NEWTON_TOLERANCE = 1e-9
 class DiffraxScheme:
     """A solver of diffrax on scenes of one kind: the key under which compiled programs are kept.
 
-    Attributes
-    ----------
-    library_class
-        Name of the solver's class in diffrax.
-    projects, baumgarte
-        Whether each step ends by a projection onto the constraints, and whether Baumgarte's term
-        is in the equations.
-    counted
-        Whether its programs are for `run_counted`.
+    Its class has a name in diffrax. Each step may end by a projection onto the constraints,
+    Baumgarte's term may be in the equations, and programs may be for `run_counted`.
     """
 
     library_class: str
@@ -78,12 +71,6 @@ class DiffraxScheme:
         import diffrax
 
         return issubclass(self.kind, diffrax.AbstractImplicitSolver)
-
-    @property
-    def stages(self) -> int:
-        """The number of stages; one where diffrax has no tableau."""
-        found = getattr(self.kind, "tableau", None)
-        return getattr(found, "tableaus", (found,))[0].num_stages if found else 1
 
     def rate(self, t: Any, s: Any, p: Any) -> Any:
         """The right-hand side; p as `packed_parameters` gives it."""
@@ -132,23 +119,18 @@ class DiffraxRun(PreparedRun):
     def measure(self) -> Trajectory:
         run, (evaluations, linearisations) = self._measured()
         # Each iteration of Newton's method linearises once and gets the value on the way.
-        iterations = linearisations
-        work = replace(
-            run.work,
-            newton=iterations,
-            residuals=evaluations + linearisations,
-            jacobians=linearisations,
-            factorisations=iterations,
-            solves=iterations,
-        )
+        n = linearisations
+        work = Work(run.work.steps, run.work.rejected, n, evaluations + n, n, n, n)
         return replace(run, work=work)
 
     def bill(self, run: Trajectory) -> dict[str, float]:
         scheme, work, size = self._scheme, run.work, state_layout(self._scene.sizes).size
         key, algebra = (scheme.template, scheme.baumgarte), dense(size)
         attempts, iterations = (work.steps or 0) + (work.rejected or 0), work.newton or 0
+        tableau = getattr(scheme.kind, "tableau", None)
+        stages = getattr(tableau, "tableaus", (tableau,))[0].num_stages if tableau else 1
         solver = "implicit" if scheme.implicit else "explicit"
-        own = own_work(solver, size, scheme.stages, attempts, iterations, iterations)
+        own = own_work(solver, size, stages, attempts, iterations, iterations)
         projections = packed_projection(scheme.template).costs if scheme.projects else []
         costs = [
             *of_calls(packed_rate(*key).costs, (work.residuals or 0) - iterations),
@@ -164,11 +146,8 @@ class DiffraxRun(PreparedRun):
 # ---- adaptive steps --------------------------------------------------------------------
 @cache
 def _adaptive(scheme: DiffraxScheme, max_steps: int) -> Callable:
-    """Program of (p, s0, t0, t_end, rtol, atol) that returns t, s, step counts and the ending; a
-    counted one keeps all steps.
-
-    The ending is whether the solve succeeded, and the number of diffrax's ``RESULTS``.
-    """
+    """Program of (p, s0, t0, t_end, rtol, atol) that returns t, s, step counts and the number of
+    diffrax's ``RESULTS``; a counted one keeps all steps."""
     import diffrax
     import optimistix
 
@@ -186,9 +165,7 @@ def _adaptive(scheme: DiffraxScheme, max_steps: int) -> Callable:
             adjoint=diffrax.ForwardMode(), throw=False,
         )  # fmt: skip
         steps = tuple(solution.stats[f"num_{k}_steps"] for k in ("accepted", "rejected"))
-        good = solution.result == diffrax.RESULTS.successful
-        (number,) = jax.tree.leaves(solution.result)
-        return solution.ts, solution.ys, steps, (good, number)
+        return solution.ts, solution.ys, steps, jax.tree.leaves(solution.result)
 
     return jax.jit(solve)
 
@@ -197,11 +174,7 @@ class DiffraxAdaptiveRun(DiffraxRun):
     """A solve by ``diffrax.diffeqsolve`` under its step-size control."""
 
     def __init__(
-        self,
-        method: DiffraxStepMethod,
-        t_end: float,
-        resolution: Tolerances,
-        max_steps: int,
+        self, method: DiffraxStepMethod, t_end: float, resolution: Tolerances, max_steps: int
     ) -> None:
         scene = method.scene
         super().__init__(method.scheme, scene, t_end)
@@ -223,25 +196,25 @@ class DiffraxAdaptiveRun(DiffraxRun):
         self.execute()  # the warm-up
         counted = _adaptive(replace(self._scheme, counted=True), self._max_steps)
         solution, counts = run_counted(counted, *self._arguments)
-        t, s, steps, (good, number) = solution
+        t, s, steps, ending = solution
         accepted, rejected = map(int, steps)
         kept = RowKeeper(1, (self._t0, self._s0), self._t_end)
         for row in zip(np.asarray(t)[:accepted], np.asarray(s)[:accepted], strict=True):
             kept.add(row)
-        status, message = self._outcome(good, number, *kept.last)
+        status, message = self._outcome(ending, *kept.last)
         t, s = map(np.array, zip(*kept.rows(), strict=True))
         run = trajectory_from_states(self._scene, t, *state_layout(self._scene.sizes).split(s))
         return replace(run, status=status, message=message, work=Work(accepted, rejected)), counts
 
-    def _outcome(self, good: Any, number: Any, t: float, s: np.ndarray) -> tuple[str, str]:
+    def _outcome(self, ending: list, t: float, s: np.ndarray) -> tuple[str, str]:
         """Status and message; t and s are the last accepted time and state."""
-        if good and np.isfinite(s).all():
-            return "ok", ""
         from diffrax import RESULTS
 
-        result = jax.tree.unflatten(jax.tree.structure(RESULTS.successful), [number])
-        if result == RESULTS.dt_min_reached and t == self._t_end and np.isfinite(s).all():
-            return "ok", ""  # a first step was that of the interval but for rounding
+        result = jax.tree.unflatten(jax.tree.structure(RESULTS.successful), ending)
+        # A first step may be that of the interval but for rounding.
+        at_end = result == RESULTS.dt_min_reached and t == self._t_end
+        if (result == RESULTS.successful or at_end) and np.isfinite(s).all():
+            return "ok", ""
         if not self._defined_after(t, s):
             status, reason = "diverged", "the right-hand side is not finite from here on"
             remedy = "check the scene's equations beyond this time or use a smaller rtol"
