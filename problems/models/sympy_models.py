@@ -10,7 +10,7 @@ from __future__ import annotations
 import keyword
 import math
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,8 +27,7 @@ from problems.starts import completed, constraints_at, violation
 from problems.system import MechatronicSystem
 
 #: Time in the text of a class, and in models.
-_TIME = sm.Symbol("t")
-_MODELS_TIME: Any = vars(dynamicsymbols)["_t"]
+_TIME, _MODELS_TIME = sm.Symbol("t"), vars(dynamicsymbols)["_t"]
 #: Tags of scenes, and the blocks that they go with.
 _TAGS = (
     ("multibody", "mass"), ("constrained", "constraint"), ("constrained", "velocity_constraint"),
@@ -91,15 +90,16 @@ def from_sympy(
         kind = type(own).__name__
         raise SpecError(f"from_sympy takes a LagrangesMethod, KanesMethod or System, not {kind}.")
     model = _lagrange(own) if isinstance(own, LagrangesMethod) else _kane(own)
-    symbols = _Symbols(model, constants)
+    symbols, units = _Symbols(model, constants), dict(units or {})
     blocks = _blocks(model, symbols)
     start = symbols.start("guess", guess or {}) | (given := symbols.start("initial", initial))
-    symbols.check_use()
-    units = dict(units or {})
+    if unused := constants.keys() - symbols.used:
+        raise SpecError(f"The equations do not contain {_listed(unused)} of constants.")
     if unknown := units.keys() - symbols.numbers.keys() - {*model.q, *model.v}:
         raise SpecError(f"units names {_listed(unknown)}: neither a constant nor a coordinate.")
     sizes = {"q": len(model.q), "v": len(model.v)}
     named = {"coordinates": model.q} | ({"velocities": model.v} if model.kinematics else {})
+    shown = {key: f" [{unit}]" for key, unit in units.items()}
     facts: dict[str, Any] = {
         "name": name,
         "cls": "".join(part[:1].upper() + part[1:] for part in name.split("_")),
@@ -107,7 +107,10 @@ def from_sympy(
         + ", ".join(f"q{k} = {q.name}" for k, q in enumerate(model.q)),
         "interval": tuple(_number("interval", t) for t in np.ravel(interval)),
         "nominal_step": _number("nominal_step", nominal_step),
-        "names": "".join(_names_of(group, of, units) for group, of in named.items()),
+        "names": "".join(
+            f"    {group} = {tuple(x.name + shown.get(x, '') for x in of)}\n"
+            for group, of in named.items()
+        ),
         "fields": "".join(
             f"    {key.name}: float = "
             f"parameter({value!r}, {units.get(key, 'SI')!r}, {f'{key} of the model'!r})\n"
@@ -115,18 +118,18 @@ def from_sympy(
         ),
     }
     for group, size in sizes.items():
-        facts[group] = ", ".join(
-            code_of(start.get((group, k), sm.Float(0)), "initial") for k in range(size)
-        )
+        values = (start.get((group, k), sm.Float(0)) for k in range(size))
+        facts[group] = ", ".join(code_of(value, "initial") for value in values)
         facts[f"open_{group}"] = [k for k in range(size) if (group, k) not in given]
     if not (spec.is_name(name) and facts["cls"].isidentifier()):
         raise SpecError(f"name={name!r} is no name of a scene, such as 'four_bar'.")
     module = sys._getframe(1).f_globals.get("__name__", __name__)  # as `collections.namedtuple`
 
     def written() -> type[MechatronicSystem]:
-        facts["tags"] = tuple(dict.fromkeys(tag for tag, block in _TAGS if block in blocks))
+        tags = tuple(dict.fromkeys(tag for tag, block in _TAGS if block in blocks))
         texts = [function_text(block, *parts, sizes) for block, parts in blocks.items()]
-        return class_of(CLASS.format(**facts, blocks="\n".join(texts)), facts["cls"], module)
+        text = CLASS.format(**facts, tags=tags, blocks="\n".join(texts))
+        return class_of(text, facts["cls"], module)
 
     cls = written()
     _check_start(cls)
@@ -144,8 +147,8 @@ class _Model(NamedTuple):
 
     ``q``, ``v``
         coordinates q(t), and their derivatives or the speeds of ``kinematics``
-    ``names``
-        all expressions that stand for a coordinate or a velocity, with ("q" or "v", index)
+    ``rates``
+        further expressions that stand for v
     ``mass``, ``force``, ``constraint``, ``velocity_constraint``
         M ``(nv, nv)``, g ``(nv, 1)``, Phi ``(nh, 1)`` and A v - b ``(nl - nh, 1)``
     ``kinematics``
@@ -156,7 +159,7 @@ class _Model(NamedTuple):
 
     q: list[Any]
     v: list[Any]
-    names: dict[Any, tuple[str, int]]
+    rates: list[Any]
     mass: Any
     force: Any
     constraint: Any
@@ -169,12 +172,12 @@ def _lagrange(method: Any) -> _Model:
     if method.eom is None:
         method.form_lagranges_equations()
     q, n, holonomic = list(method.q), len(method.q), method._hol_coneqs
-    v = [x.diff(_MODELS_TIME) for x in q]
     no_multipliers = dict.fromkeys(method.lam_vec, 0)
     mass, force = method.mass_matrix[:, :n], method.forcing[:n, :].xreplace(no_multipliers)
-    further, conserved = method.coneqs[len(holonomic) :, :], not method.forcelist
-    lagrangian = method._L[0] if conserved else None
-    return _Model(q, v, _names(q, v), mass, force, holonomic, further, lagrangian=lagrangian)
+    further, lagrangian = method.coneqs[len(holonomic) :, :], method._L[0]
+    v = [x.diff(_MODELS_TIME) for x in q]
+    conserved = None if method.forcelist else lagrangian
+    return _Model(q, v, [], mass, force, holonomic, further, lagrangian=conserved)
 
 
 def _kane(method: Any) -> _Model:
@@ -188,20 +191,15 @@ def _kane(method: Any) -> _Model:
         method = KanesMethod(method._inertial, q, u, kd_eqs=ways, u_auxiliary=method._uaux)
         method.kanes_equations(given.bodies, given.loads)
     mass, force = method.mass_matrix, method.forcing.xreplace(rates)
+    own = [x.diff(_MODELS_TIME) for x in q]
     if {*rates.values()} != {*u}:
-        ways = sm.Matrix([rates[x.diff(_MODELS_TIME)] for x in q])
+        ways = sm.Matrix([rates[rate] for rate in own])
         if ways.xreplace(dict.fromkeys(u, 0)).expand() != sm.zeros(len(q), 1):
             raise SpecError("The kd_eqs have terms without speeds; a scene has dq/dt = T(q) u.")
-        return _Model(q, u, _names(q, u), mass, force, holonomic, further, ways)
-    order = [u.index(rates[x.diff(_MODELS_TIME)]) for x in q]
-    v = [u[k] for k in order]
-    names = _names(q, v) | _names(q, rates)
+        return _Model(q, u, [], mass, force, holonomic, further, ways)
+    order = [u.index(rates[rate]) for rate in own]
     mass, force = mass.extract(order, order), force.extract(order, [0])
-    return _Model(q, v, names, mass, force, holonomic, further)
-
-
-def _names(q: Iterable[Any], v: Iterable[Any]) -> dict[Any, tuple[str, int]]:
-    return {x: (group, k) for group, of in (("v", v), ("q", q)) for k, x in enumerate(of)}
+    return _Model(q, [u[k] for k in order], own, mass, force, holonomic, further)
 
 
 # ---- values of symbols -------------------------------------------------------------------
@@ -210,14 +208,18 @@ class _Symbols:
 
     ``numbers``
         the constants that are numbers, by the user's symbols
+    ``used``
+        all symbols that the model and the start contain
     """
 
     def __init__(self, model: _Model, constants: Mapping[Any, Any]) -> None:
         self.numbers: dict[Any, float] = {}
-        self._model, self._constants, self._used = model, constants, set()
-        self._specified: dict[Any, Any] = {}
-        self._text = {key: sm.Symbol(f"{group}{k}") for key, (group, k) in model.names.items()}
+        self.used: set[Any] = set()
+        groups = (("v", model.v), ("v", model.rates), ("q", model.q))
+        self._places = {x: (group, k) for group, of in groups for k, x in enumerate(of)}
+        self._text = {key: sm.Symbol(f"{group}{k}") for key, (group, k) in self._places.items()}
         self._text[_MODELS_TIME] = _TIME
+        self._specified: dict[Any, Any] = {}
         for key, value in constants.items():
             if not isinstance(key, sm.Symbol | AppliedUndef) or key in self._text:
                 raise SpecError(f"constants names {key}, which is no symbol of a constant.")
@@ -225,26 +227,29 @@ class _Symbols:
             if not value.is_number:
                 self._specified[key] = value
                 continue
-            taken = key.name in {other.name for other in self.numbers}
-            if taken or not _is_free(key.name):
-                raise SpecError(f"A parameter cannot be called {key.name!r}; rename the symbol.")
+            own, taken = key.name, {other.name for other in self.numbers} | {"source_text"}
+            usable = spec.is_name(own) and own.isidentifier() and not keyword.iskeyword(own)
+            if not usable or own in taken or hasattr(MechatronicSystem, own):
+                raise SpecError(f"A parameter cannot be called {own!r}; rename the symbol.")
             self.numbers[key] = _number(f"constants: {key}", value)
-            symbol = sm.Symbol(f"self.{key.name}")
+            symbol = sm.Symbol(f"self.{own}")
             self._text[symbol] = symbol
-            if isinstance(key, sm.Symbol):
-                self._text[key] = symbol
-            else:  # so that its derivatives vanish
-                self._specified[key] = symbol
+            # In the place of a function of time it has no derivatives.
+            (self._text if isinstance(key, sm.Symbol) else self._specified)[key] = symbol
 
     def written(self, where: str, value: Any) -> Any:
         """Return an expression of the model in symbols of generated text."""
-        self._used |= _unknowns(value)
+
+        def unknowns() -> set[Any]:
+            return value.free_symbols | value.atoms(AppliedUndef, sm.Derivative)
+
+        self.used |= unknowns()
         for _ in self._specified:  # they may be expressions of each other
             value = value.xreplace(self._specified)
-            self._used |= _unknowns(value)
+            self.used |= unknowns()
         if self._specified:
             value = value.doit()
-        if left := _unknowns(value) - self._text.keys():
+        if left := unknowns() - self._text.keys():
             raise SpecError(
                 f"{where} contains {_listed(left)}: neither a coordinate nor in constants; give a "
                 f"number, or an expression of t."
@@ -255,42 +260,20 @@ class _Symbols:
         """Return initial values by group and index, in symbols of generated text."""
         found = {}
         for key, value in values.items():
-            if key not in self._model.names:
-                known = _listed(self._model.names)
+            if key not in self._places:
+                known = _listed(self._places)
                 raise SpecError(f"{where} names {key}: no coordinate or velocity; known: {known}.")
             value = self.written(where, _read(f"{where}: {key}", value))
             if not all(symbol.name.startswith("self.") for symbol in value.free_symbols):
                 raise SpecError(f"{where}: {key} depends on a coordinate or on time; give a value.")
             if value.is_number:
                 value = sm.Float(_number(f"{where}: {key}", value), 17)
-            found[self._model.names[key]] = value
+            found[self._places[key]] = value
         return found
-
-    def check_use(self) -> None:
-        """Refuse constants that nothing contains."""
-        if unused := self._constants.keys() - self._used:
-            raise SpecError(f"The equations do not contain {_listed(unused)} of constants.")
-
-
-def _unknowns(value: Any) -> set[Any]:
-    """Symbols, functions of time and derivatives in an expression."""
-    return value.free_symbols | value.atoms(AppliedUndef, sm.Derivative)
-
-
-def _names_of(group: str, symbols: Iterable[Any], units: Mapping[Any, str]) -> str:
-    """The line of a class that names coordinates or velocities."""
-    names = (f"{x.name} [{units[x]}]" if x in units else x.name for x in symbols)
-    return f"    {group} = {tuple(names)!r}\n"
 
 
 def _listed(symbols: Any) -> str:
     return ", ".join(sorted(map(str, symbols)))
-
-
-def _is_free(name: str) -> bool:
-    """Whether a parameter may have this name."""
-    usable = spec.is_name(name) and name.isidentifier() and not keyword.iskeyword(name)
-    return usable and name != "source_text" and not hasattr(MechatronicSystem, name)
 
 
 def _read(where: str, value: Any) -> Any:
@@ -350,6 +333,20 @@ def _blocks(model: _Model, symbols: _Symbols) -> dict[str, tuple[tuple[str, ...]
     return blocks
 
 
+# ---- its constraints at the start ----------------------------------------------------------
+def _check_start(cls: type[MechatronicSystem]) -> None:
+    if fault := cls.fault():
+        raise SpecError(f"{cls.name}: {fault}")
+    scene = cls()
+    state = scene.initial_state()
+    for level, values, worst in zip("qv", state, violation(scene, state), strict=False):
+        if not worst <= CONSISTENCY_TOLERANCE * max(1.0, np.abs(values).max()):
+            raise SpecError(
+                f"The initial {level} of {cls.name} violates the constraints by {worst:.3g}; leave "
+                f"out as many values as there are constraints, or give a guess of these."
+            )
+
+
 def _independent(cls: type[MechatronicSystem]) -> list[int]:
     """The velocity constraints that do not follow from Phi = 0 and those before them.
 
@@ -367,16 +364,3 @@ def _independent(cls: type[MechatronicSystem]) -> list[int]:
         before, after = (np.linalg.matrix_rank(rows[e], tol=1e-7) for e in (kept, [*kept, k]))
         kept += [k] * int(after > before)
     return [k - len(phi) for k in kept[len(phi) :]]
-
-
-def _check_start(cls: type[MechatronicSystem]) -> None:
-    if fault := cls.fault():
-        raise SpecError(f"{cls.name}: {fault}")
-    scene = cls()
-    state = scene.initial_state()
-    for level, values, worst in zip("qv", state, violation(scene, state), strict=False):
-        if not worst <= CONSISTENCY_TOLERANCE * max(1.0, np.abs(values).max()):
-            raise SpecError(
-                f"The initial {level} of {cls.name} violates the constraints by {worst:.3g}; leave "
-                f"out as many values as there are constraints, or give a guess of these."
-            )
