@@ -169,17 +169,25 @@ def from_mjcf(
         violates the equalities, MuJoCo computes other numbers, or a default is none.
     """
     settings, path = {**locals()}, Path(file)
-    name = scene_name(path) if name is None else name
+    if name is None:  # letters, digits and "_"
+        name = re.sub(r"\W+", "_", path.stem, flags=re.ASCII).strip("_")
+        name = name if name[:1].isalpha() else f"model_{name}".rstrip("_")
     cls = "".join(part[:1].upper() + part[1:] for part in name.split("_"))
     if not (is_name(name) and cls.isidentifier()):
         raise SpecError(f"{name!r} is no name of a scene, such as 'robot'; give another one.")
     m, notes = read(path, Path(meshes) if meshes else None)
     try:
-        digest, keys = _digest(m), [called(m, "KEY", k).removeprefix("key ") for k in range(m.nkey)]
+        data = np.empty(load_mujoco().mj_sizeModel(m), dtype=np.uint8)
+        load_mujoco().mj_saveModel(m, None, data)
+        digest = hashlib.sha256(data.tobytes()).hexdigest()  # of all numbers
+        keys = [called(m, "KEY", k).removeprefix("key ") for k in range(m.nkey)]
         if keyframe is not None:
             one_of(keyframe, keys, "keyframe")
         at_key = keys.index(keyframe or keys[0]) if keys else None
-        _place_goals(m, at_key)
+        for body in np.flatnonzero(m.body_mocapid >= 0) if keys else ():  # moved by hand
+            k = m.body_mocapid[body]
+            m.body_pos[body] = m.key_mpos[at_key].reshape(-1, 3)[k]
+            m.body_quat[body] = m.key_mquat[at_key].reshape(-1, 4)[k]
         left_out, model = lacking(m), Model(m)
         at_start, is_new = checked_start(model, digest, at_key)
     except SpecError as error:
@@ -195,7 +203,11 @@ def from_mjcf(
         key: parameter(REFUSED, "", f"{part}: {LEFT_OUT} leaves this out", choices=CHOICES)
         for key, part in left_out.items()
     }
-    controls = _controls(m)
+    own = [called(m, "ACTUATOR", k).removeprefix("actuator ") for k in range(m.nactuator)]
+    own = np.repeat(own, m.actuator_ctrlnum)
+    controls = ["control_" + re.sub(r"\W", "_", name) for name in own]
+    if len({*controls}) < len(controls):
+        controls = [f"control_{k}" for k in range(m.nu)]
     for k, value in enumerate(reset(m, at_key).ctrl):
         fields[controls[k]] = parameter(float(value), "1", f"control of actuator {k}")
     for key, value in (defaults or {}).items():
@@ -233,7 +245,7 @@ def from_mjcf(
             "at_keyframe": staticmethod(
                 cache(lambda key: from_mjcf(**settings | {"name": name, "keyframe": key}))
             ),
-            "controls": controls,
+            "controls": tuple(controls),
             "lacking": left_out,
             "interval": interval,
             "nominal_step": 5 * m.opt.timestep if nominal_step is None else nominal_step,
@@ -250,12 +262,6 @@ def from_mjcf(
     # As `collections.namedtuple`; newer Pythons have set that of the call above.
     made.__module__ = caller
     return made
-
-
-def scene_name(path: Path) -> str:
-    """Return the name of a scene that is made of a file: letters, digits and '_'."""
-    word = re.sub(r"\W+", "_", path.stem, flags=re.ASCII).strip("_")
-    return word if word[:1].isalpha() else f"model_{word}".rstrip("_")
 
 
 def _given(
@@ -275,21 +281,6 @@ def _given(
     return tuple(sorted(found.items()))
 
 
-def _digest(m: Any) -> str:
-    """A digest of all numbers of a model."""
-    data = np.empty(load_mujoco().mj_sizeModel(m), dtype=np.uint8)
-    load_mujoco().mj_saveModel(m, None, data)
-    return hashlib.sha256(data.tobytes()).hexdigest()
-
-
-def _place_goals(m: Any, keyframe: int | None) -> None:
-    """Put the bodies that are moved by hand (mocap) where the keyframe has them."""
-    for body in np.flatnonzero(m.body_mocapid >= 0) if keyframe is not None else ():
-        k = m.body_mocapid[body]
-        m.body_pos[body] = m.key_mpos[keyframe].reshape(-1, 3)[k]
-        m.body_quat[body] = m.key_mquat[keyframe].reshape(-1, 4)[k]
-
-
 def _names(m: Any, angle: str, way: str, turning: list[str]) -> tuple[str, ...]:
     """Names of the coordinates or velocities of joints: units of angles and ways, and the names of
     the entries of a rotation."""
@@ -302,12 +293,3 @@ def _names(m: Any, angle: str, way: str, turning: list[str]) -> tuple[str, ...]:
     kinds = {number: parts[kind] for kind, number in vars(numbers("mjtJoint")).items()}
     each = enumerate(m.jnt_type)
     return tuple(f"{called(m, 'JOINT', k)} {part}" for k, kind in each for part in kinds[kind])
-
-
-def _controls(m: Any) -> tuple[str, ...]:
-    """Names of the parameters that are controls of actuators."""
-    own = [called(m, "ACTUATOR", k).removeprefix("actuator ") for k in range(m.nactuator)]
-    own = [*np.repeat(own, m.actuator_ctrlnum)]
-    names = ["control_" + "".join(c if c.isalnum() else "_" for c in name) for name in own]
-    unique = len({*names}) == len(names)
-    return tuple(names) if unique else tuple(f"control_{k}" for k in range(m.nu))

@@ -89,56 +89,40 @@ def settled(m: Any) -> Any:
     return m
 
 
-def _parts(m: Any) -> dict[str, tuple[str, str, dict[str, np.ndarray], str]]:
+def _parts(m: Any) -> dict[str, tuple[str, str, np.ndarray, str]]:
     """Parts of a settled model that a scene cannot state, by the parameter that leaves them out.
 
-    Of each: what it is; the kind of its objects, and those that have it ``(k,)``, by the attribute
-    that says so, if it has to be named; and the fields that are zero where it is left out.
+    Of each: what it is; the kind of its objects, and those that have it ``(k,)``; and the fields
+    that are zero where it is left out.
     """
     joints, ways, ties = map(numbers, ("mjtJoint", "mjtTrn", "mjtEq"))
     turning = np.isin(m.jnt_type, [joints.FREE, joints.BALL])
-    rubs, bends = (np.zeros(m.njnt, dtype=bool) for _ in range(2))
+    rubs, bends = np.zeros(m.njnt, dtype=bool), (m.jnt_springyield != 0)
     rubs[m.dof_jntid[m.dof_frictionloss != 0]] = True
+    bends |= m.jnt_stiffnesspoly.any(1) | (turning & (m.jnt_stiffness != 0))
     bends[m.dof_jntid[m.dof_dampingpoly.any(1)]] = True
-    at_joints = np.isin(m.actuator_trntype, [ways.JOINT, ways.JOINTINPARENT])
-    on_balls = at_joints.copy()
-    on_balls[at_joints] = turning[m.actuator_trnid[at_joints, 0]]
-    odd = {
-        "target": ~at_joints,
-        "dyntype": m.actuator_dyntype != numbers("mjtDyn").NONE,
-        "gaintype": m.actuator_gaintype != numbers("mjtGain").FIXED,
-        "biastype": m.actuator_biastype > numbers("mjtBias").AFFINE,
-        "delay": m.actuator_delay != 0,
-        "inputs": m.actuator_ctrlnum != 1,
-        "outputs": m.actuator_outnum != 1,
-        "joint": on_balls,
-    }
-    actuators = {attribute: those & acting(m) for attribute, those in odd.items()}
-    springs = {
-        "type": turning & ((m.jnt_stiffness != 0) | m.jnt_stiffnesspoly.any(1)),
-        "stiffness": m.jnt_stiffnesspoly.any(1),
-        "damping": bends,
-        "springyield": m.jnt_springyield != 0,
-    }
-    drag = (m.actuator_damping != 0) | m.actuator_dampingpoly.any(1)
-    rigid = np.isin(m.eq_type, [ties.CONNECT, ties.WELD, ties.JOINT])
+    odd = ~np.isin(m.actuator_trntype, [ways.JOINT, ways.JOINTINPARENT])
+    odd[~odd] = turning[m.actuator_trnid[~odd, 0]]
+    odd |= (m.actuator_dyntype != numbers("mjtDyn").NONE) | (m.actuator_delay != 0)
+    odd |= m.actuator_gaintype != numbers("mjtGain").FIXED
+    odd |= m.actuator_biastype > numbers("mjtBias").AFFINE
+    odd |= (m.actuator_ctrlnum != 1) | (m.actuator_outnum != 1)
+    odd &= acting(m)
+    odd |= (m.actuator_armature != 0) | (m.actuator_damping != 0) | m.actuator_dampingpoly.any(1)
+    soft = (m.eq_active0 != 0) & ~np.isin(m.eq_type, [ties.CONNECT, ties.WELD, ties.JOINT])
     return {
-        part: (words, kind, those if isinstance(those, dict) else {"": those}, fields)
-        for part, words, kind, those, fields in (
-            ("limits", "limits of joints", "JOINT", m.jnt_limited != 0, "jnt_limited"),
-            ("friction_loss", "frictionloss", "JOINT", rubs, "dof_frictionloss"),
-            ("tendons", "tendons", "TENDON", np.ones(m.ntendon, dtype=bool),
-             "tendon_stiffness tendon_stiffnesspoly tendon_damping tendon_dampingpoly "
-             "tendon_armature tendon_limited tendon_frictionloss tendon_springyield"),
-            ("springs", "springs and dampers that are no linear ones of a hinge or slide", "JOINT",
-             springs, "jnt_stiffness jnt_stiffnesspoly jnt_springyield dof_dampingpoly"),
-            ("gravcomp", "gravcomp", "BODY", m.body_gravcomp != 0, "body_gravcomp"),
-            ("actuators", "actuators other than motors and servos of a joint", "ACTUATOR",
-             actuators | {"armature": m.actuator_armature != 0, "damping": drag},
-             f"{_FORCE} actuator_armature actuator_damping actuator_dampingpoly"),
-            ("equalities", "equalities other than connect, weld, joint", "EQUALITY",
-             (m.eq_active0 != 0) & ~rigid, "eq_active0"),
-        )
+        "limits": ("limits of joints", "JOINT", m.jnt_limited != 0, "jnt_limited"),
+        "friction_loss": ("frictionloss", "JOINT", rubs, "dof_frictionloss"),
+        "tendons": ("tendons", "TENDON", np.ones(m.ntendon, dtype=bool),
+            "tendon_stiffness tendon_stiffnesspoly tendon_damping tendon_dampingpoly "
+            "tendon_armature tendon_limited tendon_frictionloss tendon_springyield"),
+        "springs": ("springs and dampers that are no linear ones of a hinge or slide", "JOINT",
+            bends, "jnt_stiffness jnt_stiffnesspoly jnt_springyield dof_dampingpoly"),
+        "gravcomp": ("gravcomp", "BODY", m.body_gravcomp != 0, "body_gravcomp"),
+        "actuators": ("actuators other than motors and servos of a joint", "ACTUATOR", odd,
+            f"{_FORCE} actuator_armature actuator_damping actuator_dampingpoly"),
+        "equalities": ("equalities other than connect, weld, joint", "EQUALITY", soft,
+            "eq_active0"),
     }  # fmt: skip
 
 
@@ -158,11 +142,9 @@ def lacking(m: Any) -> dict[str, str]:
             )
     pair, m = "" if _is_off(m, "CONTACT") else _contact(m), settled(m)
     found = {"contacts": f"contacts ({pair})"} if pair else {}
-    for part, (words, kind, objects, _) in _parts(m).items():
-        for attribute, those in objects.items():
-            if part not in found and those.any():
-                by = f", by its {attribute}" * bool(attribute)
-                found[part] = f"{words} ({called(m, kind, int(np.argmax(those)))!r}{by})"
+    for part, (words, kind, those, _) in _parts(m).items():
+        if those.any():
+            found[part] = f"{words} ({called(m, kind, int(np.argmax(those)))!r})"
     if m.opt.density or m.opt.viscosity:
         found["fluid"] = "a fluid (density, viscosity)"
     if m.opt.enableflags & numbers("mjtEnableBit").SLEEP:
@@ -173,8 +155,8 @@ def lacking(m: Any) -> dict[str, str]:
 def without(m: Any) -> Any:
     """Return a copy of a model that has what a scene states, and nothing else."""
     parts, m = _parts(settled(m)), copy.copy(m)
-    for _, _, objects, fields in parts.values():
-        if (those := np.any([*objects.values()], axis=0)).any():
+    for _, _, those, fields in parts.values():
+        if those.any():
             _clear(m, fields, those)
     m.opt.density = m.opt.viscosity = 0.0
     off, on = numbers("mjtDisableBit"), numbers("mjtEnableBit")
