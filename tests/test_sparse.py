@@ -17,9 +17,9 @@ from problems.base import runtime
 from problems.base.spec import SpecError
 from problems.equations import sparsity
 from problems.equations.compiled import compiled
+from problems.equations.constraints import constrained_part
 from problems.equations.formulations import dae_layout
 from problems.equations.initial_values import consistent_start, sparse_start
-from problems.equations.projections import constrained_part
 from problems.scenes.full_car import FullCar
 from problems.scenes.oscillators import SpringMass
 from problems.scenes.pendulums import Chain, Pendulum
@@ -230,9 +230,11 @@ def test_the_rates_at_the_start_are_slopes_along_the_motion():
 
 def test_a_start_with_redundant_constraints_shares_the_force_among_them(monkeypatch):
     monkeypatch.setattr(sparsity, "DENSE_LIMIT", 1)
-    one, two = (consistent_start(Pendulum(copies=copies)).z for copies in (1, 2))
-    assert two.lam == pytest.approx(np.full(2, one.lam[0] / 2))
-    assert two.a == pytest.approx(one.a)
+    one, stated = consistent_start(Pendulum()).z, toy("Stated", base=Pendulum, redundant=1)
+    for scene in (Pendulum(copies=2), stated(copies=2)):
+        two = consistent_start(scene).z
+        assert two.lam == pytest.approx(np.full(2, one.lam[0] / 2))
+        assert two.a == pytest.approx(one.a)
 
 
 # ---- the choice ------------------------------------------------------------------------

@@ -19,11 +19,11 @@ from integrators.contract import Trajectory
 from integrators.lowering.graph import NotLowered
 from problems.base.runtime import jax, jnp
 from problems.equations.compiled import compiled
+from problems.equations.constraints import projected_state
 from problems.equations.formulations import Baumgarte, dae_residual, ode_rate
 from problems.equations.initial_values import consistent_start, sparse_complete
 from problems.equations.kinematics import q_rate
 from problems.equations.layouts import Layout, dae_layout, state_layout
-from problems.equations.projections import projected_state
 from problems.equations.sparsity import NoPattern, Pattern, prefers_sparse
 from problems.system import MechatronicSystem
 from problems.variables import Sizes, State

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from problems.base.runtime import FEW_CALLS, Array, Float, Int, jax, jnp
+from problems.base.runtime import FEW_CALLS, Array, jax, jnp
 from problems.base.spec import SpecError
-from problems.equations.constraints import constraint_acceleration, constraint_velocity
+from problems.equations.constraints import (
+    constraint_acceleration,
+    constraint_velocity,
+    projected_state,
+)
 from problems.equations.formulations import (
     Start,
     algebraic_iterations,
@@ -21,7 +25,6 @@ from problems.equations.formulations import (
     with_rates,
 )
 from problems.equations.layouts import state_layout
-from problems.equations.projections import projected_state
 from problems.system import MechatronicSystem
 from problems.variables import INVARIANTS, VARIABLES, Variables
 
@@ -33,7 +36,7 @@ _MOST_NUMBERS = 2**21
 MOST_STATES = 400
 
 
-class Compiled(NamedTuple):
+class Compiled:
     """Compiled functions of a scene; the first argument p is ``scene.parameters()``.
 
     ``linearised(p, q, v, x, t)``
@@ -61,24 +64,48 @@ class Compiled(NamedTuple):
     ``sample(p, z)``, ``jumps[event](p, z)``
         values after a sample instant and after each event, as the scene states them
     ``projected(p, t, s)``
-        `projections.projected_state` of s = [q, v, x]
+        `constraints.projected_state` of s = [q, v, x]
     ``iterations(p, q, v, x, t)``
         iterations in `formulations.complete` at k times, ``(k,)``; for scenes with outputs
     """
 
-    linearised: Callable[..., tuple[Start, Float[Array, "n n"]]]
-    starts: Callable[..., Start]
-    ode: Callable[..., Float[Array, " n"]]
-    rates: Callable[..., Float[Array, "k n"]]
-    complete: Callable[..., tuple[Variables, Float[np.ndarray, "k nx"]]]
-    levels: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]
-    invariants: Mapping[str, Callable[..., Float[np.ndarray, "k ..."]]]
-    points: Callable[..., dict[str, Float[np.ndarray, "k n"]]]
-    events: Callable[..., tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k n"]]]
-    sample: Callable[..., Mapping[str, Any]]
-    jumps: tuple[Callable[..., Mapping[str, Any]], ...]
-    projected: Callable[..., Float[Array, " n"]]
-    iterations: Callable[..., Int[np.ndarray, " k"]]
+    def __init__(self, template: MechatronicSystem) -> None:
+        names, states = list(template.parameters()), state_layout(template.sizes).size
+
+        def at(p: Mapping[str, Array]) -> MechatronicSystem:
+            return template.with_parameters(p)
+
+        def start(p: Mapping, q: Array, v: Array, x: Array, t: Array) -> tuple[Start, Array]:
+            changes = jnp.eye(states if states <= MOST_STATES else 0, states)
+            return linearised(at(p), q, v, x, t, changes)
+
+        def rate(values: Array, t: Array, s: Array) -> Array:
+            return ode_rate(at(dict(zip(names, values, strict=True))), t, s)
+
+        def levels(p: Mapping, q: Array, v: Array, a: Array, t: Array) -> tuple[Array, ...]:
+            s = at(p)
+            phi = s.constraint(q, t) if s.sizes.nh else jnp.zeros(0)
+            return phi, constraint_velocity(s, q, v, t), constraint_acceleration(s, q, v, a, t)
+
+        def invariant(block: str) -> Callable:
+            return _over_rows(lambda p, q, v: getattr(at(p), block)(q, v))
+
+        def jump(event: int) -> Callable:
+            return jax.jit(lambda p, z: at(p).jump(z, event))
+
+        self.linearised = jax.jit(start, compiler_options=FEW_CALLS)
+        self.starts = _over_rows(lambda p, *state: with_rates(at(p), *state))
+        self.ode = jax.jit(lambda p, t, s: ode_rate(at(p), t, s))
+        self.rates = jax.jit(jax.vmap(rate, (None, 0, 0)))
+        self.complete = _over_rows(lambda p, *state: complete(at(p), *state))
+        self.levels = _over_rows(levels)
+        self.invariants = {block: invariant(block) for block in INVARIANTS}
+        self.points = _over_rows(lambda p, q: at(p).points(q))
+        self.events = _over_rows(lambda p, *state: event_values(at(p), *state))
+        self.sample = jax.jit(lambda p, z: at(p).sample(z))
+        self.jumps = [jump(event) for event in range(_number_of_events(template))]
+        self.projected = jax.jit(lambda p, t, s: projected_state(at(p), t, s))
+        self.iterations = _over_rows(lambda p, *state: algebraic_iterations(at(p), *state))
 
 
 def compiled(scene: MechatronicSystem) -> Compiled:
@@ -88,47 +115,7 @@ def compiled(scene: MechatronicSystem) -> Compiled:
 
 @cache
 def _compiled(template: MechatronicSystem) -> Compiled:
-    names, states = list(template.parameters()), state_layout(template.sizes).size
-
-    def at(p: Mapping[str, Array]) -> MechatronicSystem:
-        return template.with_parameters(p)
-
-    def start(p: Mapping, q: Array, v: Array, x: Array, t: Array) -> tuple[Start, Array]:
-        changes = jnp.eye(states if states <= MOST_STATES else 0, states)
-        return linearised(at(p), q, v, x, t, changes)
-
-    def rate(values: Array, t: Array, s: Array) -> Array:
-        return ode_rate(at(dict(zip(names, values, strict=True))), t, s)
-
-    def levels(p: Mapping, q: Array, v: Array, a: Array, t: Array) -> tuple[Array, Array, Array]:
-        s = at(p)
-        return (
-            s.constraint(q, t) if s.sizes.nh else jnp.zeros(0),
-            constraint_velocity(s, q, v, t),
-            constraint_acceleration(s, q, v, a, t),
-        )
-
-    def jump(event: int) -> Callable:
-        return jax.jit(lambda p, z: at(p).jump(z, event))
-
-    return Compiled(
-        linearised=jax.jit(start, compiler_options=FEW_CALLS),
-        starts=_over_rows(lambda p, q, v, x, t: with_rates(at(p), q, v, x, t)),
-        ode=jax.jit(lambda p, t, s: ode_rate(at(p), t, s)),
-        rates=jax.jit(jax.vmap(rate, (None, 0, 0))),
-        complete=_over_rows(lambda p, q, v, x, t: complete(at(p), q, v, x, t)),
-        levels=_over_rows(levels),
-        invariants={
-            block: _over_rows(lambda p, q, v, block=block: getattr(at(p), block)(q, v))
-            for block in INVARIANTS
-        },
-        points=_over_rows(lambda p, q: at(p).points(q)),
-        events=_over_rows(lambda p, q, v, x, t: event_values(at(p), q, v, x, t)),
-        sample=jax.jit(lambda p, z: at(p).sample(z)),
-        jumps=tuple(map(jump, range(_number_of_events(template)))),
-        projected=jax.jit(lambda p, t, s: projected_state(at(p), t, s)),
-        iterations=_over_rows(lambda p, q, v, x, t: algebraic_iterations(at(p), q, v, x, t)),
-    )
+    return Compiled(template)
 
 
 def _number_of_events(template: MechatronicSystem) -> int:

@@ -1,4 +1,4 @@
-"""Constraints of a scene: their forces, their derivatives by time, and redundant ones.
+"""Constraints of a scene: forces, derivatives by time, projections onto them, redundant ones.
 
 They are those of positions Phi(q, t) = 0, then those of velocities A(q) v = b(t), and lam has their
 multipliers in this order. Shapes and units are those of `problems.equations.formulations`. With
@@ -10,14 +10,16 @@ from __future__ import annotations
 from typing import Any
 
 from problems.base.runtime import Array, Float, jax, jnp
-from problems.equations.kinematics import q_rate
-from problems.equations.layouts import algebraic_layout
+from problems.equations.kinematics import advance, q_rate
+from problems.equations.layouts import algebraic_layout, state_layout
 from problems.equations.named_equations import equation
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 
 #: Part of the constraints' derivatives, squared, that is nothing beside them.
 _SMALL = 1e-8
+#: Newton iterations of a projection: from a distance of a hundredth of the mechanism to round-off.
+_PROJECTIONS = 3
 
 
 @equation
@@ -131,6 +133,56 @@ def pulled(scene: MechatronicSystem, row: Array, weight: Any, q: Array, t: Array
 def joined(rows: list[Array]) -> Array:
     """Residuals of both kinds of constraints; of one kind as they are, without an operation."""
     return rows[0] if len(rows) == 1 else jnp.concatenate(rows)
+
+
+# ---- projections along the directions in which constraints act -------------------------------
+def augmented(
+    scene: MechatronicSystem, q: Float[Array, " nq"], t: Float[Array, ""], nl: int
+) -> Float[Array, "n n"]:
+    """Compute [[M, Phi_q^T], [Phi_q, 0]] with the first nl constraints, made `regular`."""
+    if nl == scene.sizes.nh and not scene.has("kinematics"):
+        rows = jax.jacfwd(lambda q: scene.constraint(q, t))(q)
+    else:
+        still = jnp.zeros(scene.sizes.nv)
+        rows = jax.jacfwd(lambda w: constraint_change(scene, q, t, w))(still)[:nl]
+    return regular(scene, jnp.block([[scene.mass(q), rows.T], [rows, jnp.zeros((nl, nl))]]))
+
+
+def _least_change(scene: MechatronicSystem, q: Array, t: Array, r: Array) -> Array:
+    """The w of least norm w^T M w with Phi_q w = r, of the first constraints if r has fewer rows.
+
+    It lies in the range of M^-1 Phi_q^T, the directions in which constraints act. One solve with
+    the augmented matrix, so that M need not be regular.
+    """
+    nv = scene.sizes.nv
+    right = jnp.concatenate([jnp.zeros(nv), r])
+    return jnp.linalg.solve(augmented(scene, q, t, len(r)), right)[:nv]
+
+
+@equation
+def constrained_part(
+    scene: MechatronicSystem, q: Float[Array, " nq"], t: Float[Array, ""], w: Float[Array, " nv"]
+) -> Float[Array, " nv"]:
+    """Project w on the range of M^-1 Phi_q^T, the directions of constraint forces; ``(nv,)``."""
+    return _least_change(scene, q, t, constraint_change(scene, q, t, w))
+
+
+@equation
+def projected_state(
+    scene: MechatronicSystem, t: Float[Array, ""], s: Float[Array, " n"]
+) -> Float[Array, " n"]:
+    """Move s = [q, v, x] to Phi = 0 and d/dt Phi = 0, by the least changes in the norm of M.
+
+    Newton's method moves q, and one linear solve v: Hairer & Wanner (1996),
+    doi:10.1007/978-3-642-05221-7, sec. VII.2.
+    """
+    if not scene.sizes.nl:
+        return s
+    q, v, x = state_layout(scene.sizes).split(s)
+    for _ in range(_PROJECTIONS if scene.sizes.nh else 0):
+        q = advance(scene, q, -_least_change(scene, q, t, scene.constraint(q, t)))
+    v = v - _least_change(scene, q, t, constraint_velocity(scene, q, v, t))
+    return jnp.concatenate([q, v, x])
 
 
 # ---- redundant constraints -----------------------------------------------------------------

@@ -97,7 +97,7 @@ class Start(NamedTuple):
     ``jerk``
         derivative of a by time along the motion, ``(nv,)``
     ``constrained_jerk``
-        `projections.constrained_part` of the jerk, ``(nv,)``; None where it was not computed
+        `constraints.constrained_part` of the jerk, ``(nv,)``; None where it was not computed
     """
 
     z: Variables

@@ -75,8 +75,9 @@ def consistent_start(scene: MechatronicSystem) -> Start:
             start = sparse_start(scene, state, t0)
     if start is None:
         start = _dense_start(scene, state, t0)
-    if not _solves(scene, start) and scene.sizes.nl and not scene.redundant:
-        start = _dense_start(scene.with_parameters({}, _sharing(type(scene))), state, t0)
+    if not _solves(scene, start) and scene.sizes.nl:
+        cls = type(scene) if scene.redundant else _sharing(type(scene))
+        start = _dense_start(scene.with_parameters({}, cls), state, t0)
     if not _solves(scene, start):
         raise NoConsistentStart(
             f"{scene.spec} has no finite initial a, lam, y at t={t0:g}: the augmented mass matrix "

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from problems.base.runtime import Array, Bool, Float, jax, jnp
-from problems.equations.constraints import constraint_change, regular
+from problems.equations.constraints import augmented
 from problems.equations.kinematics import q_rate
 from problems.equations.named_equations import equation
 from problems.system import MechatronicSystem
@@ -128,11 +128,7 @@ def impact(
 def _moved_by(scene: MechatronicSystem, z: Variables, directions: Array) -> Array:
     """Changes of v by unit impulses along rows, and by the impulses of constraints that follow."""
     nv, nl = directions.shape[1], scene.sizes.nl
-    matrix = scene.mass(z.q)
-    if nl:
-        rows = jax.jacfwd(lambda w: constraint_change(scene, z.q, z.t, w))(0.0 * z.v)
-        matrix = jnp.block([[matrix, rows.T], [rows, jnp.zeros((nl, nl))]])
-        matrix = regular(scene, matrix)
+    matrix = augmented(scene, z.q, z.t, nl) if nl else scene.mass(z.q)
     right = jnp.concatenate([directions.T, jnp.zeros((nl, len(directions)))])
     return jnp.linalg.solve(matrix, right)[:nv].T
 

@@ -201,7 +201,7 @@ class DriftHandling(Conditional):
 def moved_onto_constraints(scene: MechatronicSystem, z: Variables, work: StepWork) -> Variables:
     """Move q and v to Phi = 0 and d/dt Phi = 0, in the directions in which constraints act.
 
-    As `problems.equations.projections.projected_state`, with the matrix at z alone.
+    As `problems.equations.constraints.projected_state`, with the matrix at z alone.
     """
     nv = scene.sizes.nv
     nothing = jnp.zeros(nv)
