@@ -180,7 +180,6 @@ def test_cars_start_calmly_on_their_weight():
         assert front * scene.a == pytest.approx(rear * scene.b, rel=1e-12)
 
 
-# ---- stages of the controller ----------------------------------------------------------
 # ---- the lane change -------------------------------------------------------------------
 @cache
 def lane_change(scene):
