@@ -133,21 +133,13 @@ def within(number: float | None, interval: tuple[float, float]) -> bool | None:
 
 # ---- the condition of the index-3 tangent ------------------------------------------------
 def condition(scene: MechatronicSystem, h: float, scaling: str) -> float:
-    """Return the condition number of Newton's tangent in (q, lam) at a scene's start.
+    """Return the condition number of Newton's tangent in (q, lam) at the start of a scene with
+    constraints, for a step h in s.
 
     With q'' = q/(beta h^2) + ... the tangent is [[M/(beta h^2), Phi_q^T], [Phi_q, 0]]; terms that
     vanish with h are left out. After Bottasso, Dopico & Trainelli (2008), On the optimal scaling
-    of index three DAEs in multibody dynamics.
-
-    Parameters
-    ----------
-    scene
-        A scene with constraints.
-    h
-        Step size in s.
-    scaling
-        Divided by 1/(beta h^2) are: "none" of the rows and columns, the constraint "rows", or
-        "both" these and the columns of the multipliers.
+    of index three DAEs in multibody dynamics. Divided by 1/(beta h^2) are: in the ``scaling``
+    "none" nothing, the constraint "rows", or "both" these and the columns of the multipliers.
 
     Raises
     ------
@@ -220,25 +212,10 @@ def complete_experiments(
 ) -> list[ExperimentResult]:
     """Run the experiments whose current results the store lacks; return the results of all.
 
-    Each result is stored before the next experiment begins.
-
-    Parameters
-    ----------
-    experiments
-        As `bench.atlas.experiments.read_experiments` returns them.
-    added
-        Integrators that go through every part beside its own. Nothing is expected of them; the
-        result says whether they are spared.
-    store
-        Keeps the results.
-    registry
-        Makes scenes and integrators; its plugin files are loaded in every worker.
-    jobs
-        Worker processes.
-    progress
-        Shows the experiment in work.
-    budget_s, memory_gib
-        Limits of one run.
+    Each result is stored before the next experiment begins. Integrators that are ``added`` go
+    through every part beside its own: nothing is expected of them, and the result says whether they
+    are spared. ``jobs`` worker processes make the runs, each within ``budget_s`` and
+    ``memory_gib``.
 
     Raises
     ------

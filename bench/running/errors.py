@@ -31,17 +31,10 @@ _SIZED_AT = 65
 class ErrorTable(NamedTuple):
     """Relative errors of a run.
 
-    Attributes
-    ----------
-    errors
-        By group and norm, for a group ``"q"`` that of its worst component, for ``"|q|"`` that of
-        the Euclidean norm of the group; None if not finite.
-    reference_errors
-        The reference's own estimated errors, relative like ``errors``.
-    components
-        By group and norm, the error of each component.
-    histories
-        By `error_note`, the error of the group's worst component at each of the k rows.
+    ``errors`` are by group and norm, for a group "q" that of its worst component, for "|q|" that of
+    the Euclidean norm of the group; None if not finite. ``reference_errors`` are the reference's
+    own, relative like them; ``components`` has the error of each component; ``histories``, by
+    `error_note`, the error of the group's worst component at each of the k rows.
     """
 
     errors: dict[str, dict[str, float | None]]
@@ -65,19 +58,11 @@ def finite(value: float) -> float | None:
 def norms(
     t: Float[np.ndarray, " k"],
 ) -> dict[str, Callable[[Float[np.ndarray, "*runs k"]], Float[np.ndarray, "*runs"]]]:
-    """Return the norms over time, by name.
+    """Return the norms over time, by name, for increasing times of k rows in s.
 
-    Parameters
-    ----------
-    t
-        The times of the k rows in s; they increase, but need not be equally spaced.
-
-    Returns
-    -------
-    dict
-        Functions of sizes of rows (not negative, the last axis is time): ``end`` takes the last
-        row, ``max`` the largest, ``rms`` the root of the mean square over time (trapezoidal
-        rule), ``settled`` the largest row of the last quarter of the interval.
+    They are functions of sizes of rows (not negative, the last axis is time): ``end`` takes the
+    last row, ``max`` the largest, ``rms`` the root of the mean square over time (trapezoidal rule),
+    ``settled`` the largest row of the last quarter of the interval.
     """
     last = t >= t[-1] - SETTLED_PART * (t[-1] - t[0])
     return {
@@ -135,18 +120,11 @@ def history_error(trajectory: Trajectory, reference: Reference) -> float | None:
 
 
 def relative_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:
-    """Measure the relative errors of a run over its own rows.
+    """Measure the relative errors of a run that is "ok" over its own rows.
 
     The error of a component is norm(value - reference) / scale, in every norm over time (see
     `norms`) with the same scale (see `scales`), so that "max" is never smaller than "end",
     "settled" or "rms".
-
-    Parameters
-    ----------
-    trajectory
-        The run, with the status "ok".
-    reference
-        The values that are taken as exact, with their own estimated error.
     """
     t, exact, table = trajectory.t, _exact(trajectory, reference), ErrorTable({}, {}, {}, {})
     for group in GROUPS:

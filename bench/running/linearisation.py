@@ -37,15 +37,10 @@ _UP_TO = np.array([[0.25, _NODES[0] - 0.25], [_NODES[1] - 0.25, 0.25]])
 def rates(scene: MechatronicSystem, reference: Reference) -> dict[str, float] | None:
     """Compute rates in 1/s from the eigenvalues of the ODE form along the motion.
 
-    A large ratio of the fastest and the slowest rate, or of the fastest and one over the
-    interval, is stiffness.
-
-    Returns
-    -------
-    dict or None
-        ``fastest`` and ``slowest``, the largest modulus and the smallest one that is not
-        rounding; ``decay`` and ``oscillation``, the fastest of both. None if the scene is too
-        large or the Jacobian is not finite.
+    ``fastest`` and ``slowest`` are the largest modulus and the smallest one that is not rounding;
+    ``decay`` and ``oscillation`` the fastest of both. A large ratio of the fastest and the slowest
+    rate, or of the fastest and one over the interval, is stiffness. None if the scene is too large
+    or the Jacobian is not finite.
     """
     sizes = scene.sizes
     if state_layout(sizes).size > MOST_STATES:
@@ -108,13 +103,9 @@ def growth(scene: MechatronicSystem, reference: Reference) -> float | None:
 
     The change of s = (q, v, x) that the constraints admit is followed by the equations linearised
     along the motion, each component relative to the size that divides its errors (`errors.scales`).
-
-    Returns
-    -------
-    float or None
-        The largest Euclidean norm of the change over the interval, of all changes whose norm at the
-        start is 1. None if the scene is too large, its motion too fast for linearised steps, its
-        Jacobian not finite, or values jump.
+    Returned is its largest Euclidean norm over the interval, of all changes whose norm at the start
+    is 1. None if the scene is too large, its motion too fast for linearised steps, its Jacobian not
+    finite, or values jump.
     """
     at = state_layout(scene.sizes)
     if at.size > MOST_STATES or scene.is_hybrid:

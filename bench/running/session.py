@@ -76,11 +76,8 @@ def measure_suite(
     """Measure every cell and describe every scene that the store lacks; return how many cells.
 
     Each result is stored before the next is asked for; calling again goes on where it stopped.
-
-    Parameters
-    ----------
-    further
-        Called whenever a process is free, gives all cells that are worth a run now, the best first.
+    ``further`` is called whenever a process is free, and gives all cells that are worth a run now,
+    the best first.
     """
     cells, scenes = missing_cells(suite, store, registry), missing_scenes(suite, store, registry)
     store.keep(suite.plan)

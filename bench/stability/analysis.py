@@ -36,21 +36,11 @@ def analyse(
     at: Sequence[float] = (),
     ratios: bool = True,
 ) -> dict[str, Any]:
-    """Analyse the stability of a method on a linear test system.
+    """Analyse the stability of a method with constant steps on a linear test system.
 
-    Parameters
-    ----------
-    method
-        An integrator with constant steps. Maps and safe ratios need a step function; they would
-        take minutes by running other methods.
-    system
-        The test system; time is measured in its own unit, so that a step is omega h.
-    pattern
-        Fractions of the macro step, which sum to 1.
-    at
-        Values of omega h to report; `REPORTED` if there are none.
-    ratios
-        Whether the largest safe ratio of two steps in turns is sought.
+    It is reported ``at`` values of omega h, or at `REPORTED`; the largest safe ratio of two steps
+    in turns is sought if ``ratios`` is true. Maps and safe ratios need a step function; they would
+    take minutes by running other methods.
 
     Returns
     -------

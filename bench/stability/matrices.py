@@ -49,20 +49,11 @@ _MEMORYLESS, _TOLERATED = 1e-6, 1e-7
 
 @dataclass(frozen=True)
 class Matrices:
-    """Matrices of a pattern of steps for k macro steps.
+    """Matrices of a pattern of steps for k macro ``steps``.
 
-    NaN where Newton's method failed, infinite where a run overflowed.
-
-    Attributes
-    ----------
-    steps
-        The macro steps.
-    a
-        Amplification matrices; they advance the n numbers of a state by one pattern.
-    b
-        States at the start for the m unit deviations of the system.
-    c
-        Matrices that give the r values [q, v, x] after the next pattern from a state.
+    NaN where Newton's method failed, infinite where a run overflowed. The amplification matrices
+    ``a`` advance the n numbers of a state by one pattern; ``b`` are states at the start for the m
+    unit deviations of the system; ``c`` gives the r values [q, v, x] after the next pattern.
     """
 
     steps: Float[np.ndarray, " k"]
@@ -94,19 +85,10 @@ def matrices(
     steps: Sequence[float] | np.ndarray,
     pattern: Sequence[float] = (1.0,),
 ) -> Matrices:
-    """Find the amplification matrices of a pattern of steps for each macro step.
+    """Find the amplification matrices of a pattern of steps for each of k macro steps.
 
-    Parameters
-    ----------
-    method
-        An integrator with constant steps: a method with step functions, or a method whose only
-        memory is q, v and x.
-    system
-        A linear test system; its time has a unit of its own.
-    steps
-        The k macro steps, in the system's unit of time.
-    pattern
-        Fractions of the macro step with the sum 1.
+    The method has constant steps, and step functions or no memory but q, v and x. ``steps`` are in
+    the unit of time of the linear test system; a ``pattern`` is of fractions with the sum 1.
 
     Raises
     ------

@@ -56,16 +56,8 @@ def worst(
 
     Growth is often a resonance: a pair of eigenvalues meets on the real axis, and one of the two
     leaves the unit circle, in a range of omega H that may be a thousandth wide. Such ranges lie
-    where the largest eigenvalue comes next to the real axis; the search refines them there.
-
-    Parameters
-    ----------
-    method
-        An integrator with constant steps.
-    pattern
-        Fractions of the macro step, which sum to 1.
-    system
-        The test system; the undamped oscillator if not given.
+    where the largest eigenvalue comes next to the real axis; the search refines them there. The
+    ``system`` is the undamped oscillator if none is given.
     """
     system = system or Oscillator()
     at = np.append(_OMEGA_H, INFINITY)

@@ -99,18 +99,8 @@ def spectrum(
     pattern: Sequence[float] = (1.0,),
     omega_h: Sequence[float] = (),
 ) -> Spectrum:
-    """Analyse a method.
-
-    Parameters
-    ----------
-    method
-        An integrator with constant steps.
-    system
-        The test system; the undamped oscillator if not given.
-    pattern
-        Fractions of the macro step, which sum to 1.
-    omega_h
-        Values of omega h to be analysed beside `OMEGA_H`.
+    """Analyse a method with constant steps on a test system, the undamped oscillator if none is
+    given, at values of ``omega_h`` beside `OMEGA_H`.
     """
     method, system = steppable(method), system or Oscillator()
     at = np.union1d(OMEGA_H, np.asarray(omega_h, dtype=float))
@@ -207,18 +197,11 @@ def radii(roots: Complex[np.ndarray, "k n"]) -> Float[np.ndarray, " k"]:
 def principal(
     roots: Complex[np.ndarray, "k n"], omega_h: Float[np.ndarray, " k"], zeta: float = 0.0
 ) -> Complex[np.ndarray, " k"]:
-    """Return the principal eigenvalue with positive imaginary part, NaN if there is none.
+    """Return the principal eigenvalue with positive imaginary part of each row, NaN if there is
+    none.
 
-    It is the complex one next to the exact solution's where omega h < 1, beyond that the largest.
-
-    Parameters
-    ----------
-    roots
-        Eigenvalues.
-    omega_h
-        Of each row of roots.
-    zeta
-        Damping ratio of the oscillator.
+    It is the complex one next to that of the exact solution of an oscillator of damping ratio
+    ``zeta`` where omega h < 1, beyond that the largest.
     """
     exact = np.exp(complex(-zeta, math.sqrt(max(0.0, 1 - zeta**2))) * omega_h)
     found = np.full(len(roots), complex(np.nan, np.nan))
