@@ -197,15 +197,7 @@ def names_of(tried: list[Trial]) -> str:
 
 # ---- orders and tolerances ---------------------------------------------------------------
 def check_order(trials: list[Trial]) -> str:
-    """The order in every group is at least the claimed one; up to 4 after the start transient.
-
-    Raises
-    ------
-    Failed
-        With groups and scenes whose order is smaller.
-    DoesNotApply
-        If nothing is claimed, or steps cannot be constant.
-    """
+    """The order in every group is at least the claimed one; up to 4 after the start transient."""
     steady = trials[0].method.at_constant_steps()
     if steady is None:
         raise DoesNotApply("It cannot take constant steps, so that no order can be measured.")
@@ -296,13 +288,6 @@ def check_tolerance(trials: list[Trial]) -> str:
     """Errors in q and v fall with the tolerance, by a factor of 100 from 1e-4 to 1e-8.
 
     Where a method's own budget ends before 1e-8, they fall by as much less.
-
-    Raises
-    ------
-    Failed
-        With the first scene and group in which they do not.
-    DoesNotApply
-        If the method has fixed steps.
     """
     if trials[0].method.controls != "tolerance":
         raise DoesNotApply("It has fixed steps.")

@@ -45,29 +45,15 @@ _SECTIONS = 16
 class Spectrum:
     """Properties of a method on a test system; arrays are over ``omega_h``.
 
-    Attributes
-    ----------
-    integrator, system, pattern
-        Printed names, and the fractions of the macro step to which all numbers belong.
-    radius
-        Spectral radius of the amplification matrix.
-    damping, period_error
-        Numerical damping ratio and relative period error, beyond those of the exact solution; NaN
-        where there is no oscillation.
-    overshoot_q, overshoot_v
-        Largest |q| and |v| of the first steps, relative to a start of amplitude 1.
-    growing
-        Ranges of omega h in which the radius is above 1.
-    unsolved
-        Ranges of omega h in which Newton's method did not converge; all numbers are NaN there.
-    bifurcation
-        omega h where the largest root turns real; None if it does not.
-    order
-        Order of the principal root.
-    overshoot_orders
-        Powers of omega h by which the overshoot of q and of v grows.
-    radius_at_infinity, roots_at_infinity
-        Radius at infinite omega h, and the roots there with their multiplicities.
+    All numbers belong to the fractions ``pattern`` of the macro step. ``radius`` is the spectral
+    radius of the amplification matrix; ``damping`` and ``period_error`` are numerical damping ratio
+    and relative period error, beyond those of the exact solution, NaN where there is no
+    oscillation; ``overshoot_q`` and ``overshoot_v`` the largest |q| and |v| of the first steps,
+    relative to a start of amplitude 1, and ``overshoot_orders`` the powers of omega h by which they
+    grow. In ranges of omega h the radius is above 1 (``growing``), or Newton's method did not
+    converge (``unsolved``): all numbers are NaN there. ``bifurcation`` is omega h where the largest
+    root turns real, None if it does not; ``order`` that of the principal root;
+    ``roots_at_infinity`` are the roots at infinite omega h with their multiplicities.
     """
 
     integrator: str
@@ -216,11 +202,8 @@ def principal(
 def oscillation(
     roots: Complex[np.ndarray, "k n"], omega_h: Float[np.ndarray, " k"], zeta: float = 0.0
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Return numerical damping ratios and relative period errors, beyond the exact ones.
-
-    Parameters are those of `principal`; both are NaN where there is no oscillation. Conventions of
-    Hughes (1987), ch. 9.
-    """
+    """Return numerical damping ratios and relative period errors, beyond the exact ones, of the
+    eigenvalues of `principal`; both are NaN where there is no oscillation."""
     if zeta >= 1:
         return np.full(len(roots), np.nan), np.full(len(roots), np.nan)
     z, swing = principal(roots, omega_h, zeta), math.sqrt(1 - zeta**2)
