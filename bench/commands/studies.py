@@ -69,8 +69,8 @@ def drift(o: Given) -> None:
 def realtime(o: Given) -> None:
     """Run methods with a fixed budget per step, as in real time.
 
-    Each step is 1/RATE long. Newton's method has at most --iterations, and the run goes on,
-    converged or not; explicit and linearly implicit methods have none. The tables have the time per
+    Each step is 1/RATE long. Newton's method stops after --iterations, converged or not, and the
+    run goes on; explicit and linearly implicit methods do not iterate. The tables have the time per
     step, the number of steps that took longer than 1/RATE, and errors and residuals of the run.
 
     \b
