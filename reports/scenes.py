@@ -123,12 +123,6 @@ class StoredRuns:
 
 
 def stored_runs(folder: Path) -> StoredRuns:
-    """Read the runs of a run folder.
-
-    Raises
-    ------
-    bench.results.store.StoreError
-        If the folder holds no readable store.
-    """
+    """Read the runs of a run folder."""
     with Store(folder) as store:
         return StoredRuns.of(store)

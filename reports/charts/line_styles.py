@@ -59,17 +59,15 @@ def _star(points: int, inner: float, turn: float = 0.0) -> str:
     return _path((r * math.sin(a), -r * math.cos(a)) for r, a in corners)
 
 
+_SLIM = ((-0.35, -1), (0.35, -1), (0.35, 1), (-0.35, 1))
+_GLASS = ((-1, -1), (1, -1), (-1, 1), (1, 1))
+#: After the plain ones: a slim one, stars, a slanted cross, an hour glass; both lying; stars.
 MARKS = (
     *("circle", "square", "triangle-up", "diamond"),
     *("cross", "triangle-down", "triangle-right", "triangle-left"),
-    _path([(-0.35, -1), (0.35, -1), (0.35, 1), (-0.35, 1)]),
-    _star(4, 0.3),
-    _star(4, 0.3, 0.25),  # a slanted cross
-    _path([(-1, -1), (1, -1), (-1, 1), (1, 1)]),  # an hour glass, and the same lying
-    _path([(-1, -1), (-1, 1), (1, -1), (1, 1)]),
-    _path([(-1, -0.35), (1, -0.35), (1, 0.35), (-1, 0.35)]),
-    _star(5, 0.4),
-    _star(3, 0.2),
+    *(_path(_SLIM), _star(4, 0.3), _star(4, 0.3, 0.25), _path(_GLASS)),
+    *(_path((y, x) for x, y in _GLASS), _path((-y, x) for x, y in _SLIM)),
+    *(_star(5, 0.4), _star(3, 0.2)),
 )
 
 

@@ -87,19 +87,9 @@ class Site:
 
 
 def write_html_report(folder: Path, single_file: bool = False) -> Path:
-    """Write report.html and report/ into a run folder, from its store alone.
+    """Write report.html and report/ into a run folder, from its store alone; return the first page.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-    single_file
-        Whether report.html holds all pages, and there is no folder.
-
-    Returns
-    -------
-    pathlib.Path
-        The first page.
+    With ``single_file`` report.html holds all pages, and there is no folder.
 
     Raises
     ------
@@ -112,10 +102,10 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
         text = chart_json(data, separators=(",", ":")).replace("<", "\\u003c")
         head = '// The data of all questions.\n"use strict";\n'
         made[DATA] = f"{head}window.stepbenchData = {text};\n"
+    own, first = site.folder / FOLDER, site.folder / FILE
     if single_file:
-        put(site.folder / FILE, _written(site, site.pages, made))
-        return site.folder / FILE
-    own = site.folder / FOLDER
+        put(first, _written(site, site.pages, made))
+        return first
     own.mkdir(parents=True, exist_ok=True)
     for old in (*own.glob("scene-*.html"), *own.glob("method-*.html")):
         if old.name not in {page.file for page in site.pages}:
@@ -127,7 +117,7 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
         put(own / name, text)
     for page in reversed(site.pages):  # the front page comes last: what it leads to is there
         put(site.folder / page.path, _written(site, [page], made))
-    return site.folder / FILE
+    return first
 
 
 def _written(site: Site, pages: list[Page], made: dict[str, str]) -> str:

@@ -20,16 +20,6 @@ _FIGURES = "report_figures"
 def write_markdown_report(folder: Path) -> Path:
     """Write report.md, report/scene-NAME.md and their pictures, from a run folder's store alone.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-
-    Returns
-    -------
-    pathlib.Path
-        The index.
-
     Raises
     ------
     bench.results.store.StoreError

@@ -160,12 +160,6 @@ class Report:
 
 
 def read_report(folder: Path) -> Report:
-    """Read the store in a folder and make the content of its report.
-
-    Raises
-    ------
-    bench.results.store.StoreError
-        If the folder holds no readable store.
-    """
+    """Read the store in a folder and make the content of its report."""
     with Store(folder) as store:
         return Report(store)
