@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import math
 import re
@@ -207,6 +209,11 @@ def whole_markdown(folder: Path) -> str:
     files = dict.fromkeys(re.findall(r"\]\((report/scene-[^)#]+\.md)\)", index))
     parts = [(folder / unquote(file)).read_text(encoding="utf-8") for file in files]
     return index + "".join(part.replace("](../", "](") for part in parts)
+
+
+def chart_rows(chart: dict[str, Any], name: str) -> list[dict[str, str]]:
+    """The rows of a chart's data set."""
+    return list(csv.DictReader(io.StringIO(chart["datasets"][name])))
 
 
 class Document(HTMLParser):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import re
 import struct
@@ -13,6 +11,7 @@ from xml.etree import ElementTree
 
 import altair
 import pytest
+from planted import chart_rows as rows
 from planted import everything, plant, planted
 
 from bench.results.records import Record, Rows
@@ -40,10 +39,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def stored(folder: Path, problem: str) -> list[Record]:
     with Store(folder) as store:
         return [r for r in store.records().values() if r.problem == problem and r.status == "ok"]
-
-
-def rows(figure: dict, name: str) -> list[dict[str, str]]:
-    return list(csv.DictReader(io.StringIO(figure["datasets"][name])))
 
 
 def test_errors_over_costs_and_steps_are_those_of_the_store(folder):

@@ -1,12 +1,10 @@
-"""Errors from later starts of the same motion, and the ties that they make."""
+"""Errors from later starts of the same motion."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from planted import planted
 
-from bench.results.quantities import NORM
 from bench.running.measure import LATER, errors_from_later_starts
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
@@ -14,9 +12,6 @@ from problems.scenes.contacts import SoftImpact
 from problems.scenes.pendulums import Pendulum
 from problems.truth.reference import Reference
 from problems.variables import State
-from reports.questions import FIRST
-from reports.ranking import answers
-from reports.series import series_of
 
 
 def test_a_later_start_is_the_same_motion():
@@ -70,31 +65,3 @@ def test_a_run_that_fails_from_a_later_start_has_no_errors_and_is_named():
     assert failed == [
         "Started 2% of the interval later, at t=0.37 s, it ends with diverged: It was cut."
     ]
-
-
-def one(name, error, operations, later):
-    return planted(
-        "one",
-        name,
-        {"a": (1.0, 2)},
-        h=0.01,
-        errors={"a": {NORM: error}},
-        later=[{"a": e} for e in later],
-        operations={"residuals": operations},
-        work={"residuals": 1},
-    )
-
-
-def firsts(*records):
-    found = answers({"one": series_of(records)}, [FIRST.group], [1e-4])
-    (answer,) = (own for question, own in found.items() if question.cost == "operations")
-    return list(answer.scenes["one"].tied)
-
-
-def test_a_winner_that_changes_with_the_start_is_a_tie():
-    dear = one("dear", 5e-5, 300.0, [5e-5, 5e-5])
-    assert firsts(one("cheap", 9e-5, 100.0, [8e-5, 7e-5]), dear) == ["cheap"]
-    assert firsts(one("cheap", 9e-5, 100.0, [8e-5, 2e-4]), dear) == ["cheap", "dear"]
-    assert firsts(one("cheap", 9e-5, 100.0, [8e-5, None]), dear) == ["cheap", "dear"]
-    # A run that was not repeated has its own errors there.
-    assert firsts(one("cheap", 9e-5, 100.0, []), dear) == ["cheap"]

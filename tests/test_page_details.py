@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from pathlib import Path
 
@@ -11,7 +9,7 @@ import altair
 import msgspec
 import pytest
 import vl_convert
-from planted import Document, edited, everything, page_data, plant
+from planted import Document, chart_rows, edited, everything, page_data, plant
 from test_questions import costing as run
 from test_questions import scenes_of
 
@@ -86,7 +84,7 @@ def test_a_page_of_a_method_has_its_chart_and_the_front_page_knows_the_own_one(f
     ((name, chart),) = Document(text).charts.items()
     assert f'id="{name}"' in text
     assert f'data-highlight="{LONG}"' in text
-    rows = csv.DictReader(io.StringIO(chart["datasets"]["strip"]))
+    rows = chart_rows(chart, "strip")
     assert {r["scene"] for r in rows} == {"spring mass"}
     assert page_data(folder)["first"]["highlight"] == LONG
     plan = Plan(name="", title="", samples=1, budget_s=1.0, studies=[], mine="never_run")
@@ -115,7 +113,7 @@ def strip(label, records):
         return None
     altair.LayerChart.from_dict(chart, validate=True)
     assert vl_convert.vegalite_to_svg(chart).count('fill="#1a7f5a"') > 1  # in cells, too
-    rows = csv.DictReader(io.StringIO(chart["datasets"]["strip"]))
+    rows = chart_rows(chart, "strip")
     return {(r["scene"], r["target"]): (r["state"], r["text"]) for r in rows}
 
 

@@ -98,6 +98,13 @@ def test_a_verdict_says_who_ties_by_a_later_start_and_whose_accelerations_are_wr
     assert ([*found.tied], found.later) == (["one", "two"], {"two"})
     at = "at h=0.01"
     assert worded(found) == f"one (100 {at}) and two (300 {at}; {LATER}) tie; next: three, 5 times"
+    for later, tied in (
+        ([{"a": 8e-5}], ["one"]),
+        ([{"a": None}], ["one", "two"]),
+        ([], ["one"]),  # what was not repeated has its own errors there
+    ):
+        records[0].later = later
+        assert answer(scenes_of(records), COUNTS).scenes["s"].tied == tied
     for record in records:
         record.errors = {"q": {"max": 1e-5}, "a": {"max": 0.2}}
     (own,) = answer(scenes_of(records[:1]), Question("q", 1e-4, "residuals")).scenes.values()

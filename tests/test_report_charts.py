@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from xml.etree import ElementTree
@@ -12,21 +10,21 @@ import altair
 import pytest
 import vl_convert
 from planted import STEPS, curves, everything, plant, planted
+from planted import chart_rows as table
 
-from bench.results.quantities import COSTS
+from bench.results.flat_rows import flatten
+from bench.results.quantities import COSTS, PARTS
 from bench.results.records import Rows
 from bench.results.store import Store
 from reports.charts.errors import convergence_chart, error_against_cost, error_charts
 from reports.charts.line_styles import line_styles
 from reports.charts.over_time import ERRORS, MOST_ROWS, histories, thinned, trajectory_chart
+from reports.charts.work import MOST_BARS, bills
 from reports.pages.page import Page
 from reports.pages.report import read_report
 from reports.questions import Question
 from reports.series import series_of
-
-
-def table(chart, name):
-    return list(csv.DictReader(io.StringIO(chart["datasets"][name])))
+from reports.tables.run_tables import runs_table, summary_table
 
 
 def near(value):
@@ -235,3 +233,39 @@ def test_a_chart_shows_few_rows_and_the_last_among_them():
     few = Rows(t=t[:5], values={"q": [[0.0]] * 5})
     assert thinned(few) == few
     assert thinned(Rows(t=[])) == Rows(t=[])
+
+
+# ---- operations -------------------------------------------------------------------------
+def counted(name, h, **changes):
+    """A run of 1000 operations in each step."""
+    operations = {"residuals": 600 / h, "Jacobians": 300 / h, "solves": 100 / h}
+    known = {"operations": operations} | changes
+    return planted("pendulum", name, {"q": (1.0, 2), "a": (1.0, 2)}, h=h, **known)
+
+
+def test_a_bar_shows_the_parts_of_its_run_and_of_many_the_finest_is_drawn():
+    def drawn(records):
+        chart = bills(series_of(records), line_styles(r.integrator for r in records))
+        if chart is not None:
+            altair.Chart.from_dict(chart, validate=True)
+            return chart["datasets"]["bills"]
+
+    text = drawn([counted("one", 0.01), counted("two", 0.005)])
+    assert text.count("\n") == 1 + 2 * 3
+    assert '"one, h=0.01: 100000",one,residuals,60.0,0,60000.0' in text
+    assert "two, h=0.005: 200000" in text
+    many = drawn([counted("one", 0.01 / k) for k in range(1, MOST_BARS + 2)])
+    assert ("h=0.0004:" in many, "h=0.01:" in many) == (True, False)
+    assert drawn([counted("one", 0.1, operations={})]) is None
+
+
+def test_tables_and_flat_rows_have_the_sum_and_every_part():
+    for made_by in (runs_table, summary_table):
+        made = made_by(series_of([counted("one", 0.01)]))
+        assert dict(zip(made.head, made.rows[0], strict=True))["operations"] == "100000"
+    row = flatten(counted("one", 0.01), {})
+    parts = {part: row["operations_" + part.replace(" ", "_")] for part in PARTS}
+    counts = {"residuals": 6e4, "Jacobians": 3e4, "solves": 1e4}
+    assert parts == dict.fromkeys(PARTS) | {k: pytest.approx(n) for k, n in counts.items()}
+    assert row["operations"] == pytest.approx(1e5)
+    assert flatten(counted("one", 0.1, operations={}), {})["operations"] is None

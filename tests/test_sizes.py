@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
-
 import altair
 import numpy as np
 import pytest
 import vl_convert
-from planted import planted
+from planted import chart_rows, planted
 
 from bench.results.records import SceneRecord
 from bench.running.measure import MOST_COMPONENTS, stored_rows
@@ -46,7 +43,7 @@ def test_the_run_with_the_most_steps_is_drawn_at_its_number_of_unknowns():
     records = [run(n, "ours", steps, 1e-3 * n * steps / 100) for n in (10, 100, 1000)
                for steps in (100, 200)]  # fmt: skip
     (chart,) = drawn(records).values()
-    rows = list(csv.DictReader(io.StringIO(chart["datasets"]["sizes-chain"])))
+    rows = chart_rows(chart, "sizes-chain")
     assert [int(row["unknowns"]) for row in rows] == [30, 300, 3000]
     # 200 steps of n x 1e-5 s each over 2 s.
     assert [float(r["per_step"]) for r in rows] == pytest.approx([1e-4, 1e-3, 1e-2])

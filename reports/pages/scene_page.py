@@ -150,8 +150,10 @@ def scene_page(
         "title": scene.title.rstrip(".") if scene else "",
         "about": paragraphs(scene.description) if scene else [],
         "facts": scene_facts(scene) if scene else {},
-        "difficulties": scene.difficulties if scene else [],
-        "motion": motion(scene.drawings) if scene else None,
+        "beside": [
+            Section("Picture", [motion(scene.drawings) if scene else None]),
+            Section("What is hard here", [scene.difficulties if scene else None]),
+        ],
         "equations": [*map(mathml, scene.equations)] if scene else [],
         "unknowns": unknowns(scene) if scene else "",
         "tabs": tabs,

@@ -35,8 +35,7 @@
       const runs = data.runs_of[index].find((of) => data.methods[of.method] === method);
       if (cost > 0) lines.push(`${stepbench.costWithUnit(cost, stepbench.question.cost)} at ${stepbench.resolutionOf(runs, k)}`);
     }
-    const link = html("a", { "aria-label": lines.join(": ") }, text);
-    link.href = stepbench.page(scene.page);
+    const link = stepbench.to(scene.page, { "aria-label": lines.join(": ") }, text);
     const show = () => {
       const box = link.getBoundingClientRect();
       stepbench.tip.show(lines, box.right - 10, box.top);
@@ -58,21 +57,15 @@
     const rows = ranked.length ? ranked : data.methods;
     const tags = html("tr", {}, html("td"), ...groups.map(([name, own]) => html("th", { colspan: own.length, scope: "colgroup" }, name)));
     const names = html("tr", {}, html("th", { scope: "col" }, "method"), ...groups.flatMap(([, own]) => own.map((k, n) => {
-      const link = html("a", { title: data.scenes[k].id }, data.scenes[k].name);
-      link.href = stepbench.page(data.scenes[k].page);
-      return html("th", { scope: "col", class: n ? "" : "start" }, html("span", {}, link));
+      const { page, id, name } = data.scenes[k];
+      return html("th", { scope: "col", class: n ? "" : "start" }, html("span", {}, stepbench.to(page, { title: id }, name)));
     })));
-    const body = rows.map((method) => {
-      const name = html("a", { title: method.label }, method.short);
-      name.href = stepbench.page(method.page);
-      return html("tr", { class: method.label === question.highlight ? "mine" : "" },
-        html("th", { scope: "row" }, stepbench.badge(method), name),
-        ...groups.flatMap(([, own]) => own.map((k, n) => {
-          const node = cell(method, k, answer);
-          if (!n) node.classList.add("start");
-          return node;
-        })));
-    });
+    const body = rows.map((method) => html("tr", { class: method.label === question.highlight ? "mine" : "" }, stepbench.head(method),
+      ...groups.flatMap(([, own]) => own.map((k, n) => {
+        const node = cell(method, k, answer);
+        if (!n) node.classList.add("start");
+        return node;
+      }))));
     table.replaceChildren(
       html("caption", {}, `Cost in ${stepbench.costName(question)} to an error of ${question.target} in ${data.group_names[question.group]} (${stepbench.norm()}), as a multiple of the cheapest on the scene`),
       html("thead", {}, tags, names), html("tbody", {}, ...body));

@@ -40,6 +40,10 @@
     return svg("svg", { class: "badge", viewBox: "0 0 14 14", width: 14, height: 14, "aria-hidden": "true" }, path);
   };
 
+  // A link to a page of the report, and the head of a method's row.
+  const to = (page, attributes, ...children) => html("a", { ...attributes, href: stepbench.page(page) }, ...children);
+  const head = (method) => html("th", { scope: "row" }, badge(method), to(method.page, { title: method.label }, method.short));
+
   // Three significant digits, as in the tables and sentences (bench/results/table.py).
   const number = (value) => {
     if (value < 1e-35) return "0";
@@ -105,5 +109,5 @@
       `${ownError(scene, group)}, more than a hundredth of it.`
     : `No run on this scene has an error in ${stepbench.data.group_names[group]}.`;
 
-  Object.assign(stepbench, { svg, html, shape, colour, badge, costText, costTick, costWithUnit, multiple, number, times, tip, cut, room, ownError, unjudged });
+  Object.assign(stepbench, { svg, html, to, head, shape, colour, badge, costText, costTick, costWithUnit, multiple, number, times, tip, cut, room, ownError, unjudged });
 })();

@@ -8,11 +8,10 @@
   const picture = (lines) => svg("svg", { class: "picture", viewBox: "-6 -6 112 112", width: 44, height: 44, "aria-hidden": "true" },
     ...lines.map((line) => svg("path", { d: "M" + line.map((p) => p.join(" ")).join("L") })));
   const cards = data.scenes.map((scene, index) => {
-    const place = html("div", { class: "chart" }), link = html("a", {}, scene.name);
+    const place = html("div", { class: "chart" }), link = stepbench.to(scene.page, {}, scene.name);
     const button = html("button", { type: "button", class: "enlarge", "aria-expanded": "false", "aria-label": `large chart: ${scene.name}`, title: "large chart; Escape closes it" }, "⤢");
     const card = html("article", { class: "panel" }, html("header", {}, picture(scene.picture),
       html("div", {}, html("h3", { title: scene.id }, link), html("p", {}, scene.about || "\u00a0")), button), place);
-    link.href = stepbench.page(scene.page);
     return { card, place, index, button };
   });
   let broad = 0, large = null;

@@ -7,9 +7,7 @@
     if (typeof item === "string") return item;
     const method = item.kind === "method" && data.methods.find((m) => m.label === item.key);
     const text = item.text || item.key;
-    const node = item.page ? html("a", { class: item.kind, title: item.title || item.key }, text)
-      : html("span", { class: item.kind, title: item.title || item.key }, text);
-    if (item.page) node.href = stepbench.page(item.page);
+    const node = item.page ? stepbench.to(item.page, { class: item.kind, title: item.key }, text) : html("span", { class: item.kind, title: item.key }, text);
     if (method) node.style.color = `color-mix(in oklab, ${stepbench.colour(method)} 70%, var(--ink))`;
     return node;
   };
@@ -89,9 +87,7 @@
     return `${stepbench.number(ratio)} ×${a && b ? ` (${ends.map((end) => stepbench.number(end)).join(" to ")})` : ""}${tie ? ", not told apart" : ""}`;
   };
   const row = (scene, index, state, question, mine) => {
-    const method = data.methods[index], link = html("a", { title: method.label }, method.short);
-    link.href = stepbench.page(method.page);
-    const head = html("th", { scope: "row" }, stepbench.badge(method), link);
+    const method = data.methods[index], head = stepbench.head(method);
     const held = data.scenes[scene].groups.includes("constraint");
     const form = held ? [html("td", {}, method.form)] : [];
     if (!Array.isArray(state)) {

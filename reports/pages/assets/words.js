@@ -24,10 +24,8 @@
     const head = html("tr", {}, html("th", { scope: "col" }, "method"), html("td"), ...["alone", "tied", "reached"].map(
       (name) => html("th", { scope: "col" }, name)));
     const body = html("tbody", {}, ...shown.map(([m, alone, tied, reached, tried]) => {
-      const method = data.methods[m], link = html("a", { title: method.label }, method.short);
-      link.href = stepbench.page(method.page);
-      return html("tr", method.label === mine ? { class: "mine" } : {},
-        html("th", { scope: "row" }, stepbench.badge(method), link),
+      const method = data.methods[m];
+      return html("tr", method.label === mine ? { class: "mine" } : {}, stepbench.head(method),
         html("td", {}, bar(alone, tied, reached, of, method)),
         html("td", {}, alone), html("td", {}, tied),
         html("td", { title: `reached on ${reached} of ${tried} scenes tried` }, `${reached}`, html("small", {}, ` of ${tried}`)));
