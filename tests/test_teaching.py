@@ -11,8 +11,7 @@ from bench.results.store import Store
 from reports.charts.mechanism import mechanism, motion
 from reports.pages.html_report import write_html_report
 from reports.tables.glossary import TERMS, terms_in
-from reports.tables.mathml import mathml
-from reports.tables.scene_tables import unknowns
+from reports.tables.scene_tables import mathml, unknowns
 
 
 def test_an_equation_in_plain_text_is_typeset():

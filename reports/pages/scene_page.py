@@ -28,11 +28,10 @@ from reports.names import scene_name
 from reports.pages.page import Figure, Page, Section, Text, page_file
 from reports.scenes import StoredRuns
 from reports.series import Series, groups_of, ok_runs, reference_error, series_of
-from reports.tables.mathml import mathml
 from reports.tables.order_table import order_table
 from reports.tables.ranking_tables import targets_table
 from reports.tables.run_tables import events_table, invariants_table, runs_table, summary_table
-from reports.tables.scene_tables import parameters_table, scene_facts, unknowns
+from reports.tables.scene_tables import mathml, parameters_table, scene_facts, unknowns
 
 #: Tabs of a scene's page: anchor, title, and what a reader learns there.
 _TABS = {
