@@ -67,7 +67,7 @@ def of_ida(scene, length=0.1, rtol=1e-6, **options):
 
 def is_sparse(method, scene):
     if isinstance(method, IDA):
-        return prepared(method, scene, 0.1, Tolerances(1e-6)).options.get("linsolver") == "sparse"
+        return prepared(method, scene, 0.1, Tolerances(1e-6)).given.sparsity is not None
     return bool(method.program(scene)[0].patterns)
 
 
@@ -97,9 +97,9 @@ def test_those_of_ida_take_the_same_steps_also_where_they_are_timed(scene, form)
     for part in GROUPS:
         one, other = getattr(sparse, part)[-1], getattr(dense, part)
         assert one == pytest.approx(other[-1], abs=1e-9 * np.abs(other).max(initial=1e-3)), part
-    timed = runs[0].execute()
-    assert (sparse.work.residuals, sparse.work.jacobians) == (timed.nfev, timed.njev)
-    assert sparse.q[-1].tolist() == timed.y[runs[0].layout.q].tolist()
+    end, timed = runs[0].execute()
+    assert end == sparse.t[-1]
+    assert timed[dae_layout(scene.sizes, form).q].tolist() == sparse.q[-1].tolist()
 
 
 def test_rows_of_large_scenes_are_completed_by_sparse_algebra(monkeypatch):
@@ -136,10 +136,11 @@ def difference(scene, formulation, sparse):
     """Largest difference of IDA's two Jacobians at random states and cj, relative."""
     at, n = np.array([*scene.parameters().values()]), dae_layout(scene.sizes, formulation).size
     dense = equations.packed_jacobian(scene.template(), formulation).bind(at)
-    values, rng, worst = sparse.values.bind(at), np.random.default_rng(3), 0.0
+    jacobian, entries = sparse
+    values, rng, worst = jacobian.bind(at), np.random.default_rng(3), 0.0
     for cj in 10.0 ** rng.uniform(-2, 6, size=3):
         state = float(rng.normal()), rng.normal(size=n), rng.normal(size=n), cj
-        built = csc_matrix((np.array(values(*state)), sparse.rows, sparse.starts), (n, n))
+        built = csc_matrix((np.array(values(*state)), *entries), (n, n))
         full = np.asarray(dense(*state)).T
         worst = max(worst, np.abs(built.toarray() - full).max() / np.abs(full).max())
     return worst
@@ -150,21 +151,20 @@ def difference(scene, formulation, sparse):
 def test_the_sparse_jacobian_is_the_dense_one_as_superlu_wants_it(scene, form):
     sparse = equations.sparse_jacobian(scene.template(), form)
     assert difference(scene, form, sparse) < 1e-14
-    assert sparse.rows.dtype == sparse.starts.dtype == np.int32
-    entries = of_ida(scene, 1.0, formulation=form, **SPARSE).options["sparsity"]
-    assert entries.has_canonical_format
-    assert entries.indices.tolist() == sparse.rows.tolist()
+    rows, starts = of_ida(scene, 1.0, formulation=form, **SPARSE).given.sparsity
+    assert csc_matrix((np.ones(len(rows)), rows, starts)).has_canonical_format
+    assert (rows.tolist(), starts.tolist()) == tuple(k.tolist() for k in sparse[1])
 
 
 def test_a_missing_entry_a_sign_and_an_exchange_are_seen():
     scene = Chain(links=3)
-    good = equations.sparse_jacobian(scene.template(), GGL)
-    rng, n = np.random.default_rng(4), len(good.starts) - 1
-    call = good.values.bind(np.array([*scene.parameters().values()]))
+    good, (rows, starts) = equations.sparse_jacobian(scene.template(), GGL)
+    rng, n = np.random.default_rng(4), len(starts) - 1
+    call = good.bind(np.array([*scene.parameters().values()]))
     size = np.abs(call(0.0, *rng.normal(size=(2, n)), 1.0))
     k, entries = int(np.argmax(size)), np.arange(len(size))
-    column = int(np.argmax(np.diff(good.starts)))
-    first, last = good.starts[column : column + 2]
+    column = int(np.argmax(np.diff(starts)))
+    first, last = starts[column : column + 2]
     exchanged = entries.copy()
     exchanged[first:last] = entries[first:last][::-1]
 
@@ -173,7 +173,7 @@ def test_a_missing_entry_a_sign_and_an_exchange_are_seen():
             self._change = change
 
         def bind(self, p):
-            values = good.values.bind(p)
+            values = good.bind(p)
             return lambda *z: self._change(np.asarray(values(*z)))
 
     for change in (
@@ -181,7 +181,7 @@ def test_a_missing_entry_a_sign_and_an_exchange_are_seen():
         lambda v: np.where(entries == k, -v, v),
         lambda v: v[exchanged],
     ):
-        assert difference(scene, GGL, good._replace(values=Spoiled(change))) > 1e-3
+        assert difference(scene, GGL, (Spoiled(change), (rows, starts))) > 1e-3
 
 
 def test_the_pattern_holds_every_entry_and_its_colours_do_not_grow_with_the_chain():
