@@ -44,6 +44,7 @@ bench: .venv/tested  ## our time loop against C, exudyn and other solvers; micro
 	$(BIN)/python tests/benchmarks/race.py
 	$(BIN)/python tests/benchmarks/sizes.py
 	$(BIN)/python tests/benchmarks/many_runs.py
+	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc --benchmark-json=stepbench-speed.json
 
 pictures: .venv/tested  ## the gallery, README's picture and times of docs/iftomm.md; half an hour, in Chromium
 	$(BIN)/python tests/pictures.py

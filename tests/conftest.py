@@ -50,10 +50,10 @@ def pytest_configure(config: pytest.Config) -> None:
     """Compile for the tests before JAX is loaded; processes that tests start inherit this.
 
     Programs are kept between runs in a cache of the tests' own. They are compiled quickly and run
-    slowly. Settings of the user win.
+    slowly, except in benchmarks. Settings of the user win.
     """
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(TESTS.parent / ".cache" / "jax"))
-    if "XLA_FLAGS" in os.environ:
+    if "XLA_FLAGS" in os.environ or config.getoption("--benchmark-only"):
         return
     from problems.base import runtime  # noqa: F401  it sets the flags of the project
 
