@@ -38,7 +38,7 @@ HEADLINES = {
 #: Stands beside answers by both costs.
 DIFFER = "Operations of libraries are estimates."
 #: A winner that other starts of the motion make one, and one with wrong accelerations.
-LATER, WRONG_A = "ties from a later start", "a wrong in every run"
+LATER, WRONG_A = "a tie if the motion starts later", "its acceleration is wrong in every run"
 
 
 def headline(found: Answer, names: Names, of: Answer | None = None) -> Sentence:

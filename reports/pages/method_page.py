@@ -22,6 +22,7 @@ from reports.tables.order_table import order_table
 from reports.tables.ranking_tables import claims_text
 from reports.tables.run_tables import failures_table, notes_table, unsupported_table
 from reports.verdicts import stored_card
+from reports.wrong import silent_tables, wrong_runs
 
 #: An integrator that is not known to reach the accuracy.
 _STATES = {"far": "not reached", "failed": "no run reached the end"}
@@ -66,6 +67,8 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
     wrong = "; some are wrong" * any(r.wrong(group) for r in runs for group in GROUPS)
     fine = f"All its runs{' on scenes that it supports' * bool(unsupported)} reached the end"
     failed = failures_table(runs) or Text(f"{fine}{wrong}.")
+    asked = answer.question.group
+    silent = silent_tables(wrong_runs(stored, asked, label), asked, stored.scenes)
     orders = order_table([*by_scene.values()], "Its orders, scene by scene", [*by_scene])
     card = [*map(Text, stored_card(label, answer, stored))]
     values = {
@@ -81,7 +84,7 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
     sections = [
         Section("Orders", [orders]),
         Section("Failures of the atlas", [atlas]),
-        Section("Where it fails", [failed, notes_table(runs), unsupported]),
+        Section("Where it fails", [*silent, failed, notes_table(runs), unsupported]),
     ]
     title, file = stored.names[label], page_file("method", label)
     return Page(file, title, sections=sections, heading="", kind="method", values=values)

@@ -74,7 +74,7 @@ def runs_table(
         row["steps"] = f"{steps}, {r.rows} of them measured" if partly else _count(steps)
         rows.append(row | {"rejected": _count(r.work.get("rejected")), **_costs(r)})
     anchors = [ids[r.key] for _, r in records] if ids else []
-    note = f"{ERROR_MEANING} The worst component is named. The reasons of failed runs are below."
+    note = f"{ERROR_MEANING} The worst component is named. The page of failures has reasons."
     return Table.from_dicts("All runs", rows, note=note, ids=anchors) if rows else None
 
 

@@ -107,7 +107,7 @@
   const unjudged = (scene, { group, target }) => stepbench.data.scenes[scene].groups.includes(group)
     ? `${target} cannot be judged on this scene: the reference's own error in ${stepbench.data.group_names[group]} is ` +
       `${ownError(scene, group)}, more than a hundredth of it.`
-    : `No run on this scene has an error in ${stepbench.data.group_names[group]}.`;
+    : `This scene has no ${stepbench.data.group_names[group]}, or no run of it reached the end.`;
 
   Object.assign(stepbench, { svg, html, to, head, shape, colour, badge, costText, costTick, costWithUnit, multiple, number, times, tip, cut, room, ownError, unjudged });
 })();

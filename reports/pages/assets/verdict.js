@@ -84,7 +84,7 @@
     const value = (of, run) => stepbench.columnOf(of, cost)[run], ratio = value(runs, k) / value(other, j);
     const [a, b] = cost === "seconds" ? [runs.spread[k], other.spread[j]] : [], ends = a && b ? [a[0] / b[1], a[1] / b[0]] : [ratio, ratio];
     const tie = Math.max(ratio, 1 / ratio) <= data.apart[cost === "seconds" && !(a && b) ? "few" : cost] || ends[0] <= 1 && ends[1] >= 1;
-    return `${stepbench.number(ratio)} ×${a && b ? ` (${ends.map((end) => stepbench.number(end)).join(" to ")})` : ""}${tie ? ", not told apart" : ""}`;
+    return `${stepbench.number(ratio)} ×${a && b ? ` (interval ${ends.map((end) => stepbench.number(end)).join(" to ")})` : ""}${tie ? ", not significant" : ""}`;
   };
   const row = (scene, index, state, question, mine) => {
     const method = data.methods[index], head = stepbench.head(method);
@@ -114,7 +114,7 @@
     const mine = Array.isArray(states[own]) ? { index: own, k: states[own][1] } : null;
     const head = ["method", ...(held ? ["form"] : []), stepbench.costName(question), "multiple of the best", ...(mine ? [`multiple of ${data.methods[own].short}`] : []), `error in ${data.group_names[question.group].split(" ").at(-1)}`, ...(held ? ["violation of Φ", "relative"] : [])];
     table.replaceChildren(
-      html("caption", {}, `Cheapest run of each with an error of at most ${question.target} in ${data.group_names[question.group]}, ${stepbench.norm()}${mine ? "" : "; highlight a method to compare all with it"}`),
+      html("caption", {}, `Cheapest run of each with an error of at most ${question.target} in ${data.group_names[question.group]}, ${stepbench.norm()}${mine ? "" : own < 0 ? "; highlight a method to compare all with it" : `; ${data.methods[own].short} does not reach it`}`),
       html("thead", {}, html("tr", {}, ...head.map((name) => html("th", { scope: "col" }, name)))),
       html("tbody", {}, ...found.map(([index, state]) => row(scene, Number(index), state, question, mine))));
   });
