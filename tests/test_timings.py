@@ -18,7 +18,12 @@ from small_stores import NO_ROWS, a_record
 from bench.plugins.fingerprint import environment
 from bench.plugins.registry import Registry, Sources
 from bench.results.store import Store
-from bench.results.timings import median_interval, quotient, quotient_of_medians
+from bench.results.timings import (
+    median_interval,
+    quotient,
+    quotient_by_round,
+    quotient_of_medians,
+)
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, make_suite
 from bench.running.process import Limits
@@ -207,6 +212,8 @@ def test_few_samples_of_either_need_a_factor_of_two():
         for times, differs in ((0.99 * least, False), (1.01 * least, True)):
             found = quotient_of_medians(one, [times * s for s in two])
             assert (found.least, found.differs) == (least, differs)
+    for second, differs in (1.9e-3, False), (2.1e-3, True):  # a single one of a short run, too
+        assert quotient_by_round({0: 1e-3}, {0: second, 1: 1.0}).differs == differs
 
 
 def test_the_rounds_that_are_missing_are_taken_once(tmp_path):

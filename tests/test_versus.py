@@ -113,7 +113,7 @@ def test_a_duel_without_two_costs_says_why_and_a_scene_that_one_did_not_try_is_l
         found = duels(*records)
         assert (found.duels["s"].ratio, found.shown("s")) == (ratio, words)
         assert found.duels["s"].told_apart
-    single = line("A", 3.0, run_s=[1e-3]), line("B", 3.0, run_s=[1e-3])
+    single = [line(k, 3.0, run_s=[1e-3], rounds=[(n, 0)]) for n, k in enumerate("AB")]
     vague = {"reference_error": {"a": {"max": 2e-5}}}
     for records, cost, why in (
         ((line("A", 1.0, order=0), never), "operations", "neither reaches it"),

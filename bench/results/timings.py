@@ -123,19 +123,16 @@ def contenders(records: Iterable[Record]) -> list[Record]:
 def quotient(one: Record, two: Record) -> Quotient | None:
     """Time of ``two`` over that of ``one``, within rounds if all that one has are common to both.
 
-    None if a short run has a single sample.
+    None if a run has no samples, or a short one has a single sample in another round.
     """
     return quotient_by_round(by_round(one), by_round(two))
 
 
 def quotient_by_round(a: Samples, b: Samples) -> Quotient | None:
     """Time of ``b`` over that of ``a``, as `quotient`."""
-    one, two = [*a.values()], [*b.values()]
-    if not (_precise(one) and _precise(two)):
-        return None
     quotients = [b[place] / a[place] for place in a if place in b]
-    if len(quotients) < min(len(a), len(b)):
-        return quotient_of_medians(one, two)
+    if not quotients or len(quotients) < min(len(a), len(b)):
+        return quotient_of_medians([*a.values()], [*b.values()])
     return Quotient(statistics.median(quotients), *median_interval(quotients), _least(quotients))
 
 

@@ -84,7 +84,7 @@
     const value = (of, run) => stepbench.columnOf(of, cost)[run], ratio = value(runs, k) / value(other, j);
     const [a, b] = cost === "seconds" ? [runs.spread[k], other.spread[j]] : [], ends = a && b ? [a[0] / b[1], a[1] / b[0]] : [ratio, ratio];
     const tie = Math.max(ratio, 1 / ratio) <= data.apart[cost === "seconds" && !(a && b) ? "few" : cost] || ends[0] <= 1 && ends[1] >= 1;
-    return `${stepbench.number(ratio)} ×${a && b ? ` (interval ${ends.map((end) => stepbench.number(end)).join(" to ")})` : ""}${tie ? ", not significant" : ""}`;
+    return `${stepbench.number(ratio)} ×${a && b ? ` (interval ${ends.map((end) => stepbench.number(end)).join(" to ")})` : ""}${!tie ? "" : a && b ? ", intervals overlap" : ", not significant"}`;
   };
   const row = (scene, index, state, question, mine) => {
     const method = data.methods[index], head = stepbench.head(method);
