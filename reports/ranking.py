@@ -89,7 +89,7 @@ class SceneAnswer:
         return sum(e.state != "unknown" for e in self.entries.values()) > 1
 
     def place(self, label: str) -> str:
-        """What an integrator is there: "alone", "tied", "dearer", "single", or its state."""
+        """State of an integrator there: "alone", "tied", "dearer", "single", or its state."""
         entry = self.entries[label]
         if entry.ratio is None:
             return str(entry.state)

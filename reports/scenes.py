@@ -59,7 +59,7 @@ class StoredRuns:
 
     @property
     def facts(self) -> Mapping[str, MethodFacts]:
-        """What is known of the integrators, by name."""
+        """Facts of the integrators by name."""
         return self.plan.integrators if self.plan else {}
 
     @property

@@ -77,7 +77,7 @@ class Report:
         self.chapters = [chapter for chapter in chapters if chapter.sections]
 
     def _methods(self) -> Page:
-        """What methods claim, how they are rated, and their cost against the size of a scene."""
+        """Claims and ratings of methods, and their cost against the size of a scene."""
         stored = self.stored
         charts = size_charts(self.runs, stored.scenes_by_key, self.styles)
         sizes = [
