@@ -37,12 +37,12 @@ class Series:
 
     @property
     def statuses(self) -> str:
-        """The endings of the runs with counts: '6 ok', '4 ok, 2 newton_failed'; or a refusal."""
+        """The endings of the runs with counts: '6 ok', '4 ok, 2 newton failed'; or a refusal."""
         if all(r.status == UNSUPPORTED for r in self.records):
             return f"refused: {self.records[0].message}"
         counts = Counter(r.status for r in self.records)
         order = sorted(counts, key=lambda s: (s != "ok", s))
-        return ", ".join(f"{counts[s]} {s}" for s in order)
+        return ", ".join(f"{counts[s]} {s}" for s in order).replace("_", " ")
 
     @property
     def resolutions(self) -> str:

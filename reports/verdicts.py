@@ -157,9 +157,9 @@ def stored_card(label: str, found: Answer, stored: StoredRuns) -> list[Sentence]
     names, question = stored.names, found.question
     me, by = method_ref(label, names), COSTS[question.cost].words
     own = {name: s for name, s in found.scenes.items() if label in s.entries}
-    wrong = wrong_sentences(wrong_runs(stored, question.group, label), question.group, names)
+    amiss = failings(label, question.group, stored)
     if not own:
-        return [[me, " was tried on no scene on which this can be judged."], *wrong]
+        return [[me, " was tried on no scene on which this can be judged."], *amiss[1:]]
     entries = {name: s.entries[label] for name, s in own.items()}
     form = form_name(e.run for e in entries.values())
     aim = f"{question.accuracy} in {question.quantity} ("
@@ -174,11 +174,17 @@ def stored_card(label: str, found: Answer, stored: StoredRuns) -> list[Sentence]
             there.sort(key=lambda name: entries[name].ratio or 0.0, reverse=True)
         where = [[scene_ref(k), *_detail(place, entries[k], own[k], names)] for k in there]
         said += [[lead.format(by), *listed(where), "."]] if where else []
+    return [*said, *amiss]
+
+
+def failings(label: str, group: str, stored: StoredRuns) -> list[Sentence]:
+    """How many runs of an integrator failed, and which are wrong without warning."""
     series = [s for each in stored.series.values() for s in each if s.label == label]
     runs = [r for s in series for r in s.records if r.status not in NOT_TRIED]
     failed = sum(r.status != "ok" for r in runs)
     count = f"{failed} of its {counted(len(runs), 'run')} failed."
-    return [*said, [count if failed else "All of its runs reached the end."], *wrong]
+    wrong = wrong_sentences(wrong_runs(stored, group, label), group, stored.names)
+    return [[count if failed else "All of its runs reached the end."], *wrong]
 
 
 def _detail(place: str, entry: RankEntry, answer: SceneAnswer, names: Names) -> Sentence:
@@ -192,7 +198,7 @@ def _detail(place: str, entry: RankEntry, answer: SceneAnswer, names: Names) -> 
     )
     said = {
         "far": f"smallest error: {number(near[0])}" if near else "",
-        "failed": entry.series.statuses.replace("_", " "),
+        "failed": entry.series.statuses,
     }.get(place, f"|Φ| up to {held}" if held else "")
     return [f" ({said})"] if said else []
 

@@ -296,7 +296,7 @@ def test_a_number_that_does_not_exist_is_no_verdict_and_its_reason_is_shown():
     cases = planted(3.0), planted(1.0), planted(None, reason), planted(None, "no steps", x=[], y=[])
     assert [case.verdict for case in cases] == ["spared", "hit", "does not apply", "does not apply"]
     tables = [part_table(part) for part in result(*cases).parts]
-    assert [table.head[-1] for table in tables] == ["method", "method", "remark", "remark"]
+    assert [table.head[-1] for table in tables] == ["verdict", "verdict", "remark", "remark"]
     assert tables[2].rows[0][-1] == reason
     assert tables[3].rows[0][-1] == "no steps"
     expected = Expected((2.9, 3.1), "theory", "", "")

@@ -174,6 +174,30 @@ def test_a_scene_answers_the_question_in_words_and_in_its_table(browser, site):
     assert browser.get_log("browser") == []
 
 
+def test_a_method_follows_the_question_on_all_its_scenes_and_reset_returns_to_the_first(
+    browser, site
+):
+    page = next((site / "report").glob("method-good*0.8*"))
+    browser.get(page.as_uri())
+    address, seen = "return location.hash", "[data-standing], table.methods tbody tr"
+    first = [node.text for node in browser.find_elements("css selector", seen)]
+    reset = browser.find_element("css selector", "[type=reset]")
+    assert not reset.is_displayed()
+    browser.get(page.as_uri() + "#group=q&target=1e-9&cost=residuals&scenes=all")
+    browser.refresh()
+    reset = browser.find_element("css selector", "[type=reset]")
+    standing, *rows = [node.text for node in browser.find_elements("css selector", seen)]
+    assert "Reaches 1e-9 in position q" in standing and "on 0 of 2 scenes tried" in standing
+    with Store(site) as store:
+        own = [r for r in store.records().values() if r.integrator == "good[rho_inf=0.8]"]
+    for scene, row in zip(("spring_mass", "pendulum"), rows, strict=True):
+        errors = [r.errors["q"]["max"] for r in own if r.problem == scene and r.status == "ok"]
+        assert f"not reached down to h=0.003125; least error: {number(min(errors))}" in row
+    reset.click()
+    assert "target=1e-9" not in browser.execute_script(address) and not reset.is_displayed()
+    assert [node.text for node in browser.find_elements("css selector", seen)] == first
+
+
 def test_one_file_shows_every_page(browser, site, tmp_path):
     from selenium.webdriver.common.by import By
 
@@ -232,7 +256,7 @@ def test_tabs_stand_under_the_verdict_and_the_legend_beside_the_lines(browser, s
 def test_contents_are_filtered(browser, site):
     links = """
     const all = [...document.querySelectorAll("nav.side li")];
-    return all.filter((node) => node.offsetParent).map((node) => node.textContent);
+    return all.filter((node) => node.offsetParent).map((node) => node.innerText);
     """
     before = browser.execute_script(links)
     field = browser.find_element("css selector", "nav.side input.filter")
@@ -241,9 +265,11 @@ def test_contents_are_filtered(browser, site):
         ("PEND", ["pendulum"]),
         ("ringing", ["ringing 1"]),
         ("spared", ["Hit (spared)"]),
+        ("the pendulum scene", ["pendulum"]),
+        ("a word.", ["A word."]),
         ("zzz", []),
     ):
-        field.send_keys(asked)  # scenes, methods by name, words of the glossary
+        field.send_keys(asked)  # scenes, methods by name, sections, words of the glossary
         assert browser.execute_script(links) == found
         assert status.text == ("" if found else "Nothing is called “zzz”.")
         field.clear()

@@ -36,7 +36,7 @@ def test_claims_stand_beside_settled_orders_and_those_with_the_start():
     found = rows(records)
     assert found["mine", "claimed"] == {"q": "2", "λ": "3"}
     assert found["mine", "settled"] == {"q": "2.00", "λ": "2.00 *"}
-    assert found["mine", "with start"] == {"q": "2.00", "λ": "1.00"}
+    assert found["mine", "with transient"] == {"q": "2.00", "λ": "1.00"}
 
 
 def test_no_claim_and_no_convergence_are_told_apart():
@@ -87,7 +87,7 @@ def test_several_methods_on_a_scene_take_the_steps_that_are_given():
 def test_the_command_measures_claims_and_orders(stepbench, tmp_path):
     answer = stepbench("order", "pendulum", "bdf2", "newmark", "--out", tmp_path)
     assert answer.exit_code == 0, answer.output
-    for words in ("BDF2", "claimed", "settled", "with start"):
+    for words in ("BDF2", "claimed", "settled", "with transient"):
         assert words in answer.stdout
     with Store(tmp_path) as store:
         plan, records = store.plan(), store.records()
@@ -109,7 +109,7 @@ def test_the_table_of_the_document_is_measured(stepbench, tmp_path):
     )  # fmt: skip
     assert answer.exit_code == 0, answer.output
     lines = (row.split(" | ") for row in re.findall(r"^\| (.*) \|$", page, re.MULTILINE))
-    kinds = "claimed", "settled", "with start"
+    kinds = "claimed", "settled", "with transient"
     told = {tuple(cells[:2]): cells[2:] for cells in lines if cells[1] in kinds}
     (table,) = stored_order_tables(tmp_path)
     found = {tuple(row[:2]): row[2:] for row in table.rows}

@@ -269,8 +269,8 @@ def part_table(part: PartResult) -> Table:
     texts = [e.why for _, e in told] + [f"{label}: {e.formula}" for label, e in told if e.formula]
     if why := "; ".join(filter(None, dict.fromkeys(texts))):
         note += f" Expected: {why}."
-    head = ["", "found", "expected", "basis", "method", "remark"]
+    named = all(case.label == case.integrator for case in part.cases)
+    head = ["method" if named else "case", "found", "expected", "basis", "verdict", "remark"]
     if not any(row[-1] for row in rows):
         head, rows = head[:-1], [row[:-1] for row in rows]
-    named = all(case.label == case.integrator for case in part.cases)
     return Table(part.text, head, rows, best=best, code=(0,) if named else (), note=note)

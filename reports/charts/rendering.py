@@ -30,7 +30,8 @@ class Picture(NamedTuple):
 def draw(charts: Mapping[str, Spec], folder: Path) -> dict[str, Picture]:
     """Write every chart into the folder as name.svg; SVG files of an earlier time are deleted.
 
-    They have no description of each point for screen readers, which takes a third of the time.
+    They have no description of each point for screen readers, which takes up to a third of the
+    time.
 
     Returns
     -------

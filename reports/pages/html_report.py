@@ -33,7 +33,7 @@ _BESIDE = {
     "stability.html": "Stability",
 }
 #: Parts of the contents that show what is searched for, and nothing before.
-SEARCHED = ("Methods by name", "Words")
+SEARCHED = ("Methods by name", "Sections", "Words")
 
 
 class Site:
@@ -62,12 +62,18 @@ class Site:
         for p in self.pages:
             if p.heading:
                 now = p.path == here and not self.single
-                below[p.heading].append(Link(root + self.link(p), p.title, p.count, now))
+                link = Link(root + self.link(p), p.title, p.count, now, p.values.get("words", ""))
+                below[p.heading].append(link)
         for file, title in _BESIDE.items():
             if not self.single and (self.folder / file).is_file():
                 below["Beside"].append(Link(root + file, title))
-        methods, words = below[SEARCHED[0]], below[SEARCHED[1]]
-        methods += [Link(root + self.link(p), p.title) for p in self.report.methods]
+        methods, sections, words = (below[heading] for heading in SEARCHED)
+        for p in self.report.methods:
+            methods.append(Link(root + self.link(p), p.title, words=p.values["title"]))
+        for p in self.report.chapters:
+            for s in p.sections:
+                if s.anchor:
+                    sections.append(Link(root + self.address(s.anchor, ""), s.title))
         place = (root + self.link(self.glossary)).partition("#")[0]
         words += [Link(f"{place}#{term.anchor}", term.title) for term in TERMS]
         return [(heading, links) for heading, links in below.items() if links]
@@ -123,11 +129,11 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
 def _written(site: Site, pages: list[Page], made: dict[str, str]) -> str:
     """The text of a file with these pages."""
     here, kind, report = pages[0].path, pages[0].kind, site.report
-    asking = _FRONT_SCRIPTS if kind == "front" else _QUESTION_SCRIPTS if kind == "scene" else ()
+    scripts = {"front": _FRONT_SCRIPTS, "scene": _QUESTION_SCRIPTS, "method": _QUESTION_SCRIPTS}
     drawing = _DRAWING_SCRIPTS if site.single or kind != "front" else ()
     failed = f", {report.failed} failed" if report.failed else ""
     return html(
-        ("kept.js", *(asking if DATA in made else ()), "page.js", *drawing),
+        ("kept.js", *(scripts.get(kind, ()) if DATA in made else ()), "page.js", *drawing),
         assets=None if site.single else FOLDER if kind == "front" else "",
         made=made,
         address=partial(site.address, here=here),

@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from bench.results.quantities import COSTS, GROUPS, NORM, NORMS, WRONG
-from bench.results.records import NOT_TRIED, MethodFacts
+from bench.results.records import MethodFacts
 from bench.results.studies import ExperimentResult, spared
 from bench.results.table import Table
 from reports.charts.maps import method_strip
-from reports.formatting import file_name, milliseconds, number
+from reports.formatting import file_name, number
 from reports.names import form_name
 from reports.pages.page import Figure, Page, Section, Text, page_file
 from reports.ranking import Answer
@@ -21,11 +21,8 @@ from reports.series import Series, groups_of
 from reports.tables.order_table import order_table
 from reports.tables.ranking_tables import claims_text
 from reports.tables.run_tables import failures_table, notes_table, unsupported_table
-from reports.verdicts import stored_card
+from reports.verdicts import failings
 from reports.wrong import silent_tables, wrong_runs
-
-#: An integrator that is not known to reach the accuracy.
-_STATES = {"far": "not reached", "failed": "no run reached the end"}
 
 
 def plugin_option(facts: MethodFacts | None) -> str:
@@ -70,16 +67,15 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
     asked = answer.question.group
     silent = silent_tables(wrong_runs(stored, asked, label), asked, stored.scenes)
     orders = order_table([*by_scene.values()], "Its orders, scene by scene", [*by_scene])
-    card = [*map(Text, stored_card(label, answer, stored))]
     values = {
         "key": label,
         "title": facts.title.rstrip(".") if facts else "",
+        "card": [*map(Text, failings(label, asked, stored))],
         "said": [
-            Section("Where it wins, loses and fails", card),
             Section("Its stability", stability if first.controls == "step" else []),
         ],
         "facts": Section("What it is", [_facts(name, first, facts)]),
-        "scenes": Section("On all scenes", [strip, _scenes_table(label, by_scene, answer)]),
+        "scenes": Section("On all scenes", [strip, _scenes_table(by_scene)]),
     }
     sections = [
         Section("Orders", [orders]),
@@ -109,29 +105,16 @@ def _facts(name: str, series: Series, facts: MethodFacts | None) -> dict[str, st
     return {name: text for name, text in texts.items() if text}
 
 
-def _scenes_table(label: str, series: Mapping[str, Series], answer: Answer) -> Table:
-    """A row per scene: best errors, cost to the accuracy, its multiple of the best, endings."""
+def _scenes_table(series: Mapping[str, Series]) -> Table:
+    """A row per scene: best errors, endings, and the resolutions tried."""
     groups = groups_of(r for s in series.values() for r in s.ok)
-    question, cost = answer.question, COSTS[answer.question.cost]
-    column = "time in ms" if cost.is_time else cost.words
     rows = []
     for scene, s in series.items():
-        judged = answer.scenes.get(scene)
-        entry = judged.entries.get(label) if judged else None
-        state = _STATES.get(str(entry.state), "reached") if entry else "not judged"
-        if all(r.status in NOT_TRIED for r in s.records):
-            state = "not tried"
-        value = (milliseconds if cost.is_time else number)(entry.value if entry else None)
-        row = {"scene": scene, "accuracy": state, column: value}
-        row["multiple of the best"] = number(entry.ratio if entry else None)
-        for g in groups:
-            row[f"error in {g}"] = number(near[0] if (near := s.nearest(g)) else None)
-        rows.append(row | {"runs": s.statuses, "resolutions": s.resolutions})
-    note = (
-        f"Accuracy: {question.text}; {cost.words}: {cost.title} of its "
-        f"cheapest run there. Errors: the smallest of its runs, relative, {NORMS[NORM]}."
-    )
-    return Table.from_dicts("Its runs, scene by scene", rows, note=note)
+        near = {f"error in {g}": s.nearest(g) for g in groups}
+        least = {name: number(own[0] if own else None) for name, own in near.items()}
+        rows.append({"scene": scene, **least, "runs": s.statuses, "resolutions": s.resolutions})
+    note = f"Errors: the smallest of its runs, relative, {NORMS[NORM]}."
+    return Table.from_dicts("Its least errors, scene by scene", rows, note=note)
 
 
 def atlas_table(name: str, experiments: Sequence[ExperimentResult]) -> Table | None:

@@ -125,12 +125,16 @@ def page_file(kind: str, key: str) -> str:
 
 
 class Link(NamedTuple):
-    """An entry of the contents at the side, with ``number`` small behind it."""
+    """An entry of the contents at the side, with ``number`` small behind it.
+
+    It is found by its title and by ``words``, which are not shown.
+    """
 
     address: str
     title: str
     number: int | str | None = None
     here: bool = False
+    words: str = ""
 
 
 def write_page(page: Page, folder: Path, programs: Sequence[str] = ("page.js",)) -> Path:

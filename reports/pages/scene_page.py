@@ -26,6 +26,7 @@ from reports.charts.work import bills
 from reports.formatting import number, paragraphs, words
 from reports.names import scene_name
 from reports.pages.page import Figure, Page, Section, Text, page_file
+from reports.questions import tag_name
 from reports.scenes import StoredRuns
 from reports.series import Series, groups_of, ok_runs, reference_error, series_of
 from reports.tables.order_table import order_table
@@ -119,9 +120,9 @@ def scene_page(
     studies = stored.studies(name)
     for n, study in enumerate(studies, 1):
         # A study without a title has the scene's name, which is the heading above it.
-        title = "Accuracy and cost" if study.title in ("", name) else study.title
+        title, place = "" if study.title == name else study.title, f"{anchor}-study-{n}"
         part = _Study(f"{anchor}-{n}", name, study, stored, styles)
-        parts["cost"].append(Section(title, part.cost(), f"{anchor}-study-{n}"))
+        parts["cost"].append(Section(title or "Accuracy and cost", part.cost(), place))
         drawn = part.over_time(read_rows) if "trajectory" in study.figures else {}
         for topic, own in drawn.items():
             parts[topic].append(Section(title if len(studies) > 1 else "", own))
@@ -147,6 +148,7 @@ def scene_page(
         "key": name,
         "anchor": anchor,
         "title": scene.title.rstrip(".") if scene else "",
+        "words": " ".join([scene.title, *map(tag_name, scene.tags)]) if scene else "",
         "about": paragraphs(scene.description) if scene else [],
         "facts": scene_facts(scene) if scene else {},
         "beside": [

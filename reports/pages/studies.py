@@ -80,7 +80,9 @@ def write_atlas_page(found: Sequence[ExperimentResult], folder: Path) -> Path:
 
 def experiment_chart(part: PartResult) -> vl.Spec | None:
     """The sweep, and the history of the component shown; None without both."""
-    cases = [(f"{k}. {c.label}", c) for k, c in enumerate(part.cases, 1)]
+    cases = [(c.label, c) for c in part.cases]
+    if len(dict(cases)) < len(cases):
+        cases = [(f"{k}. {label}", c) for k, (label, c) in enumerate(cases, 1)]
     lines = vl.Lines(line_styles(label for label, _ in cases))
     sweep = [
         {"series": label, "x": vl.short(x), "value": vl.short(y)}

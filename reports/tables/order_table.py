@@ -20,16 +20,16 @@ from reports.wrong import STUCK, Atlas, explained
 #: The figure of a study that asks for the table.
 FIGURE = "orders"
 #: Norms of the two measured rows, with their names in the table.
-_MEASURED = {"settled": "settled", "max": "with start"}
+_MEASURED = {"settled": "settled", "max": "with transient"}
 #: A measured order that falls short of the claimed one by more than this is marked; one that does
 #: by so much more is lost.
 _SHORT, _LOSS = 0.2, 0.5
 _NOTE = (
     "Powers of the step by which errors fall. Claimed: those that the method states for the scene, "
     "for the time after the start transient. Settled: measured, of the largest error in the last "
-    "quarter of the interval. With start: measured, of the largest error over time; 0: errors do "
-    f"not fall. * less than claimed by more than {_SHORT:g}. {NO_VALUE}: no claim, or no order can "
-    "be fitted."
+    "quarter of the interval. With transient: measured, of the largest error over time; 0: errors "
+    f"do not fall. * less than claimed by more than {_SHORT:g}. {NO_VALUE}: no claim, or no order "
+    "can be fitted."
 )
 
 
@@ -50,7 +50,7 @@ def order_tables(plan: Plan | None, records: Mapping[str, Record]) -> list[Table
 
 
 def order_table(series: Sequence[Series], title: str, scenes: Sequence[str] = ()) -> Table | None:
-    """Return three rows per method: orders claimed, settled, and from the first step.
+    """Return three rows per method: orders claimed, settled, and over all times.
 
     ``scenes`` names the rows of one method instead, a scene for each of the series.
     """

@@ -62,7 +62,7 @@ def runs_table(
     records = [(s, r) for s in series for r in s.records]
     groups, rows = groups_of(r for _, r in records), []
     for s, r in records:
-        row = {"integrator": s.label, "run": r.resolution, "ending": r.status}
+        row = {"integrator": s.label, "run": r.resolution, "ending": r.status.replace("_", " ")}
         for g in groups:
             sizes = [math.inf if e is None else e for e in r.components.get(g, {}).get(NORM, [])]
             worst = component_text(g, sizes.index(max(sizes)), components) if sizes[1:] else ""
@@ -125,11 +125,9 @@ def events_table(series: Sequence[Series]) -> Table | None:
 
 def failures_table(records: Sequence[Record]) -> Table | None:
     """Every run that its method supports and that did not reach the end, with its reason."""
-    rows = [
-        [r.integrator, r.problem, r.resolution, r.status, r.message or "no message"]
-        for r in records
-        if r.status not in ("ok", UNSUPPORTED)
-    ]
+    failed = [r for r in records if r.status not in ("ok", UNSUPPORTED)]
+    ends = [[r.status.replace("_", " "), r.message or "no message"] for r in failed]
+    rows = [[r.integrator, r.problem, r.resolution, *e] for r, e in zip(failed, ends, strict=True)]
     head = ["integrator", "scene", "resolution", "status", "message"]
     return Table("Runs that did not reach the end", head, rows, code=(0, 1)) if rows else None
 

@@ -11,7 +11,7 @@
     const place = html("div", { class: "chart" }), link = stepbench.to(scene.page, {}, scene.name);
     const button = html("button", { type: "button", class: "enlarge", "aria-expanded": "false", "aria-label": `large chart: ${scene.name}`, title: "large chart; Escape closes it" }, "⤢");
     const card = html("article", { class: "panel" }, html("header", {}, picture(scene.picture),
-      html("div", {}, html("h3", { title: scene.id }, link), html("p", {}, scene.about || "\u00a0")), button), place);
+      html("div", {}, html("h3", { title: scene.id }, link), html("p", { title: scene.about }, scene.about || "\u00a0")), button), place);
     return { card, place, index, button };
   });
   let broad = 0, large = null;

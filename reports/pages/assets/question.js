@@ -85,10 +85,12 @@
   };
   window.stepbench = stepbench;
 
+  const initial = { ...stepbench.question, scenes: "all", highlight: "", ...data.first };
   const follow = () => {
     stepbench.question = asked();
     for (const name of NAMES) if (bar?.elements[name]) bar.elements[name].value = stepbench.question[name];
     keptQuestion.keep(address().slice(1));
+    if (bar) bar.querySelector("[type=reset]").hidden = address() === address(initial);
     for (const draw of followers) draw(stepbench.question);
   };
 
@@ -111,6 +113,10 @@
       if (!refused) stepbench.ask({ [place.name]: value });
     });
     bar.addEventListener("submit", (event) => event.preventDefault());
+    bar.addEventListener("reset", (event) => {
+      event.preventDefault();
+      stepbench.ask(initial);
+    });
     const copy = bar.querySelector("[data-copy]");
     copy?.addEventListener("click", async () => {
       history.replaceState(null, "", address());

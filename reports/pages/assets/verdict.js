@@ -86,36 +86,57 @@
     const tie = Math.max(ratio, 1 / ratio) <= data.apart[cost === "seconds" && !(a && b) ? "few" : cost] || ends[0] <= 1 && ends[1] >= 1;
     return `${stepbench.number(ratio)} ×${a && b ? ` (interval ${ends.map((end) => stepbench.number(end)).join(" to ")})` : ""}${!tie ? "" : a && b ? ", intervals overlap" : ", not significant"}`;
   };
-  const row = (scene, index, state, question, mine) => {
-    const method = data.methods[index], head = stepbench.head(method);
-    const held = data.scenes[scene].groups.includes("constraint");
-    const form = held ? [html("td", {}, method.form)] : [];
+  // The run of the highlighted method that reaches the accuracy on a scene, or none.
+  const highlighted = ({ highlight }, scene) => {
+    const index = data.methods.findIndex(({ label }) => label === highlight), state = stepbench.answer()[scene]?.states[index];
+    return Array.isArray(state) ? { index, k: state[1] } : null;
+  };
+  const heads = (question, mine) => [stepbench.costName(question), "multiple of the best", ...(mine ? [`multiple of ${data.methods[mine.index].short}`] : []), `error in ${data.group_names[question.group].split(" ").at(-1)}`];
+  const filled = (table, caption, head, rows) => table.replaceChildren(html("caption", {}, caption),
+    html("thead", {}, html("tr", {}, ...head.map((name) => html("th", { scope: "col" }, name)))), html("tbody", {}, ...rows));
+  // A row that begins with the cells ``lead``: what the accuracy costs a method on a scene, or why it has no cost.
+  const row = (lead, scene, index, state, question, mine, held) => {
     if (!Array.isArray(state)) {
       const runs = runsOf(scene, index), near = state === "far" && nearest(scene, question, index);
       const tried = near ? ` down to ${stepbench.resolutionOf(runs, runs.resolutions.length - 1)}; least error: ${stepbench.number(near.error)}` : "";
       const ends = state === "failed" ? `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}` : state === "refused" ? `: ${runs.refused}` : "";
-      return html("tr", { class: "out" }, head, ...form, html("td", { colspan: 3 + 2 * held + Boolean(mine) }, STATES[state] + tried + ends));
+      const text = state ? STATES[state] + tried + ends : "cannot be judged";
+      return html("tr", { class: "out" }, ...lead, html("td", { colspan: 3 + 2 * held + Boolean(mine) }, text));
     }
     const [multiple, k, cost] = state, runs = runsOf(scene, index), error = stepbench.columnOf(runs, question.group)[k];
     // A violation that is larger than the accuracy is told to be.
     const off = held ? stepbench.columnOf(runs, "constraint")[k] : NaN;
     const violation = held ? [html("td", {}, runs.phi[k]), html("td", {}, stepbench.number(off), off > Number(question.target) ? ` > ${question.target}` : "")] : [];
-    return html("tr", method.label === question.highlight ? { class: "mine" } : {}, head, ...form,
-      html("td", {}, stepbench.costText(cost, question.cost)), html("td", {}, `${stepbench.multiple(multiple)} ×`),
-      ...(mine ? [html("td", {}, index === mine.index ? "" : against(runs, k, runsOf(scene, mine.index), mine.k, question.cost))] : []), html("td", {}, stepbench.number(error)), ...violation);
+    const beside = mine?.k === undefined || index === mine.index ? "" : against(runs, k, runsOf(scene, mine.index), mine.k, question.cost);
+    return html("tr", data.methods[index].label === question.highlight ? { class: "mine" } : {}, ...lead, html("td", {}, stepbench.costText(cost, question.cost)),
+      html("td", {}, `${stepbench.multiple(multiple)} ×`), ...(mine ? [html("td", {}, beside)] : []), html("td", {}, stepbench.number(error)), ...violation);
   };
+  const refused = (runs) => runs.refused !== undefined && "refused";
   for (const table of document.querySelectorAll("[data-methods]")) stepbench.onChange((question) => {
     const scene = Number(table.dataset.methods), states = stepbench.answer()[scene]?.states || [];
     const multiple = ([, state]) => Array.isArray(state) ? state[0] : Infinity;
-    const refused = states.length ? data.runs_of[scene].filter((runs) => runs.refused !== undefined).map((runs) => [runs.method, "refused"]) : [];
-    const found = [...Object.entries(states).filter(([, state]) => state !== null), ...refused].sort((one, two) => multiple(one) - multiple(two) || 0);
+    const others = states.length ? data.runs_of[scene].filter(refused).map((runs) => [runs.method, "refused"]) : [];
+    const found = [...Object.entries(states).filter(([, state]) => state !== null), ...others].sort((one, two) => multiple(one) - multiple(two) || 0);
     table.closest("section").hidden = !found.length;
-    const held = data.scenes[scene].groups.includes("constraint"), own = data.methods.findIndex(({ label }) => label === question.highlight);
-    const mine = Array.isArray(states[own]) ? { index: own, k: states[own][1] } : null;
-    const head = ["method", ...(held ? ["form"] : []), stepbench.costName(question), "multiple of the best", ...(mine ? [`multiple of ${data.methods[own].short}`] : []), `error in ${data.group_names[question.group].split(" ").at(-1)}`, ...(held ? ["violation of Φ", "relative"] : [])];
-    table.replaceChildren(
-      html("caption", {}, `Cheapest run of each with an error of at most ${question.target} in ${data.group_names[question.group]}, ${stepbench.norm()}${mine ? "" : own < 0 ? "; highlight a method to compare all with it" : `; ${data.methods[own].short} does not reach it`}`),
-      html("thead", {}, html("tr", {}, ...head.map((name) => html("th", { scope: "col" }, name)))),
-      html("tbody", {}, ...found.map(([index, state]) => row(scene, Number(index), state, question, mine))));
+    const held = data.scenes[scene].groups.includes("constraint"), mine = highlighted(question, scene), own = data.methods.find(({ label }) => label === question.highlight);
+    const why = mine ? "" : own ? `; ${own.short} does not reach it` : "; highlight a method to compare all with it";
+    filled(table, `Cheapest run of each with an error of at most ${question.target} in ${data.group_names[question.group]}, ${stepbench.norm()}${why}`,
+      ["method", ...(held ? ["form"] : []), ...heads(question, mine), ...(held ? ["violation of Φ", "relative"] : [])],
+      found.map(([index, state]) => row([stepbench.head(data.methods[index]), ...(held ? [html("td", {}, data.methods[index].form)] : [])], scene, Number(index), state, question, mine, held)));
+  });
+  // All scenes of one method, and how it stands there.
+  for (const table of document.querySelectorAll("[data-scenes]")) stepbench.onChange((question) => {
+    const index = data.methods.findIndex(({ label }) => label === table.dataset.scenes), answer = stepbench.answer();
+    const other = data.methods.findIndex(({ label }) => label === question.highlight), mine = other >= 0 && other !== index ? { index: other } : null;
+    const own = data.scenes.map((scene, k) => ({ scene, k, runs: runsOf(k, index), found: answer[k] })).filter(({ runs }) => runs);
+    const count = (is) => own.filter(({ found }) => found && is(found)).length, wins = (found) => found.votes && found.first.includes(index);
+    const best = (found) => found?.first.length ? joined(found.first.slice(0, MOST).map((m) => [part(stepbench.methodRef(m))])) : [];
+    document.querySelector(`[data-standing="${table.id}"]`).textContent = `Reaches ${question.target} in ${data.group_names[question.group]} (${stepbench.norm()}) on ${count((found) => Array.isArray(found.states[index]) || found.states[index] === "unknown")} of ${own.length} scenes tried; at the least ${data.cost_words[question.cost]} alone on ${count((found) => wins(found) && found.alone)}, tied on ${count((found) => wins(found) && !found.alone)}.`;
+    filled(table, `Its cheapest run with an error of at most ${question.target} in ${data.group_names[question.group]}, ${stepbench.norm()}, on each scene`,
+      ["scene", ...heads(question, mine), "cheapest"], own.map(({ scene, k, runs, found }) => {
+        const line = row([html("th", { scope: "row" }, stepbench.to(scene.page, { title: scene.id }, scene.name))], k, index, refused(runs) || found?.states[index], question, mine && { ...mine, ...highlighted(question, k) }, false);
+        line.append(html("td", {}, ...best(found)));
+        return line;
+      }));
   });
 })();
