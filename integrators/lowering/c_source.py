@@ -2,15 +2,14 @@
 
 No operation is contracted or reordered, so that results differ from JAX's by the rounding of
 elementary functions and of sums alone. Compilers take time with the square of the length of a
-function. So a long program is cut into pieces that hand over values in an array.
+function. So a long program is cut into pieces that hand over values in an array s.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
-from integrators.lowering.graph import Entry, LoweredFunction, NotLowered, Solve, WhileLoop
+from integrators.lowering.graph import Entry, Graph, LoweredFunction, NotLowered, WhileLoop
 from integrators.lowering.operators import OPERATORS
 
 _HEADER = """#include <math.h>
@@ -58,7 +57,7 @@ static NOINLINE void solve(int n, int m, double *restrict a, double *restrict b)
         }
 }
 """
-#: Lines of a piece, beside those that keep a value for a later piece.
+#: Lines of a piece.
 _PIECE = 500
 #: Operations, and values given to loops and solves, that a compiler takes some ten seconds for; a
 #: third of that in trees of bodies, of which those of an arm of seven joints are fewer.
@@ -78,26 +77,63 @@ def c_function(program: LoweredFunction) -> str:
 
 def _function(name: str, program: LoweredFunction, arguments: int) -> tuple[str, int]:
     """The C of a function and of the loops in it, and the number of its operations."""
-    writer = _Writer(name, program)
-    loops = [_loop(writer.loop_name(node), loop) for node, loop in writer.loops.items()]
-    count = writer.count + sum(inside for _, inside in loops)
+    graph, results = program.graph, program.results.ravel().tolist()
+    #: Node that a line computes (None: it puts a value in a place, or calls), text, nodes in it.
+    lines: list[tuple[int | None, str, tuple[int, ...]]] = []
+    before, inside, room = [], 0, 0  # loops, their operations, and the size of the array s
+    outputs: dict[int, int] = {}  # places in s of those of loops and solves
+    for node in graph.needed(results):
+        operator, given = graph.nodes[node]
+        if isinstance(operator, str):
+            lines.append((node, OPERATORS[operator].c, given))
+        elif isinstance(operator, Entry):
+            place = f"s[{outputs[given[0]] + operator.place}]"
+            lines.append((node, _read(place, graph.kind(node)), ()))
+        else:  # outputs take the places of the last values given
+            lines += [(None, f"s[{k}] = {{}};", (x,)) for k, x in enumerate(given, room)]
+            outputs[node] = room + len(given) - operator.outputs
+            called, at = f"{name}_loop_{node}(", f"s + {room}, s + {outputs[node]});"
+            room += len(given)
+            if isinstance(operator, WhileLoop):
+                source, more = _loop(called[:-1], operator)
+                before, inside = [*before, source], inside + more
+            else:
+                called = f"solve({operator.unknowns}, {operator.systems}, "
+            lines.append((None, called + at, ()))
+    count = len(lines) + inside
     if count > _MOST_OPERATIONS:
         raise NotLowered(
             f"it has {count} operations on numbers, and a compiler is given at most "
             f"{_MOST_OPERATIONS}"
         )
-    given = [f"const double *restrict a{k}" for k in range(arguments)]
-    head = ", ".join([*given, "double *restrict out"])
-    passed = ", ".join([*(f"a{k}" for k in range(arguments)), "out", "s"])
-    pieces, calls = [], []
-    for k in range(writer.pieces):
-        piece = f"static NOINLINE void {name}_{k}({head}, double *restrict s)"
-        pieces.append("\n".join([piece, "{", *writer.lines(k), "}"]))
-        calls.append(f"    {name}_{k}({passed});")
-    scratch = [f"    double s[{max(1, writer.room)}];"]
-    main = [f"void {name}({head})", "{", *scratch, *writer.zeros(), *calls, "}", ""]
-    source = "\n".join([*(text for text, _ in loops), *pieces, *main])
-    return source, count
+    zeros = {k for k, node in enumerate(results) if node in graph.zeros}
+    pairs = enumerate(results)
+    lines += [(None, f"out[{k}] = {{}};", (node,)) for k, node in pairs if k not in zeros]
+    piece_of = {node: k // _PIECE for k, (node, *_) in enumerate(lines)}
+    kept: dict[int, int] = {}  # places in s of the values that later pieces need
+    for k, (_, _, given) in enumerate(lines):
+        for node in given:
+            if piece_of.get(node, k // _PIECE) != k // _PIECE and node not in kept:
+                kept[node], room = room, room + 1
+    passed = [*(f"a{k}" for k in range(arguments)), "out", "s"]
+    typed = [f"{'const ' * one.startswith('a')}double *restrict {one}" for one in passed]
+    calls = []
+    for first in range(0, len(lines), _PIECE):
+        before.append(f"static NOINLINE void {name}_{first}({', '.join(typed)})\n{{")
+        for node, text, given in lines[first : first + _PIECE]:
+            here = first // _PIECE
+            values = [f"v{x}" if piece_of.get(x) == here else _value(graph, x, kept) for x in given]
+            text = text.format(*values)
+            if node is not None:
+                kind = "int" if graph.kind(node) == "b" else "double"
+                text = f"const {kind} v{node} = {text};"
+            keep = f" s[{kept[node]}] = v{node};" if node in kept else ""
+            before.append(f"    {text}{keep}")
+        before.append("}")
+        calls.append(f"    {name}_{first}({', '.join(passed)});")
+    cleared = [f"    memset(out, 0, {len(results)} * sizeof(double));"] * bool(zeros)
+    head = f"void {name}({', '.join(typed[:-1])})\n{{\n    double s[{max(1, room)}];"
+    return "\n".join([*before, head, *cleared, *calls, "}", ""]), count
 
 
 def _loop(name: str, loop: WhileLoop) -> tuple[str, int]:
@@ -117,126 +153,23 @@ def _loop(name: str, loop: WhileLoop) -> tuple[str, int]:
     return source, test + body
 
 
-class _Line(NamedTuple):
-    """A line of a piece: `node` is computed, or called, or its value is put in a place."""
-
-    node: int
-    #: An array of C and an entry of it; None if the node is computed or called.
-    place: tuple[str, int] | None = None
-
-
-class _Writer:
-    def __init__(self, name: str, program: LoweredFunction) -> None:
-        self._name, self._graph = name, program.graph
-        self._results = program.results.ravel().tolist()
-        #: Size of the array s: the values of each loop and solve, then those for later pieces.
-        self.room, self._values = 0, {}
-        self.loops: dict[int, WhileLoop] = {}
-        order = self._graph.needed(self._results)
-        outputs: dict[int, list[int]] = {}
-        for k, node in enumerate(self._results):
-            outputs.setdefault(node, []).append(k)
-        computed, self._lines = set(order), []
-        for node in [*(node for node in outputs if node not in computed), *order]:
-            if node in computed:
-                self._lines += [*self._arguments(node), _Line(node)]
-            if node not in self._graph.zeros:
-                self._lines += [_Line(node, ("out", k)) for k in outputs.get(node, ())]
-        self.count = sum(line.place is None or line.place[0] == "s" for line in self._lines)
-        self.pieces = -(-len(self._lines) // _PIECE)
-        self._piece = {
-            line.node: k // _PIECE for k, line in enumerate(self._lines) if line.place is None
-        }
-        #: Places in the array s of the values that later pieces need.
-        self.places: dict[int, int] = {}
-        for k, line in enumerate(self._lines):
-            for node in self._used(line):
-                if self._piece.get(node, k // _PIECE) != k // _PIECE and node not in self.places:
-                    self.places[node] = self.room
-                    self.room += 1
-
-    def _arguments(self, node: int) -> list[_Line]:
-        """The lines that put the values given to a loop or a solve in their places."""
-        operator, given = self._graph.nodes[node]
-        if not isinstance(operator, WhileLoop | Solve):
-            return []
-        if isinstance(operator, WhileLoop):
-            self.loops[node] = operator
-        first = self._values[node] = self.room
-        self.room += len(given)
-        return [_Line(x, ("s", first + k)) for k, x in enumerate(given)]
-
-    def _used(self, line: _Line) -> tuple[int, ...]:
-        """The nodes whose values stand in a line."""
-        operator, given = self._graph.nodes[line.node]
-        if line.place is not None:
-            return (line.node,)
-        return () if isinstance(operator, Entry | WhileLoop | Solve) else given
-
-    def loop_name(self, node: int) -> str:
-        """The name of the function of a loop."""
-        return f"{self._name}_loop_{node}"
-
-    def lines(self, piece: int) -> list[str]:
-        """The lines of a piece."""
-        lines = []
-        for node, place in self._lines[piece * _PIECE : (piece + 1) * _PIECE]:
-            operator, given = self._graph.nodes[node]
-            if place is not None:
-                lines.append("    {}[{}] = {};".format(*place, self._text(node, piece)))
-                continue
-            if isinstance(operator, WhileLoop | Solve):
-                lines.append(self._call(node))
-                continue
-            boolean = self._graph.kind(node) == "b"
-            if isinstance(operator, Entry):
-                value = _read(f"s[{self._outputs(*given) + operator.place}]", boolean)
-            else:
-                value = OPERATORS[operator].c.format(*(self._text(x, piece) for x in given))
-            lines.append(f"    const {'int' if boolean else 'double'} v{node} = {value};")
-            if node in self.places:
-                lines.append(f"    s[{self.places[node]}] = v{node};")
-        return lines
-
-    def zeros(self) -> list[str]:
-        """A line for the results that are zero, if there are any."""
-        if not {*self._graph.zeros} & {*self._results}:
-            return []
-        return [f"    memset(out, 0, {len(self._results)} * sizeof(double));"]
-
-    def _call(self, node: int) -> str:
-        """The call of the function of a loop or a solve, whose outputs are in s."""
-        operator, at = self._graph.nodes[node][0], f"s + {self._values[node]}"
-        at = f"{at}, s + {self._outputs(node)}"
-        if isinstance(operator, Solve):
-            return f"    solve({operator.unknowns}, {operator.systems}, {at});"
-        return f"    {self.loop_name(node)}({at});"
-
-    def _outputs(self, node: int) -> int:
-        """The first place in s of the outputs of a loop or a solve."""
-        operator, given = self._graph.nodes[node]
-        return self._values[node] + len(given) - operator.outputs
-
-    def _text(self, node: int, piece: int) -> str:
-        """A value within an expression of a piece."""
-        operator, content = self._graph.nodes[node]
-        boolean = self._graph.kind(node) == "b"
-        if operator == "input":
-            return _read("a{}[{}]".format(*content), boolean)
-        if operator != "constant":
-            if self._piece[node] == piece:
-                return f"v{node}"
-            return _read(f"s[{self.places[node]}]", boolean)
-        if boolean:
-            return str(int(content))
-        if math.isnan(content):
-            return "NAN"
-        if math.isinf(content):
-            return "INFINITY" if content > 0 else "(-INFINITY)"
-        text = repr(float(content))  # as many digits as give the same float back
-        return f"({text})" if text.startswith("-") else text
+def _value(graph: Graph, node: int, kept: dict[int, int]) -> str:
+    """A value that is a constant, an input, or kept by an earlier piece."""
+    operator, content = graph.nodes[node]
+    if operator == "input":
+        return _read("a{}[{}]".format(*content), graph.kind(node))
+    if operator != "constant":
+        return _read(f"s[{kept[node]}]", graph.kind(node))
+    if graph.kind(node) == "b":
+        return str(int(content))
+    if math.isnan(content):
+        return "NAN"
+    if math.isinf(content):
+        return "INFINITY" if content > 0 else "(-INFINITY)"
+    text = repr(float(content))  # as many digits as give the same float back
+    return f"({text})" if text.startswith("-") else text
 
 
-def _read(place: str, boolean: bool) -> str:
+def _read(place: str, kind: str) -> str:
     """A value that is kept in an array of floats."""
-    return f"({place} != 0.0)" if boolean else place
+    return f"({place} != 0.0)" if kind == "b" else place
