@@ -28,8 +28,8 @@ _NOTE = (
     "Powers of the step by which errors fall. Claimed: those that the method states for the scene, "
     "for the time after the start transient. Settled: measured, of the largest error in the last "
     "quarter of the interval. With transient: measured, of the largest error over time; 0: errors "
-    f"do not fall. * less than claimed by more than {_SHORT:g}. {NO_VALUE}: no claim, or no order "
-    "can be fitted."
+    f"do not fall. * less than claimed by more than {_SHORT:g}. † without the "
+    f"finest steps, at which errors are rounding. {NO_VALUE}: no claim, or no order can be fitted."
 )
 
 
@@ -72,7 +72,9 @@ def order_table(series: Sequence[Series], title: str, scenes: Sequence[str] = ()
                 order = fit.order if fit.verdict == "converges" and fit.order else 0.0
                 unknown = fit.order is None and fit.verdict != STUCK
                 short = norm == "settled" and g in claims and claims[g] - order > _SHORT
-                cell = (order_text(order) if order else "0") + " *" * short
+                # Errors at the finest steps may be rounding.
+                cut = fit.window is not None and fit.window[1] > 1.001 * (s.ok[-1].h or 0.0)
+                cell = (order_text(order) if order else "0") + " *" * short + " †" * cut
                 rows[-1].append(NO_VALUE if unknown else cell)
     head = ["scene" if scenes else "integrator", "order"]
     head += ["λ" if g == "lam" else g for g in groups]

@@ -301,7 +301,8 @@
     const busy = curves.flatMap((c) => c.points.filter((p) => p.shown && !p.banded).flatMap((p, k, own) => steps(p, own[k + 1] || p)))
       .concat(steps({ x: at.inside.x0, y }, { x: at.inside.x1, y }));
     const named = drawn.filter((item) => item.kind !== "other").reverse();
-    for (const item of named.slice(0, 3)) {
+    // All winners have a ring, few a name.
+    for (const [k, item] of named.entries()) {
       const own = svg("g", { "data-method": item.index });
       chart.append(own);
       const state = answer?.states[item.index], run = Array.isArray(state) ? item.points[state[1]] : null;
@@ -311,7 +312,7 @@
         own.append(ring);
       }
       const p = run?.shown ? run : item.points.filter((o) => o.shown && !o.banded).at(-1);
-      if (!p || (names && !run)) continue;
+      if (k > 2 || !p || (names && !run)) continue;
       const spot = placed(item.method.short, p, at, busy, taken);
       if (spot?.far > 20) own.append(svg("path", { class: "leader", d: `M${p.x} ${p.y}L${spot.near.x} ${spot.near.y}` }));
       if (spot) own.append(label(item.method, item.method.short, spot.left, spot.top + 12));

@@ -36,6 +36,8 @@
   const joined = (items) => items.flatMap((item, k) => [...(k ? [k < items.length - 1 ? ", " : " and "] : []), ...item]);
   // What speaks against a winner: it ties from a later start alone, or its accelerations are wrong.
   const marks = (scene, own, m, { group }) => [[own.later.includes(m), data.later], [group !== "a" && data.scenes[scene].wrong_a.includes(m), data.wrong_a]].flatMap(([is, text]) => is ? `; ${text}` : []).join("");
+  // A violation that is larger than the accuracy is told to be.
+  const times = (off, { target }) => off > Number(target) ? `: ${stepbench.number(off / target)} times the accuracy` : "";
   // 'A (100 at h=0.1) and B (105 at h=0.2) tie; next: C, 2 times', as reports/questions/verdict.py says it.
   stepbench.verdict = (scene, question = stepbench.question) => {
     const own = stepbench.answer(question)[scene];
@@ -46,7 +48,7 @@
     }
     const run = (m) => {
       const [, k, cost] = own.states[m], runs = runsOf(scene, m), off = stepbench.columnOf(runs, "constraint")?.[k];
-      const held = off > 0 ? `; violation of Φ ${runs.phi[k]}${runs.phi[k] ? ", " : ""}relative ${stepbench.number(off)}${off > Number(question.target) ? ` > ${question.target}` : ""}` : "";
+      const held = off > 0 ? `; violation of Φ ${runs.phi[k]}${runs.phi[k] ? ", " : ""}relative ${stepbench.number(off)}${times(off, question)}` : "";
       return [stepbench.methodRef(m), ` (${stepbench.costWithUnit(cost, question.cost)} at ${stepbench.resolutionOf(runs, k)}${held}${marks(scene, own, m, question)})`];
     };
     const shown = own.first.slice(0, MOST).map(run), more = own.first.length - shown.length;
@@ -104,9 +106,8 @@
       return html("tr", { class: "out" }, ...lead, html("td", { colspan: 3 + 2 * held + Boolean(mine) }, text));
     }
     const [multiple, k, cost] = state, runs = runsOf(scene, index), error = stepbench.columnOf(runs, question.group)[k];
-    // A violation that is larger than the accuracy is told to be.
     const off = held ? stepbench.columnOf(runs, "constraint")[k] : NaN;
-    const violation = held ? [html("td", {}, runs.phi[k]), html("td", {}, stepbench.number(off), off > Number(question.target) ? ` > ${question.target}` : "")] : [];
+    const violation = held ? [html("td", {}, runs.phi[k]), html("td", {}, stepbench.number(off), times(off, question))] : [];
     const beside = mine?.k === undefined || index === mine.index ? "" : against(runs, k, runsOf(scene, mine.index), mine.k, question.cost);
     return html("tr", data.methods[index].label === question.highlight ? { class: "mine" } : {}, ...lead, html("td", {}, stepbench.costText(cost, question.cost)),
       html("td", {}, `${stepbench.multiple(multiple)} ×`), ...(mine ? [html("td", {}, beside)] : []), html("td", {}, stepbench.number(error)), ...violation);
