@@ -23,8 +23,7 @@ MOST_NUMBERS = 2**24
 LEAST_ROWS = 4
 #: The first steps are rows of every run, as they show start-up errors.
 FIRST_ROWS = 16
-#: Of the rows of a trajectory the first are stored, and about so many more; the rows of a map and
-#: of an ensemble are at so many times.
+#: Of the rows of a trajectory the first are stored, and about so many more.
 SPREAD_ROWS = 200
 #: Times so dense that every step is the first after one of them.
 EVERY_STEP = 10**15

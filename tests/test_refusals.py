@@ -59,6 +59,7 @@ two numbers of at least 2                  | map pendulum newmark --over h,beta 
 1000000 points                             | map pendulum newmark --over h,beta --grid 99999x99999
 no error of 'x'                            | map pendulum newmark --over h,beta --error x:end
 did you mean 'max'                         | map pendulum newmark --over h,beta --error q:mx
+give q:end                                 | map pendulum newmark --over h,beta --error q:max
 positive number                            | map pendulum newmark --over h,beta --threshold 0
 give --range sigma:A..B                    | map spring_mass newmark --over h,sigma --set sigma=0
 not rtol or atol                           | map pendulum generalized_alpha_adaptive --over h,th0

@@ -216,7 +216,7 @@ def _shown(found: Ensemble, seconds: float) -> list[Table | str]:
     "map",
     "problem integrator over ranges grid step pattern rtol atol error threshold t_end settings "
     "budget out plugins as_json",
-    error={"help": "Relative error to show, as in the report.", "default": "a:end"},
+    error={"help": "Relative error at the end to show.", "default": "a:end"},
     out="stepbench-map",
 )
 def map_(o: Given) -> None:

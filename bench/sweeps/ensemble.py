@@ -148,7 +148,7 @@ def ensemble(
         for name, own in zip(told, (block.status, block.message, block.t_last), strict=True):
             told[name][block.members] = own
         for group, rows in block.values.items():
-            for i, column in enumerate(rows[:, -1].T, 1):
+            for i, column in enumerate(rows.T, 1):
                 ends.setdefault(f"{group}{i}", np.full(count, np.nan))[block.members] = column
         for name, counts in zip(batch.counts, block.counts.T, strict=False):
             column = work.setdefault(f"{WORK}{name}", np.zeros(count, dtype=np.int64))

@@ -81,9 +81,8 @@ def outcome_map(
     """Run a method on a scene at every point of a grid over two quantities.
 
     Both quantities have ranges (`bench.sweeps.variation.find_range`) and numbers of values; all
-    else is as in `bench.sweeps.ensemble.ensemble`. A run whose relative ``error`` (a group and a
-    norm, as `bench.running.errors.relative_errors` takes it, but at some 200 rows) is above the
-    ``threshold`` is inaccurate.
+    else is as in `bench.sweeps.ensemble.ensemble`. A run whose relative ``error`` of a group at the
+    end, as `bench.running.errors.relative_errors` has it, is above the ``threshold`` is inaccurate.
 
     Returns
     -------
@@ -101,7 +100,10 @@ def outcome_map(
         If a value or a name is not allowed, or the integrator cannot run many members as one
         program.
     """
-    group, norm = group_and_norm(error, [group for group in GROUPS if scene.sizes.of(group)])
+    groups = [group for group in GROUPS if scene.sizes.of(group)]
+    group, norm = group_and_norm(error if ":" in error else f"{error}:end", groups)
+    if norm != "end":
+        raise SpecError(f"A map has errors at the end, and {error!r} is none; give {group}:end.")
     if not 0 < threshold < math.inf:
         raise SpecError(f"The threshold {threshold:g} is not allowed; give a positive number.")
     end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
@@ -110,22 +112,30 @@ def outcome_map(
     points = (table.ravel() for table in np.meshgrid(*sides))
     grid = dict(zip((varied.quantity for varied in ranges), points, strict=True))
     runs = runs_with(scene, method, resolution or resolution_of(scene, method), grid)
-    batch = Batch(runs, end, every_row=norm != "end")
+    batch = Batch(runs, end)
     outcome, reasons = np.full(len(runs), OUTCOMES.index("not_run")), {}
     errors = np.full(len(runs), np.nan)
-    own = group.strip("|")
-    exact_of = _exact_values(end, own)
+    own, t = group.strip("|"), np.array([end])
+
+    @cache
+    def exact_of(scene: MechatronicSystem) -> tuple[Any, Any, str]:
+        """Exact values at the end, and their scales; or the reason why there are none."""
+        try:
+            reference = Reference(scene, end)
+            return reference(t)[own], scales(reference, own), ""
+        except Exception as error:  # the scene may be a plugin, which may do anything
+            return None, None, f"The reference failed: {said(error)}"
+
     for block in batch.blocks(begun=begun):
         for k, member in enumerate(block.members):
-            name, reason, t = block.status[k], block.message[k], block.t[k, : block.rows[k]]
+            name, reason = block.status[k], block.message[k]
             if name == "ok":
-                exact, sizes, reason = exact_of(runs[member].scene, t.tobytes())
+                exact, sizes, reason = exact_of(runs[member].scene)
                 if reason:
                     name = "no_reference"
                 else:
-                    difference = block.values[own][k, : len(t)] - exact
                     measure = component_errors if group == own else whole_error
-                    errors[member] = measure(difference, t, sizes, norm).max()
+                    errors[member] = measure(block.values[own][k] - exact, t, sizes, norm).max()
                     if not errors[member] <= threshold:
                         name = "inaccurate"
                         reason = f"The error of {group} ({norm}) is above {threshold:g}."
@@ -156,19 +166,3 @@ def outcome_map(
         "compile_s": compiled - started,
         "run_s": done - compiled,
     }
-
-
-def _exact_values(t_end: float, group: str) -> Callable[[MechatronicSystem, bytes], tuple]:
-    """A function of a scene and times: exact values of a group, and their scales; or, as the third,
-    the reason why there are none. It keeps what it has found."""
-    reference_of = cache(lambda scene: Reference(scene, t_end))
-
-    @cache
-    def values(scene: MechatronicSystem, times: bytes) -> tuple:
-        try:
-            reference = reference_of(scene)
-            return reference(np.frombuffer(times))[group], scales(reference, group), ""
-        except Exception as error:  # the scene may be a plugin, which may do anything
-            return None, None, f"The reference failed: {said(error)}"
-
-    return values

@@ -60,8 +60,7 @@ def write_map_page(found: Mapping[str, Any], folder: Path) -> Path:
     )
     if "h" in (x["name"], y["name"]):
         about += " A step that does not divide the interval is shortened to one that does."
-    if found["error"].endswith(":end"):
-        about += " An error at the end alone may be small by chance, where it changes its sign."
+    about += " An error at the end alone may be small by chance, where it changes its sign."
     counts = []
     for outcome, count in found["counts"].items():
         words, _ = _OTHERS.get(outcome, (outcome, ""))

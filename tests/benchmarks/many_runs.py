@@ -67,7 +67,7 @@ class Varied:
     def check(self, blocks: list, count: int) -> None:
         """Compare ends of the first runs with those of single runs."""
         order = np.argsort(np.concatenate([block.members for block in blocks]))
-        ends = np.concatenate([block.values["q"][:, -1] for block in blocks])[order]
+        ends = np.concatenate([block.values["q"] for block in blocks])[order]
         for k in range(min(count, len(ends))):
             if not np.allclose(ends[k], self.single(k).measure().q[-1], rtol=1e-8, atol=1e-9):
                 raise SystemExit(f"{self.scene.name}: run {k} of many ends elsewhere than alone.")
