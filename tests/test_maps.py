@@ -15,8 +15,9 @@ from planted import Document
 
 from bench.plugins.registry import Registry
 from bench.running.errors import relative_errors
+from bench.running.worker import Worker
 from bench.sweeps.outcome_map import OUTCOMES, outcome_map
-from bench.sweeps.variation import find_range
+from bench.sweeps.variation import SweepRequest
 from integrators import Steps, Tolerances
 from problems.truth.reference import Reference
 from problems.variables import GROUPS
@@ -26,10 +27,11 @@ REGISTRY = Registry()
 ADAPTIVE, KVAERNO = "generalized_alpha_adaptive[newton=modified]", "kvaerno3[steps=constant]"
 
 
-def made(problem, integrator, over, counts, **more):
-    scene, method = REGISTRY.problem(problem), REGISTRY.integrator(integrator)
-    ranges = tuple(find_range(name, scene, method, ends) for name, ends in over.items())
-    return outcome_map(scene, method, ranges, counts, **more)
+def made(problem, integrator, over, counts, step=None, t_end=None, **more):
+    given = dict.fromkeys(("pattern", "rtol", "atol")) | {"step": step}
+    request = SweepRequest(problem, integrator, given, t_end)
+    ranges = (f"{name}:{ends[0]!r}..{ends[1]!r}" for name, ends in over.items() if ends)
+    return outcome_map(Worker(REGISTRY), request, tuple(over), tuple(ranges), counts, **more)
 
 
 def errors_of(found):
@@ -96,7 +98,7 @@ def test_undamped_methods_diverge_exactly_beyond_their_limit(monkeypatch, beta, 
         f"newmark[beta={beta!r}]",
         over,
         (4, 2),
-        resolution=Steps(limit),
+        step=limit,
         t_end=steps * limit,
         error="q:end",
         threshold=1e300,

@@ -251,14 +251,14 @@ def map_(o: Given) -> None:
     assert scene is not None
 
     from bench.commands.terminal import show
-    from bench.sweeps.outcome_map import map_job
+    from bench.sweeps.outcome_map import outcome_map
     from bench.sweeps.variation import SweepRequest
     from reports.pages.maps import write_map_page
 
     request = SweepRequest(scene.spec, method.spec, options.sizes(o), o.t_end)
     task = request, names, o.ranges, counts, o.error, o.threshold
     about, sources = f"{o.integrator} on {o.problem}", scene.sources | method.sources
-    plain = options.guarded(about, map_job, sources, o.budget, *task, threads=True)
+    plain = options.guarded(about, outcome_map, sources, o.budget, *task, threads=True)
     if o.as_json:
         options.print_json(plain)
         return

@@ -176,14 +176,15 @@ class EnsembleRequest(SweepRequest):
 
 def members_job(worker: Worker, request: EnsembleRequest, first: int, count: int) -> Ensemble:
     """Run ``count`` members of an ensemble from the ``first`` on."""
-    scene, method, ranges, fixed = request.prepared(worker, read_ranges(request.vary, "--vary"))
+    spans = read_ranges(request.vary, "--vary")
+    scene, method, ranges, fixed, end = request.prepared(worker, spans)
     draw = partial(Range.draw, seed=request.seed, first=first, count=count)
     return ensemble(
         scene,
         method,
         {name: draw(of, place=place) for place, (name, of) in enumerate(ranges.items())},
         fixed,
-        request.t_end,
+        end,
         begun=lambda: worker.notify(RUNNING, "running the members"),
         first=first,
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -12,13 +11,10 @@ import numpy as np
 
 from bench.results.quantities import GROUPS, group_and_norm
 from bench.running.errors import component_errors, finite, scales, whole_error
-from bench.running.plan import resolution_of
 from bench.running.process import RUNNING
 from bench.running.worker import Worker
 from bench.sweeps.batch import Batch
-from bench.sweeps.variation import Range, SweepRequest, read_ranges, runs_with, spec_without
-from integrators.contract import Integrator
-from integrators.resolutions import Steps, Tolerances, check_end
+from bench.sweeps.variation import SweepRequest, read_ranges, runs_with, spec_without
 from problems.base.spec import SpecError
 from problems.base.text import said
 from problems.system import MechatronicSystem
@@ -33,56 +29,21 @@ OUTCOMES = (
 POINTS, POINTS_INTEGRATED = 100, 25
 
 
-def map_job(
+def outcome_map(
     worker: Worker,
     request: SweepRequest,
     over: tuple[str, str],
-    ranges: tuple[str, ...],
-    grid: tuple[int, int] | None,
-    error: str,
-    threshold: float,
-) -> dict[str, Any]:
-    """Make a map of outcomes as plain values; ``ranges`` and ``over`` are texts of the user."""
-    spans = read_ranges(ranges, "--range")
-    stray = next((name for name in spans if name not in over), None)
-    if stray:
-        raise SpecError(f"--range {stray} is of no axis; the axes are {over[0]} and {over[1]}.")
-    of_axes = {name: spans.get(name) for name in over}
-    scene, method, found, fixed = request.prepared(worker, of_axes)
-    x, y = found.values()
-    points = [
-        POINTS_INTEGRATED if r.quantity.owner == "scene" and not scene.has_closed_form else POINTS
-        for r in (x, y)
-    ]
-    return outcome_map(
-        scene,
-        method,
-        (x, y),
-        grid or (points[0], points[1]),
-        fixed,
-        request.t_end,
-        error,
-        threshold,
-        begun=lambda: worker.notify(RUNNING, "running the points"),
-    )
-
-
-def outcome_map(
-    scene: MechatronicSystem,
-    method: Integrator,
-    ranges: tuple[Range, Range],
-    counts: tuple[int, int],
-    resolution: Steps | Tolerances | None = None,
-    t_end: float | None = None,
+    ranges: tuple[str, ...] = (),
+    grid: tuple[int, int] | None = None,
     error: str = "a:end",
     threshold: float = 0.1,
-    begun: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
-    """Run a method on a scene at every point of a grid over two quantities.
+    """Do a job of a worker: run a method on a scene at every point of a grid over two quantities.
 
-    Both quantities have ranges (`bench.sweeps.variation.find_range`) and numbers of values; all
-    else is as in `bench.sweeps.ensemble.ensemble`. A run whose relative ``error`` of a group at the
-    end, as `bench.running.errors.relative_errors` has it, is above the ``threshold`` is inaccurate.
+    ``over`` are the names of both, ``ranges`` texts such as "h:1e-3..0.1" for some
+    (`bench.sweeps.variation.find_range` has the others), ``grid`` the numbers of values. A run
+    whose relative ``error`` of a group at the end, as `bench.running.errors.relative_errors` has
+    it, is above the ``threshold`` is inaccurate.
 
     Returns
     -------
@@ -100,18 +61,25 @@ def outcome_map(
         If a value or a name is not allowed, or the integrator cannot run many members as one
         program.
     """
+    spans = read_ranges(ranges, "--range")
+    if stray := spans.keys() - over:
+        raise SpecError(f"--range {stray.pop()} is of no axis; the axes are {' and '.join(over)}.")
+    started = time.perf_counter()
+    scene, method, found, fixed, end = request.prepared(worker, {n: spans.get(n) for n in over})
+    counts = grid or tuple(
+        POINTS_INTEGRATED if r.quantity.owner == "scene" and not scene.has_closed_form else POINTS
+        for r in found.values()
+    )
     groups = [group for group in GROUPS if scene.sizes.of(group)]
     group, norm = group_and_norm(error if ":" in error else f"{error}:end", groups)
     if norm != "end":
         raise SpecError(f"A map has errors at the end, and {error!r} is none; give {group}:end.")
     if not 0 < threshold < math.inf:
         raise SpecError(f"The threshold {threshold:g} is not allowed; give a positive number.")
-    end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
-    started = time.perf_counter()
-    sides = [varied.even(count) for varied, count in zip(ranges, counts, strict=True)]
+    sides = [varied.even(count) for varied, count in zip(found.values(), counts, strict=True)]
     points = (table.ravel() for table in np.meshgrid(*sides))
-    grid = dict(zip((varied.quantity for varied in ranges), points, strict=True))
-    runs = runs_with(scene, method, resolution or resolution_of(scene, method), grid)
+    values = dict(zip((varied.quantity for varied in found.values()), points, strict=True))
+    runs = runs_with(scene, method, fixed, values)
     batch = Batch(runs, end)
     outcome, reasons = np.full(len(runs), OUTCOMES.index("not_run")), {}
     errors = np.full(len(runs), np.nan)
@@ -126,7 +94,7 @@ def outcome_map(
         except Exception as error:  # the scene may be a plugin, which may do anything
             return None, None, f"The reference failed: {said(error)}"
 
-    for block in batch.blocks(begun=begun):
+    for block in batch.blocks(begun=lambda: worker.notify(RUNNING, "running the points")):
         for k, member in enumerate(block.members):
             name, reason = block.status[k], block.message[k]
             if name == "ok":
@@ -148,12 +116,12 @@ def outcome_map(
     with np.errstate(divide="ignore"):
         logs = np.log10(errors)
     x, y = (
-        {"name": varied.quantity.name, "values": values.tolist(), "log": varied.logarithmic}
-        for varied, values in zip(ranges, sides, strict=True)
+        {"name": varied.quantity.name, "values": side.tolist(), "log": varied.logarithmic}
+        for varied, side in zip(found.values(), sides, strict=True)
     )
     return {
-        "problem": spec_without(scene, grid),
-        "integrator": spec_without(method, grid),
+        "problem": spec_without(scene, values),
+        "integrator": spec_without(method, values),
         "t_end": end,
         "x": x,
         "y": y,

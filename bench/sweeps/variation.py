@@ -264,8 +264,8 @@ class SweepRequest:
 
     def prepared(
         self, worker: Worker, spans: Mapping[str, tuple[float, float] | None]
-    ) -> tuple[MechatronicSystem, Integrator, dict[str, Range], Steps | Tolerances]:
-        """Make scene, integrator, ranges and the step or tolerances of all runs; compiling begins.
+    ) -> tuple[MechatronicSystem, Integrator, dict[str, Range], Steps | Tolerances, float]:
+        """Make scene, integrator, ranges, the step or tolerances and the end (s) of all runs.
 
         ``spans`` are the ends of each range by name; None for those of `find_range`.
 
@@ -289,4 +289,4 @@ class SweepRequest:
                 raise SpecError(f"The {owner} varies itself; leave --{option} out.")
             for h in (of.low, of.high) if owner == "step" else ():
                 Steps(h).count(start, end)  # refuses a step that does not fit
-        return scene, method, ranges, resolution_of(scene, method, **self.given)
+        return scene, method, ranges, resolution_of(scene, method, **self.given), end

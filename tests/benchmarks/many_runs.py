@@ -22,9 +22,10 @@ import numpy as np
 from frame import Row, alone, options, spread, write
 
 from bench.plugins.registry import Registry
+from bench.running.worker import Worker
 from bench.sweeps.batch import Batch
 from bench.sweeps.outcome_map import outcome_map
-from bench.sweeps.variation import find_quantity, find_range, runs_with
+from bench.sweeps.variation import SweepRequest, find_quantity, runs_with
 from integrators import Steps
 from problems.base.runtime import on_gpu
 
@@ -128,9 +129,9 @@ def main() -> None:
         return by_size(int(given.one[0]), 3)
     loops = (("quarter_car", "k"), ("pendulum", "th0"))
     rows = [against_a_loop(*named, given.rounds) for named in loops]
-    scene, method = Registry().problem("pendulum"), Registry().integrator("generalized_alpha")
-    ranges = find_range("h", scene, method, (1e-3, 0.3)), find_range("rho_inf", scene, method)
-    found = outcome_map(scene, method, ranges, (200, 200))
+    nothing: dict[str, Any] = dict.fromkeys(("step", "pattern", "rtol", "atol"))
+    request = SweepRequest("pendulum", "generalized_alpha", nothing, None)
+    found = outcome_map(Worker(Registry()), request, ("h", "rho_inf"), ("h:1e-3..0.3",), (200, 200))
     print(f"map of 200 x 200 on pendulum: {found['run_s']:.1f} s, prepared and compiled in "
           f"{found['compile_s']:.1f} s")  # fmt: skip
     platforms, cuda = ["cpu"], os.environ | {"JAX_PLATFORMS": "cuda"}
