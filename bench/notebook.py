@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from bench.commands.options import BUDGET_S, RESULTS, budget_of, usable_registry
 from bench.commands.suite import run_suite, suite_of_orders, write_reports
 from bench.results.flat_rows import flatten
-from bench.results.orders import order_summary
-from bench.results.quantities import GROUPS
+from bench.results.orders import Fit
+from bench.results.quantities import GROUPS, NORMS
 from bench.results.records import Record, Rows, endings
 from bench.results.store import Store
 from bench.running.inventory import Inventory
@@ -22,6 +22,7 @@ from bench.running.plan import make_suite
 from bench.running.profiles import read_profile
 from bench.running.progress import OnStandardError
 from bench.running.session import solve as run_one
+from bench.running.session import solve_cells
 from problems.base.spec import SpecError
 
 if TYPE_CHECKING:
@@ -76,29 +77,29 @@ class Solution:
 class Orders:
     """Orders of convergence of one integrator on one scene; a notebook shows errors over steps.
 
-    By group and norm: ``orders`` (None if not determined), with ``window``, the largest and the
-    smallest step of the fit in s, the number of its ``points``, and a ``verdict`` in words; and
-    relative ``errors``, one for each of the ``steps`` in s. ``status`` is how each run ended.
+    By group and norm, ``fits`` have the order (None if not determined) with its window and verdict,
+    and ``errors`` are relative, one for each of the ``steps`` in s. ``status`` is how each run
+    ended.
     """
 
     steps: list[float]
-    orders: dict[str, dict[str, float | None]]
-    window: dict[str, dict[str, Any]]
-    points: dict[str, dict[str, int]]
-    verdict: dict[str, dict[str, str]]
+    fits: dict[str, dict[str, Fit]]
     errors: dict[str, dict[str, list[float | None]]]
     status: list[str]
     _records: list[Record] = field(repr=False)
 
-    @cached_property
+    @property
+    def orders(self) -> dict[str, dict[str, float | None]]:
+        """The orders by group and norm; None if not determined."""
+        return {g: {n: fit.order for n, fit in own.items()} for g, own in self.fits.items()}
+
+    @property
     def frame(self) -> pd.DataFrame:
         """A pandas frame with a row for each group and norm."""
-        columns = {"order": self.orders, "window": self.window, "points": self.points}
-        columns["verdict"] = self.verdict
         return _pandas().DataFrame(
-            {"group": group, "norm": norm} | {k: v[group][norm] for k, v in columns.items()}
-            for group, by_norm in self.orders.items()
-            for norm in by_norm
+            {"group": group, "norm": norm} | msgspec.structs.asdict(fit)
+            for group, by_norm in self.fits.items()
+            for norm, fit in by_norm.items()
         )
 
     def _repr_svg_(self) -> str | None:
@@ -204,14 +205,22 @@ def order(
     >>> round(found.orders["q"]["settled"])
     2
     """
-    from bench.running.session import solve_cells
+    from reports.series import groups_of, series_of
 
     registry = usable_registry(plugins)
     scene = registry.problem(problem, **(parameters or {}))
     suite = suite_of_orders(registry, scene, [integrator], budget_of(budget), steps, pattern, t_end)
     cells = [*suite.cells.values()]
     records = [r for r, _ in solve_cells(cells, registry, budget, progress=OnStandardError())]
-    return Orders(**order_summary(records), _records=records)
+    series, *_ = series_of(records)
+    groups = groups_of(records)
+    return Orders(
+        [record.h or 0.0 for record in records],
+        {group: {norm: series.fit(group, norm) for norm in NORMS} for group in groups},
+        {g: {norm: [r.error(g, norm) for r in records] for norm in NORMS} for g in groups},
+        [record.status for record in records],
+        records,
+    )
 
 
 def run(

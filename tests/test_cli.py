@@ -13,7 +13,6 @@ from bench import order
 from bench.commands import results
 from bench.commands.main import main
 from bench.commands.runs import _end_values
-from bench.results.orders import EXACT
 from bench.results.records import Rows
 from bench.results.store import Store
 from bench.running.inventory import Inventory
@@ -74,13 +73,14 @@ def test_an_order_has_a_window_errors_and_a_verdict():
     found = order("pendulum", "generalized_alpha[rho_inf=0.5]", steps)
     for group in ("q", "v", "a", "lam"):
         assert found.orders[group]["settled"] == pytest.approx(2.0, abs=0.06)
-        assert found.window[group]["settled"] == pytest.approx([0.01, 0.00125])
+        assert found.fits[group]["settled"].window == pytest.approx([0.01, 0.00125])
         assert len(found.errors[group]["settled"]) == 4
     assert found.orders["lam"]["max"] == pytest.approx(1.0, abs=0.1)
     exact = order("bouncing_ball", "newmark", [0.1, 0.05, 0.025])
-    assert exact.verdict["q"]["settled"] == EXACT
+    assert exact.fits["q"]["settled"].verdict == "not determined"
+    assert max(exact.errors["q"]["settled"]) < 1e-12
     lost = order("pendulum", "generalized_alpha[rho_inf=1]", [0.02, 0.01, 0.005])
-    assert lost.verdict["lam"]["max"] == "does not converge"
+    assert lost.fits["lam"]["max"].verdict == "does not converge"
     assert lost.orders["q"]["max"] == pytest.approx(2.0, abs=0.05)
 
 

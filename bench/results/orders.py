@@ -22,18 +22,14 @@ import math
 import statistics
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Any
 
 import msgspec
 
-from bench.results.quantities import GROUPS, NORMS, TRUST
-from bench.results.records import Record
+from bench.results.quantities import TRUST
 
 SPREAD = 0.15
 #: A slope below this is no convergence worth the name.
 NO_CONVERGENCE = 0.3
-#: The verdict on a method without an error that could fall, and the largest error that is none.
-EXACT, _ROUND_OFF = "exact", 1e-12
 
 
 class Fit(msgspec.Struct, frozen=True):
@@ -115,30 +111,3 @@ def _window(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 def _slope(points: list[tuple[float, float]]) -> float:
     return statistics.linear_regression(*zip(*points, strict=True)).slope
-
-
-def order_summary(records: Sequence[Record]) -> dict[str, Any]:
-    """Return orders, windows and errors per group and norm, as ``stepbench order --json`` prints.
-
-    The records are those of one integrator at fixed steps.
-    """
-    steps = [record.h for record in records if record.h is not None]
-    names = ("orders", "window", "points", "verdict", "errors")
-    result: dict[str, Any] = {"steps": steps} | {name: {} for name in names}
-    result["status"] = [record.status for record in records]
-    groups = [g for g in GROUPS if any(g in r.reference_error for r in records)]
-    for norm in NORMS:
-        errors = {g: [r.error(g, norm) for r in records] for g in groups}
-        floors = {
-            g: max(r.reference_error[g][norm] for r in records if g in r.reference_error)
-            for g in groups
-        }
-        for group, fit in fit_orders(steps, errors, floors).items():
-            known = [error for error in errors[group] if error is not None]
-            limit = max(TRUST * floors[group], _ROUND_OFF)
-            exact = fit.order is None and known and max(known) <= limit
-            verdict = EXACT if exact else fit.verdict
-            values = fit.order, fit.window, fit.points, verdict, errors[group]
-            for name, value in zip(names, values, strict=True):
-                result[name].setdefault(group, {})[norm] = value
-    return result
