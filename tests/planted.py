@@ -181,7 +181,7 @@ def edited(folder: Path, name: str, edit: Callable[[Record], None]) -> Path:
         for key, record in store.records().items():
             rows = store.rows(key)
             edit(record)
-            samples, record.run_s = record.run_s, []
+            samples, record.run_s, record.rounds = record.run_s, [], []
             store.save(record, rows)
             for k, seconds in enumerate(samples):
                 store.add_sample(key, k, seconds)

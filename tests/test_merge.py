@@ -110,7 +110,7 @@ def test_merging_with_oneself_changes_nothing_and_all_kinds_are_merged(old, tmp_
 def test_merge_refuses_and_leaves_everything_as_it_is(old, tmp_path, refused):
     bad = edited(old, "bad", lambda record: None)
     with Store(bad, create=True) as store:
-        store._db.execute("DROP TABLE samples")
+        store._db.execute("DROP TABLE results")
     before = (old / FILE).read_bytes()
     for arguments, words in (
         ([old, "--out", tmp_path / "x"], "two folders or more"),

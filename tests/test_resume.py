@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import random
-import sqlite3
 import subprocess
 import sys
 import time
-from contextlib import closing
 from pathlib import Path
 
 import msgspec
 import pytest
 from small_stores import A_SCENE
 
-from bench.results.store import FILE, Store
+from bench.results.store import Store, StoreError
 from bench.running.inventory import Inventory
 from bench.running.plan import Suite, make_suite
 from bench.running.process import NoAnswer
@@ -57,14 +55,11 @@ def finish(folder: Path) -> str:
 def rows(out: Path) -> int:
     """Finished cells and samples so far, read beside the running process."""
     try:
-        url = f"file:{out / FILE}?mode=ro"
-        with closing(sqlite3.connect(url, uri=True, timeout=5)) as db:
-            return sum(
-                db.execute(f"SELECT COUNT(*) FROM {table}").fetchone()[0]
-                for table in ("results WHERE kind = 'Record'", "samples")
-            )
-    except sqlite3.Error:
+        with Store(out) as store:
+            records = store.records().values()
+    except StoreError:
         return 0
+    return len(records) + sum(len(record.run_s) for record in records)
 
 
 def table(out: Path) -> dict[str, tuple]:

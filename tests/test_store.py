@@ -79,8 +79,8 @@ def test_what_cannot_be_read_is_named_with_the_way_out(tmp_path):
         with Store(folder) as store, pytest.raises(StoreError, match=rf"A {kind} in.*--fresh"):
             store.rows("k"), store.records(), store.scenes()
     lost = filled(tmp_path / "lost")
-    change(lost, "DROP TABLE samples")
-    words = r"cannot be read \(no such table: samples\).*--fresh"
+    change(lost, "DROP TABLE results")
+    words = r"cannot be read \(no such table: results\).*--fresh"
     with Store(lost) as store, pytest.raises(StoreError, match=words):
         store.records()
     with pytest.raises(StoreError, match="no stepbench results"):

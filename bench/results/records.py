@@ -15,7 +15,7 @@ from bench.results.quantities import GROUPS, NORM, TRUST, WRONG, parts
 from bench.results.table import short_exponent
 
 #: Version of the records below. A store of another version is refused with a hint.
-SCHEMA = 4
+SCHEMA = 5
 
 #: Status of a cell whose run somebody or something ended from outside; it is run again.
 INTERRUPTED = "interrupted"

@@ -1,9 +1,9 @@
 """The store: one SQLite file per run folder.
 
 All results are rows of one table: kind (the name of a record's class), key, and the value as
-compressed JSON. A new study needs no other table. Timing samples, which come one by one, have one
-of their own. Only the process that plans writes. Each finished cell is one transaction, so that a
-run killed at any moment has lost nothing but the cell in work.
+compressed JSON. A new study needs no other table. Only the process that plans writes. Each finished
+cell, and each timing sample, is one transaction, so that a run killed at any moment has lost
+nothing but the work in hand.
 """
 
 from __future__ import annotations
@@ -30,13 +30,10 @@ _WAY_OUT = "start again with --fresh or another --out."
 _TABLES = f"""
 BEGIN IMMEDIATE;
 CREATE TABLE results (kind TEXT, key TEXT, value BLOB NOT NULL, PRIMARY KEY (kind, key));
-CREATE TABLE samples (key TEXT, number INTEGER, seconds REAL NOT NULL, invocation INTEGER,
-    PRIMARY KEY (key, number)) WITHOUT ROWID;
 PRAGMA user_version = {SCHEMA};
 COMMIT;
 """
 _KEEP = "INSERT OR REPLACE INTO results VALUES (?, ?, ?)"
-_SAMPLE = "INSERT OR REPLACE INTO samples VALUES (?, ?, ?, ?)"
 #: The last of all keys, or of those that begin with the same text.
 _LAST = "\U0010ffff"
 #: Keys of values that are kept by themselves.
@@ -131,7 +128,7 @@ class Store:
         self._put([(_KEYS[type(value)](value), value)])
 
     def save(self, record: Record, rows: Rows) -> None:
-        """Keep a finished cell, in one transaction; forgets older samples.
+        """Keep a finished cell, in one transaction.
 
         Of the runs of a method that differ in nothing but the size of their steps or tolerances,
         the rows of one are kept, which pages draw: the finest that reached the end, if any did.
@@ -146,24 +143,25 @@ class Store:
         if finest := all(_rank(other) <= _rank(record) for other in own if other.key != record.key):
             rows = Rows(t=_short(rows.t), values=_short(rows.values), notes=_short(rows.notes))
         forgotten = [record.key, *(other.key for other in beside if finest)]
-        self._put([(record.key, rows)] * finest + [(record.key, record)], forgotten, record.key)
+        self._put([(record.key, rows)] * finest + [(record.key, record)], forgotten)
 
     def add_sample(
         self, key: str, number: int, seconds: float, invocation: int | None = None
     ) -> None:
         """Keep one timing sample of a cell: its round, in an invocation (None: the cell's own)."""
-        with self._transaction() as db:
-            db.execute(_SAMPLE, (key, number, seconds, invocation))
+        record = self.values(Record, key, key)[key]
+        place = record.environment if invocation is None else invocation, number
+        taken = dict(zip(record.rounds, record.run_s, strict=True)) | {place: seconds}
+        record.rounds = sorted(taken, key=lambda place: place[1])
+        record.run_s = [taken[place] for place in record.rounds]
+        self._put([(key, record)])
 
     def take(self, other: Store, but: Collection[str] = ()) -> None:
         """Keep all that another store has, but its plan and the cells of some keys."""
         select = "SELECT * FROM results WHERE kind != 'Plan' ORDER BY rowid"
         rows = [row for row in other._read(select) if row[1] not in but]
-        samples = [row for row in other._read("SELECT * FROM samples") if row[0] not in but]
         with self._transaction() as db:
-            db.executemany("DELETE FROM samples WHERE key = ?", {(key,) for _, key, _ in rows})
             db.executemany(_KEEP, rows)
-            db.executemany(_SAMPLE, samples)
 
     # ---- reading -----------------------------------------------------------------------
     def values(self, kind: type[T], first: str = "", last: str = _LAST) -> dict[str, T]:
@@ -197,24 +195,10 @@ class Store:
         return self.values(LongRun)
 
     def records(self) -> dict[str, Record]:
-        """All finished cells by key, with their timing samples, in the order of the plan.
-
-        Cells that the plan no longer has come last.
-        """
-        # Before the records: a run that goes on meanwhile may add samples, but takes no record
-        # away, so that every sample read here finds its record below.
-        samples = self._read("SELECT * FROM samples ORDER BY key, number")
+        """All finished cells by key, in the order of the plan; others come last."""
         found, plan = self.values(Record), self.plan()
         planned = [key for study in plan.studies for key in study.cells] if plan else []
-        records = {key: found[key] for key in dict.fromkeys([*planned, *found]) if key in found}
-        for record in records.values():
-            record.rounds, record.run_s = [], []
-        for key, number, seconds, invocation in samples:
-            if record := records.get(key):
-                taken_by = record.environment if invocation is None else invocation
-                record.rounds.append((taken_by, number))
-                record.run_s.append(seconds)
-        return records
+        return {key: found[key] for key in dict.fromkeys([*planned, *found]) if key in found}
 
     def rows(self, key: str) -> Rows:
         """The sampled values of a cell, if they are kept."""
@@ -240,10 +224,8 @@ class Store:
             self._db.execute("PRAGMA busy_timeout=0")
             self._db.execute("PRAGMA journal_mode=DELETE")
 
-    def _put(
-        self, values: Iterable[tuple[str, Any]], rows: Iterable[str] = (), samples: str = ""
-    ) -> None:
-        """Keep values by key; forget the rows of some cells, and the samples of one."""
+    def _put(self, values: Iterable[tuple[str, Any]], forgotten: Iterable[str] = ()) -> None:
+        """Keep values by key; forget the rows of some cells."""
         words = "Earlier results are intact."
         with self._errors(f"A result cannot be stored in {self.folder}", words):
             kept = []
@@ -252,9 +234,8 @@ class Store:
                 msgspec.json.decode(text, type=type(value))  # it has to be read again
                 kept.append((type(value).__name__, key, zlib.compress(text, 9)))
         with self._transaction() as db:
-            forgotten = [("Rows", key) for key in rows]
-            db.executemany("DELETE FROM results WHERE kind = ? AND key = ?", forgotten)
-            db.execute("DELETE FROM samples WHERE key = ?", (samples,))
+            delete = "DELETE FROM results WHERE kind = 'Rows' AND key = ?"
+            db.executemany(delete, [(key,) for key in forgotten])
             db.executemany(_KEEP, kept)
 
     def _read(self, sql: str, *parameters: object) -> list[tuple]:
