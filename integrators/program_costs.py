@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from integrators.lowering.operators import ELEMENTARY, OPERATORS
+from integrators.lowering.graph import ELEMENTARY, OPERATORS
 from integrators.lowering.rules import MOVES, on_numbers
 from integrators.lowering.stablehlo import Follower, Program, Step, program
 from problems.equations.compiled import compiled
@@ -327,7 +327,7 @@ def _known(step: Step, given: list[int | None]) -> int | None:
         return None
     pairs = zip(given, step.taken, strict=True)
     found = on_numbers(step, *(np.asarray(value, one.dtype) for value, one in pairs))
-    return None if found is None else int(found[0])
+    return None if found is None else int(found)
 
 
 def _turns(

@@ -17,7 +17,7 @@ from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
 from integrators.adapters.scipy_ode import BDF, Radau
 from integrators.adapters.solve_dae import RadauDAE
-from integrators.lowering import native, operators
+from integrators.lowering import c_source, graph
 from integrators.lowering.graph import NotLowered
 from problems import jnp
 from problems.base.runtime import jax, slower
@@ -42,6 +42,8 @@ def test_a_packed_function_gives_what_the_function_gives_for_its_own_numbers():
         assert first == pytest.approx(p[0] * s + p[1] * t + r[::-1], rel=1e-14)
         assert second == pytest.approx(other[0] * s + other[1] * 0.3 + r[::-1], rel=1e-14)
         assert s.tolist() == given.tolist()
+    constant = PackedFunction(lambda t, s: jnp.ones(2), None, 2)  # which needs no argument
+    assert constant.bind_c()(0.0, s).tolist() == [1.0, 1.0]
 
 
 def test_results_are_independent_of_later_calls_and_of_the_arguments():
@@ -140,12 +142,12 @@ class AtAZero(Probe):
 
 
 def flip(name, c):
-    return lambda at: at.setitem(operators.OPERATORS, name, operators.OPERATORS[name]._replace(c=c))
+    return lambda at: at.setitem(graph.OPERATORS, name, graph.OPERATORS[name]._replace(c=c))
 
 
 #: What is planted, the reason that is told, a scene, and methods that it concerns.
 REASONS = [
-    (lambda at: at.setattr(native, "_COMPILER", "no-such-compiler"),
+    (lambda at: at.setattr(c_source, "_COMPILER", "no-such-compiler"),
      "there is no C compiler named no-such-compiler", Pendulum(), (IDA, CVODE, BDF)),
     (lambda at: at.setattr("integrators.lowering.stablehlo._type", None),
      "programs of this JAX are not as known", Pendulum(), (IDA, CVODE)),
@@ -160,7 +162,7 @@ def test_what_stands_against_c_is_told_in_a_sentence_and_leads_to_python(method,
     for plant, reason, scene, methods in REASONS:
         if method not in methods:
             continue
-        for kept in (callbacks.in_c, native.load_c, slower):
+        for kept in (callbacks.in_c, c_source.load_c, slower):
             kept.cache_clear()
         caplog.clear()
         with pytest.MonkeyPatch.context() as at:
@@ -171,7 +173,7 @@ def test_what_stands_against_c_is_told_in_a_sentence_and_leads_to_python(method,
             assert sentence.startswith(f"{method.__name__} calls")
             assert reason in sentence
             assert found.measure().status == "ok"
-    for kept in (callbacks.in_c, native.load_c, slower):
+    for kept in (callbacks.in_c, c_source.load_c, slower):
         kept.cache_clear()
     assert not run(method(), AtAZero()).why
 
@@ -182,14 +184,14 @@ SOURCE = "double twice(double x) { return 2 * x; }\n"
 
 @pytest.fixture
 def empty_cache(tmp_path, monkeypatch):
-    monkeypatch.setattr(native, "_CACHE", tmp_path / "native")
-    native.load_c.cache_clear()
+    monkeypatch.setattr(c_source, "_CACHE", tmp_path / "native")
+    c_source.load_c.cache_clear()
     return tmp_path / "native"
 
 
 def twice():
-    native.load_c.cache_clear()
-    function = native.load_c(SOURCE).twice
+    c_source.load_c.cache_clear()
+    function = c_source.load_c(SOURCE).twice
     function.restype, function.argtypes = ctypes.c_double, [ctypes.c_double]
     return function(1.5)
 
@@ -198,7 +200,7 @@ def test_a_library_is_compiled_once_and_kept_and_what_is_no_library_is_made_anew
     assert twice() == 3.0
     (file,) = empty_cache.iterdir()
     with pytest.MonkeyPatch.context() as at:
-        at.setattr(native, "_compile", None)
+        at.setattr(c_source, "_compile", None)
         assert twice() == 3.0
     assert list(empty_cache.iterdir()) == [file]
     good = file.read_bytes()
@@ -213,22 +215,22 @@ def test_a_library_is_compiled_once_and_kept_and_what_is_no_library_is_made_anew
 
 def test_without_a_compiler_or_a_folder_the_reason_is_told(empty_cache, monkeypatch):
     with pytest.raises(NotLowered, match="cc failed"):
-        native.load_c("double f(double x) { return y; }\n")
+        c_source.load_c("double f(double x) { return y; }\n")
     empty_cache.write_text("a file in the way")
     with pytest.raises(NotLowered, match="fails"):
-        native.load_c(SOURCE)
-    monkeypatch.setattr(native, "_COMPILER", "no-such-compiler")
+        c_source.load_c(SOURCE)
+    monkeypatch.setattr(c_source, "_COMPILER", "no-such-compiler")
     with pytest.raises(NotLowered, match="no C compiler"):
-        native.load_c(SOURCE)
+        c_source.load_c(SOURCE)
 
 
 def test_a_compiler_that_hangs_is_given_up(empty_cache, monkeypatch, tmp_path):
-    monkeypatch.setattr(native, "_PATIENCE", 1.0)
+    monkeypatch.setattr(c_source, "_PATIENCE", 1.0)
     (tmp_path / "cc").write_text(
         '#!/bin/sh\n[ "$1" = --version ] && echo cc 1 || exec sleep 1000\n'
     )
     (tmp_path / "cc").chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
     with pytest.raises(NotLowered, match="cc took more than 1 s"):
-        native.load_c(SOURCE)
+        c_source.load_c(SOURCE)
     assert not empty_cache.exists()  # no half compilation is left

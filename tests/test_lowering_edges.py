@@ -13,8 +13,7 @@ from integrators.adapters.callbacks import PackedFunction
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.scipy_ode import BDF
 from integrators.lowering.c_source import c_function
-from integrators.lowering.graph import NotLowered
-from integrators.lowering.operators import ELEMENTARY
+from integrators.lowering.graph import ELEMENTARY, NotLowered
 from integrators.lowering.to_graph import lowered
 from integrators.native.algebra.jaxpr_tools import tangent_pattern
 from integrators.native.algebra.small_matrices import without_products

@@ -32,7 +32,7 @@ from integrators.adapters.counting import own_work
 from integrators.adapters.ida import IDA
 from integrators.adapters.scipy_ode import Radau
 from integrators.contract import Work
-from integrators.lowering.operators import ELEMENTARY
+from integrators.lowering.graph import ELEMENTARY
 from integrators.methods.explicit_structural import KRAlpha, NohBathe
 from integrators.methods.generalized_alpha import GeneralizedAlpha, Newmark
 from integrators.methods.symplectic import LobattoPair

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from integrators.lowering.c_source import c_function
+from integrators.lowering.c_source import c_function, load_c
 from integrators.lowering.graph import NotLowered
-from integrators.lowering.native import load_c
 from integrators.lowering.to_graph import lowered
 from integrators.program_costs import Cost, costs_of
 from problems.base.runtime import Float, Int, jax
@@ -54,7 +53,9 @@ class PackedFunction:
         between = zip(pairwise(ends), lengths, strict=True)
         self.places = [a if n is None else slice(a, b) for (a, b), n in between]
         self.size, self.function, self.lengths = ends[-1], function, lengths
-        self.program = jax.jit(lambda numbers: function(*(numbers[k] for k in self.places)))
+        self.program = jax.jit(
+            lambda numbers: function(*(numbers[k] for k in self.places)), keep_unused=True
+        )
 
     @cached_property
     def costs(self) -> list[Cost]:

@@ -26,7 +26,7 @@ from integrators.adapters.library_runs import (
 )
 from integrators.adapters.sundials import check_step, library
 from integrators.contract import Work
-from integrators.lowering.native import load_c
+from integrators.lowering.c_source import load_c
 from integrators.program_costs import Algebra
 
 _NORMAL, _ONE_STEP = 1, 2

@@ -1,4 +1,4 @@
-"""C of a graph: one line for each operation.
+"""C of a graph, one line for each operation; compiled by the machine's own compiler, and loaded.
 
 No operation is contracted or reordered, so that results differ from JAX's by the rounding of
 elementary functions and of sums alone. Compilers take time with the square of the length of a
@@ -7,10 +7,38 @@ function. So a long program is cut into pieces that hand over values in an array
 
 from __future__ import annotations
 
+import ctypes
+import hashlib
 import math
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
 
-from integrators.lowering.graph import Entry, Graph, LoweredFunction, NotLowered, WhileLoop
-from integrators.lowering.operators import OPERATORS
+import platformdirs
+
+from integrators.lowering.graph import (
+    OPERATORS,
+    Entry,
+    Graph,
+    LoweredFunction,
+    NotLowered,
+    WhileLoop,
+)
+from problems.base.cache import keep, kept
+
+_COMPILER = "cc"
+#: Rounding stays as written: no operations are contracted. The library is not for one processor
+#: alone, as a folder of the user may be shared by several machines.
+_FLAGS = ("-O1", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared")
+_CACHE = Path(platformdirs.user_cache_dir("stepbench")) / "native"
+#: Time in s for which a compiler is waited for.
+_PATIENCE = 90.0
 
 _HEADER = """#include <math.h>
 #include <stdint.h>
@@ -72,17 +100,20 @@ def c_function(program: LoweredFunction) -> str:
     NotLowered
         If a result needs an operation that has no form in C, or there are too many operations.
     """
-    return _HEADER + _function("function", program, 1)[0]
+    results = program.results.ravel().tolist()
+    return _HEADER + _function("function", program.graph, results, ["a0"], {})[0]
 
 
-def _function(name: str, program: LoweredFunction, arguments: int) -> tuple[str, int]:
-    """The C of a function and of the loops in it, and the number of its operations."""
-    graph, results = program.graph, program.results.ravel().tolist()
+def _function(
+    name: str, graph: Graph, results: Sequence[int], arguments: list[str], around: dict[int, str]
+) -> tuple[str, int]:
+    """The C of a function and of the loops in it, and the number of its operations; of a loop, with
+    the places of values around it."""
     #: Node that a line computes (None: it puts a value in a place, or calls), text, nodes in it.
     lines: list[tuple[int | None, str, tuple[int, ...]]] = []
     before, inside, room = [], 0, 0  # loops, their operations, and the size of the array s
     outputs: dict[int, int] = {}  # places in s of those of loops and solves
-    for node in graph.needed(results):
+    for node in graph.needed(results, around):
         operator, given = graph.nodes[node]
         if isinstance(operator, str):
             lines.append((node, OPERATORS[operator].c, given))
@@ -95,7 +126,7 @@ def _function(name: str, program: LoweredFunction, arguments: int) -> tuple[str,
             called, at = f"{name}_loop_{node}(", f"s + {room}, s + {outputs[node]});"
             room += len(given)
             if isinstance(operator, WhileLoop):
-                source, more = _loop(called[:-1], operator)
+                source, more = _loop(called[:-1], graph, operator)
                 before, inside = [*before, source], inside + more
             else:
                 called = f"solve({operator.unknowns}, {operator.systems}, "
@@ -110,25 +141,26 @@ def _function(name: str, program: LoweredFunction, arguments: int) -> tuple[str,
     pairs = enumerate(results)
     lines += [(None, f"out[{k}] = {{}};", (node,)) for k, node in pairs if k not in zeros]
     piece_of = {node: k // _PIECE for k, (node, *_) in enumerate(lines)}
-    kept: dict[int, int] = {}  # places in s of the values that later pieces need
+    places = dict(around)  # and of values that later pieces need
     for k, (_, _, given) in enumerate(lines):
         for node in given:
-            if piece_of.get(node, k // _PIECE) != k // _PIECE and node not in kept:
-                kept[node], room = room, room + 1
-    passed = [*(f"a{k}" for k in range(arguments)), "out", "s"]
+            if piece_of.get(node, k // _PIECE) != k // _PIECE and node not in places:
+                places[node], room = f"s[{room}]", room + 1
+    passed = [*arguments, "out", "s"]
     typed = [f"{'const ' * one.startswith('a')}double *restrict {one}" for one in passed]
     calls = []
     for first in range(0, len(lines), _PIECE):
         before.append(f"static NOINLINE void {name}_{first}({', '.join(typed)})\n{{")
         for node, text, given in lines[first : first + _PIECE]:
             here = first // _PIECE
-            values = [f"v{x}" if piece_of.get(x) == here else _value(graph, x, kept) for x in given]
-            text = text.format(*values)
+            text = text.format(
+                *(f"v{x}" if piece_of.get(x) == here else _value(graph, x, places) for x in given)
+            )
             if node is not None:
                 kind = "int" if graph.kind(node) == "b" else "double"
                 text = f"const {kind} v{node} = {text};"
-            keep = f" s[{kept[node]}] = v{node};" if node in kept else ""
-            before.append(f"    {text}{keep}")
+            more = f" {places[node]} = v{node};" if node in places else ""
+            before.append(f"    {text}{more}")
         before.append("}")
         calls.append(f"    {name}_{first}({', '.join(passed)});")
     cleared = [f"    memset(out, 0, {len(results)} * sizeof(double));"] * bool(zeros)
@@ -136,14 +168,15 @@ def _function(name: str, program: LoweredFunction, arguments: int) -> tuple[str,
     return "\n".join([*before, head, *cleared, *calls, "}", ""]), count
 
 
-def _loop(name: str, loop: WhileLoop) -> tuple[str, int]:
+def _loop(name: str, graph: Graph, loop: WhileLoop) -> tuple[str, int]:
     """The C of a loop on the values u that its turns change, and given ones."""
-    goes_on, test = _function(f"{name}_test", loop.test, 2)
-    turn, body = _function(f"{name}_turn", loop.turn, 2)
+    around, arguments = {node: f"a0[{k}]" for k, node in enumerate(loop.given)}, ["a0", "a1"]
+    goes_on, test = _function(f"{name}_test", graph, [loop.test], arguments, around)
+    turn, body = _function(f"{name}_turn", graph, loop.turn, arguments, around)
     source = f"""
 {goes_on}{turn}static NOINLINE void {name}(const double *given, double *u)
 {{
-    double goes_on, next[{max(1, loop.turn.results.size)}];
+    double goes_on, next[{max(1, loop.outputs)}];
     while ({name}_test(given, u, &goes_on), goes_on != 0.0) {{
         {name}_turn(given, u, next);
         memcpy(u, next, sizeof next);
@@ -153,13 +186,11 @@ def _loop(name: str, loop: WhileLoop) -> tuple[str, int]:
     return source, test + body
 
 
-def _value(graph: Graph, node: int, kept: dict[int, int]) -> str:
-    """A value that is a constant, an input, or kept by an earlier piece."""
+def _value(graph: Graph, node: int, places: dict[int, str]) -> str:
+    """A value that is a constant, an input, or has a place."""
     operator, content = graph.nodes[node]
-    if operator == "input":
-        return _read("a{}[{}]".format(*content), graph.kind(node))
-    if operator != "constant":
-        return _read(f"s[{kept[node]}]", graph.kind(node))
+    if node in places or operator == "input":
+        return _read(places.get(node) or "a{}[{}]".format(*content), graph.kind(node))
     if graph.kind(node) == "b":
         return str(int(content))
     if math.isnan(content):
@@ -173,3 +204,60 @@ def _value(graph: Graph, node: int, kept: dict[int, int]) -> str:
 def _read(place: str, kind: str) -> str:
     """A value that is kept in an array of floats."""
     return f"({place} != 0.0)" if kind == "b" else place
+
+
+# ---- compiled C, kept by its content ----------------------------------------------------
+@cache
+def load_c(source: str) -> ctypes.CDLL:
+    """Compile C, or take what was compiled before, and load it.
+
+    Raises
+    ------
+    NotLowered
+        If there is no compiler, it hangs or refuses the source, or the result cannot be kept or
+        loaded.
+    """
+    compiler = shutil.which(_COMPILER)
+    if compiler is None:
+        raise NotLowered(f"there is no C compiler named {_COMPILER}")
+    try:
+        about = "\0".join((source, platform.machine(), compiler_version(compiler), *_FLAGS))
+        file = _CACHE / f"{hashlib.sha256(about.encode()).hexdigest()[:32]}.so"
+        if kept(file) is not None:
+            with suppress(OSError):  # of another system: it is made anew
+                return ctypes.CDLL(str(file))
+        keep(file, _compile(compiler, source))
+        return ctypes.CDLL(str(file))
+    except subprocess.TimeoutExpired as error:
+        raise NotLowered(f"{_COMPILER} took more than {_PATIENCE:g} s") from error
+    except OSError as error:
+        raise NotLowered(f"{_COMPILER} or the folder {_CACHE} fails ({error})") from error
+
+
+def _compile(compiler: str, source: str) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        text, new = Path(folder, "functions.c"), Path(folder, "functions.so")
+        text.write_text(source, encoding="utf-8")
+        command = [compiler, *_FLAGS, "-o", str(new), str(text), "-lm"]
+        done = _run(command)
+        if done.returncode:
+            words = done.stderr.decode(errors="replace").strip().splitlines()
+            raise NotLowered(f"{_COMPILER} failed: {words[0] if words else done.returncode}")
+        return new.read_bytes()
+
+
+@cache
+def compiler_version(compiler: str = _COMPILER) -> str:
+    """Return the first line of what a compiler says of itself.
+
+    Raises
+    ------
+    OSError, subprocess.TimeoutExpired
+        If there is none, or it hangs.
+    """
+    return _run([compiler, "--version"]).stdout.decode(errors="replace").partition("\n")[0]
+
+
+def _run(command: Sequence[str]) -> subprocess.CompletedProcess[bytes]:
+    environment = os.environ | {"LC_ALL": "C"}
+    return subprocess.run(command, capture_output=True, env=environment, timeout=_PATIENCE)

@@ -1,8 +1,8 @@
 """A graph of scalar operations, each of which stands in it once and is simplified when it comes.
 
 A value is the number of its node. Equal operations on equal values are one node, operations on
-constants are computed at once, and x + 0, 1 x, 0 x, x / 1 and double signs disappear. So a
-derivative along a unit vector has only the operations that matter.
+constants are computed at once, and x + 0, 1 x, 0 x and x / 1 disappear. So a derivative along a
+unit vector has only the operations that matter.
 
 Zeros have the signs that XLA gives them, as atan2 tells them apart: x + 0 is x there, too, and
 0 - x is not -x. There are two exceptions. 0 x and 0 / x are taken for a 0 whose sign is not known,
@@ -13,16 +13,101 @@ although x may turn infinite or zero. And sums begin with a term, not with 0: of
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Container, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from integrators.lowering.operators import OPERATORS, TO_FLOAT
 from problems.base.runtime import Array, Float, Int, jnp
 
 #: Nodes that a graph may have, constants and operations that nobody needs included.
 _MOST_NODES = 300_000
+
+
+#: Floating-point operations of an elementary function, such as sin or exp; about what their
+#: polynomials take.
+ELEMENTARY = 10
+#: Converts what is true or false.
+TO_FLOAT = "to_float"
+
+
+class Operator(NamedTuple):
+    """An operation on numbers, in `OPERATORS` by its name in StableHLO; comparisons go by their
+    directions.
+
+    Attributes
+    ----------
+    c
+        How C writes it.
+    numpy
+        The function of arrays.
+    cost
+        Its floating-point operations.
+    kind
+        The kind of its result: "f" for a number, "b" for true or false.
+    """
+
+    c: str
+    numpy: Callable[..., Any]
+    cost: int = 0
+    kind: str = "f"
+
+
+#: Functions that C and NumPy call alike, where StableHLO has other names.
+_RENAMED = {
+    "sine": "sin",
+    "cosine": "cos",
+    "exponential": "exp",
+    "exponential_minus_one": "expm1",
+    "log_plus_one": "log1p",
+}
+_ELEMENTARY = ("log", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh")
+_FUNCTIONS = {**_RENAMED, **{name: name for name in (*_ELEMENTARY, "atanh", "cbrt")}}
+_COMPARISONS = {
+    "EQ": ("==", np.equal),
+    "NE": ("!=", np.not_equal),
+    "LT": ("<", np.less),
+    "LE": ("<=", np.less_equal),
+    "GT": (">", np.greater),
+    "GE": (">=", np.greater_equal),
+}
+# As in JAX, NaN wins in maximum and minimum, and -0 is less than 0.
+_LARGER = "{0} > {1} || {0} != {0} || ({0} == {1} && signbit((double){1})) ? {0} : {1}"
+_SMALLER = "{0} < {1} || {0} != {0} || ({0} == {1} && signbit((double){0})) ? {0} : {1}"
+OPERATORS = {
+    "add": Operator("{} + {}", np.add, 1),
+    "subtract": Operator("{} - {}", np.subtract, 1),
+    "multiply": Operator("{} * {}", np.multiply, 1),
+    "divide": Operator("{} / {}", np.divide, 1),
+    "remainder": Operator("fmod({}, {})", np.fmod, 1),
+    "sqrt": Operator("sqrt({})", np.sqrt, 1),
+    **{
+        name: Operator(f"{function}({{}})", getattr(np, function), ELEMENTARY)
+        for name, function in _FUNCTIONS.items()
+    },
+    "power": Operator("pow({}, {})", np.power, ELEMENTARY),
+    "atan2": Operator("atan2({}, {})", np.arctan2, ELEMENTARY),
+    "negate": Operator("-{}", np.negative),
+    "abs": Operator("fabs({})", np.abs),
+    "maximum": Operator(_LARGER, np.maximum),
+    "minimum": Operator(_SMALLER, np.minimum),
+    "sign": Operator("{0} > 0 ? 1.0 : {0} < 0 ? -1.0 : {0}", np.sign),
+    "round_nearest_even": Operator("rint({})", np.rint),
+    "floor": Operator("floor({})", np.floor),
+    "ceil": Operator("ceil({})", np.ceil),
+    **{
+        name: Operator(f"{{}} {sign} {{}}", function, kind="b")
+        for name, (sign, function) in _COMPARISONS.items()
+    },
+    "and": Operator("{} & {}", np.bitwise_and, kind="b"),
+    "or": Operator("{} | {}", np.bitwise_or, kind="b"),
+    "xor": Operator("{} ^ {}", np.bitwise_xor, kind="b"),
+    "not": Operator("!{}", np.invert, kind="b"),
+    "is_finite": Operator("isfinite({}) != 0", np.isfinite, kind="b"),
+    #: The second value where the first is true, else the third.
+    "select": Operator("{} ? {} : {}", np.where),
+    TO_FLOAT: Operator("(double){}", np.float64),
+}
 
 
 class NotLowered(Exception):
@@ -41,11 +126,6 @@ class Unknown(NamedTuple):
     name: str
 
 
-_ARITHMETIC = {"negate", "add", "subtract", "multiply", "divide"}
-#: Operators on whole numbers, which C keeps as floats: as counters they stay exact.
-_COUNT = {"add", "subtract", "maximum", "minimum", TO_FLOAT, "select"}
-_COUNT |= {"EQ", "NE", "LT", "LE", "GT", "GE"}
-_LARGEST_COUNT = 10**6
 _COMMUTE = {"add", "multiply", "maximum", "minimum", "EQ", "NE", "and", "or", "xor"}
 
 
@@ -62,7 +142,7 @@ class Graph:
 
     def __init__(self) -> None:
         self.nodes: list[tuple[Any, Any]] = []
-        self._kinds: list[str] = []
+        self._kinds: list[str] = []  # "f" or "b"; whole numbers are floats
         self._known: dict[Any, int] = {}
         self.zero, self.one = self.constant(0.0), self.constant(1.0)
         #: 0 x, whose sign is not known.
@@ -70,16 +150,20 @@ class Graph:
         self.zeros = self.zero, self._nothing
 
     def constant(self, value: Any) -> int:
-        """The node of a float, a whole number, or true or false."""
-        kind = {"b": "b", "i": "i", "u": "i", "f": "f"}[np.asarray(value).dtype.kind]
-        # Of floats the bits count: 0.0 equals -0.0, and NaN nothing.
-        plain = {"b": bool, "i": int, "f": float}[kind](value)
-        key = kind, struct.pack("d", plain) if kind == "f" else plain
-        return self._node(key, "constant", plain, kind)
+        """The node of a number, or of true or false."""
+        if np.asarray(value).dtype.kind == "b":
+            return self._node(("b", bool(value)), "constant", bool(value), "b")
+        # The bits count: 0.0 equals -0.0, and NaN nothing.
+        key = "f", struct.pack("d", value)
+        return self._node(key, "constant", float(value), "f")
 
-    def input(self, argument: int, entry: int, kind: str = "f") -> int:
+    def input(self, argument: int, entry: int) -> int:
         """The node of an entry of an argument of the function."""
-        return self._node(("input", argument, entry), "input", (argument, entry), kind)
+        return self._node(("input", argument, entry), "input", (argument, entry), "f")
+
+    def state(self, entry: int, kind: str) -> int:
+        """A new node, of a value that the turns of a loop change."""
+        return self._node(("state", len(self.nodes)), "input", (1, entry), kind)
 
     def outputs(
         self, operator: WhileLoop | Solve, given: tuple[int, ...], kinds: Iterable[str]
@@ -103,11 +187,11 @@ class Graph:
         Raises
         ------
         NotLowered
-            If the node is none: whole numbers and indices must not depend on the arguments.
+            If the node is none: indices must not depend on the arguments.
         """
         operator, value = self.nodes[node]
         if operator != "constant":
-            raise NotLowered("it has an index or a whole number that depends on the state")
+            raise NotLowered("it has an index that depends on the state")
         return value
 
     def apply(self, operator: str, *given: int) -> int:
@@ -125,8 +209,8 @@ class Graph:
         nodes = [self.apply(operator, *row) for row in rows]
         return np.array(nodes, int).reshape(arrays[0].shape)
 
-    def needed(self, results: Iterable[int]) -> list[int]:
-        """The operations that the results need; each stands shortly before its first use.
+    def needed(self, results: Iterable[int], given: Container[int] = ()) -> list[int]:
+        """The operations that the results need beside given nodes, each shortly before its use.
 
         Raises
         ------
@@ -137,8 +221,8 @@ class Graph:
         waiting = [(int(node), False) for node in reversed(list(results))]
         while waiting:
             node, ready = waiting.pop()
-            operator, given = self.nodes[node]
-            if operator in ("constant", "input") or node in order:
+            operator, arguments = self.nodes[node]
+            if operator in ("constant", "input") or node in order or node in given:
                 continue
             if isinstance(operator, Unknown):
                 raise NotLowered(f"it has the operation {operator.name}")
@@ -146,8 +230,25 @@ class Graph:
                 order[node] = None
             else:
                 waiting.append((node, True))
-                waiting.extend((x, False) for x in reversed(given))
+                waiting.extend((x, False) for x in reversed(arguments))
         return list(order)
+
+    def loop(self, test: int, turn: Sequence[int], start: Sequence[int], first: int) -> list[int]:
+        """The nodes of the results of a loop, whose nodes are those from the first one on.
+
+        Parameters
+        ----------
+        test, turn
+            Nodes of whether there is another turn, and of the next `state`.
+        start
+            Nodes of the first state.
+        """
+        inside = [test, *turn]
+        used = [x for node in self.needed(inside, range(first)) for x in self.nodes[node][1]]
+        outer = (x for x in (*inside, *used) if x < first and not self.is_constant(x))
+        loop = WhileLoop(test, tuple(turn), tuple(dict.fromkeys(outer)))
+        kinds = [self._kinds[node] for node in start]
+        return self.outputs(loop, (*loop.given, *start), kinds)
 
     def origins(self, results: Iterable[int], nodes: Iterable[int]) -> list[set[int]]:
         """For each result the numbers of those among the nodes on which it depends."""
@@ -169,7 +270,7 @@ class Graph:
         return [found[node] for node in results]
 
     def kind(self, node: int) -> str:
-        """The kind of a value: "f" for a float, "b" for true or false, "i" for a whole number."""
+        """The kind of a value: "f" for a number, "b" for true or false."""
         return self._kinds[node]
 
     def _node(self, key: Any, operator: Any, content: Any, kind: str) -> int:
@@ -189,71 +290,35 @@ class Graph:
             return self._nothing
         if operator == "select" and self.is_constant(given[0]):
             return given[1] if self.value(given[0]) else given[2]
-        kinds = [self._kinds[node] for node in given]
-        # JAX wraps whole numbers that are too large for their type.
-        wraps = "i" in kinds and (operator not in _COUNT or any(map(self._is_large, given)))
-        if all(self.is_constant(node) for node in given) and not wraps:
-            known = self.constant(self._computed(operator, given))
+        if all(self.is_constant(node) for node in given):
+            values = [np.asarray(self.value(node)) for node in given]
+            with np.errstate(all="ignore"):
+                known = self.constant(np.asarray(OPERATORS[operator].numpy(*values))[()])
             return self._nothing if self._nothing in given and self._is_zero(known) else known
-        simple = self._signed(operator, *given) if operator in _ARITHMETIC else None
+        simple = self._without_zeros(operator, *given)
         if simple is not None:
             return simple
-        kind = kinds[1] if operator == "select" else OPERATORS[operator].kind
-        if wraps:
-            return self.unknown("'arithmetic of whole numbers'", "i", given)
-        if "i" in kinds and (operator in _ARITHMETIC or operator in ("maximum", "minimum")):
-            kind = "i"
+        kind = self._kinds[given[1]] if operator == "select" else OPERATORS[operator].kind
         return self._node(key, operator, given, kind)
 
-    def _is_large(self, node: int) -> bool:
-        """Whether it is a whole number with which counters might overflow."""
-        constant = self.is_constant(node) and self._kinds[node] == "i"
-        return constant and abs(self.value(node)) > _LARGEST_COUNT
-
-    def _computed(self, operator: str, given: tuple[int, ...]) -> Any:
-        values = [np.asarray(self.value(node)) for node in given]
-        with np.errstate(all="ignore"):
-            return np.asarray(OPERATORS[operator].numpy(*values))[()]
-
-    def _signed(self, operator: str, a: int, b: int = -1) -> int | None:
-        """A simpler node for -a, a + b, a - b, a b or a / b, or None."""
-        minus_a, minus_b = self._negated(a), self._negated(b)
-        if operator == "negate":
-            return minus_a
-        if operator == "add":
-            if self._is_zero(a) or self._is_zero(b):
-                return b if self._is_zero(a) else a
-            if minus_b is not None:
-                return self.apply("subtract", a, minus_b)
-            return None if minus_a is None else self.apply("subtract", b, minus_a)
-        if operator == "subtract":
-            if self._is_zero(b):
-                return a
-            if a == self._nothing:
-                return self.apply("negate", b)
-            if minus_b is None or self._is_zero(a):
-                return None
-            return self.apply("add", a, minus_b)
-        if a in self.zeros or (operator == "multiply" and b in self.zeros):
-            return self._nothing
-        if b == self.one or (operator == "multiply" and a == self.one):
-            return a if b == self.one else b
-        if minus_a is None and minus_b is None:
-            return None
-        product = self.apply(
-            operator, *(x if y is None else y for x, y in ((a, minus_a), (b, minus_b)))
-        )
-        return self.apply("negate", product) if None in (minus_a, minus_b) else product
+    def _without_zeros(self, operator: str, a: int, b: int = -1, *_: int) -> int | None:
+        """A simpler node for a + b, a - b, a b or a / b, or None."""
+        if operator == "add" and (self._is_zero(a) or self._is_zero(b)):
+            return b if self._is_zero(a) else a
+        if operator == "subtract" and self._is_zero(b):
+            return a
+        if operator == "subtract" and a == self._nothing:
+            return self.apply("negate", b)
+        if operator in ("multiply", "divide"):
+            if a in self.zeros or (operator == "multiply" and b in self.zeros):
+                return self._nothing
+            if b == self.one or (operator == "multiply" and a == self.one):
+                return a if b == self.one else b
+        return None
 
     def _is_zero(self, node: int) -> bool:
         """Whether it is a constant float, 0 or -0."""
         return self._kinds[node] == "f" and self.is_constant(node) and self.value(node) == 0
-
-    def _negated(self, node: int) -> int | None:
-        """-x if x is a node with a minus sign, else None."""
-        if node < 0 or self.nodes[node][0] != "negate":
-            return None
-        return self.nodes[node][1][0]
 
 
 class LoweredFunction(NamedTuple):
@@ -264,26 +329,24 @@ class LoweredFunction(NamedTuple):
 
 
 class WhileLoop(NamedTuple):
-    """An operator that goes round as long as a test says so.
-
-    Both programs have two arguments: given values, and the values u that a turn changes. The
-    operator's arguments are the given values and the first u.
+    """An operator that goes round as long as a test says so, from given values and a first state.
 
     Attributes
     ----------
-    test
-        Whether there is another turn.
-    turn
-        The next u.
+    test, turn
+        Nodes of whether there is another turn, and of the next state.
+    given
+        Nodes around the loop that these need.
     """
 
-    test: LoweredFunction
-    turn: LoweredFunction
+    test: int
+    turn: tuple[int, ...]
+    given: tuple[int, ...]
 
     @property
     def outputs(self) -> int:
         """The number of its outputs, which take the places of its last arguments."""
-        return self.turn.results.size
+        return len(self.turn)
 
 
 class Solve(NamedTuple):

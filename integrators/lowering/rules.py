@@ -13,13 +13,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from integrators.lowering.graph import Graph, NotLowered, Solve
-from integrators.lowering.operators import OPERATORS, TO_COUNT, TO_FLOAT, operator
+from integrators.lowering.graph import OPERATORS, TO_FLOAT, Graph, NotLowered, Solve
 from integrators.lowering.stablehlo import Step
 from problems.base.runtime import Bool, Int
 
-#: Most unknowns of a system, and of all in one operation.
-_MOST_UNKNOWNS, _MOST_IN_ALL = 40, 4000
+#: Most unknowns of a system; LAPACK is faster with more.
+_MOST_UNKNOWNS = 40
 #: Results of folding nothing.
 _OF_NOTHING = {
     "add": 0.0,
@@ -38,15 +37,11 @@ def _logistic(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
 
 def _convert(graph: Graph, step: Step, x: np.ndarray) -> np.ndarray:
     source, target = step.taken[0].dtype.kind, step.made[0].dtype.kind
-    if source == target:
-        return x
-    if target == "f":
-        return graph.each(TO_FLOAT, x)
-    if (source, target) == ("b", "i"):
-        return graph.each(TO_COUNT, x)
-    if (source, target) == ("f", "b"):
+    if source == "f" and target in "iu":
+        raise NotLowered("whole numbers depend on the state")
+    if target == "b" != source:
         return graph.each("NE", x, graph.zero)
-    raise NotLowered("whole numbers depend on the state")
+    return graph.each(TO_FLOAT, x) if source == "b" != target else x
 
 
 def _folded(graph: Graph, step: Step, rows: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -121,6 +116,13 @@ RULES: dict[str, Callable[..., np.ndarray]] = {
 }
 
 
+def operator(step: Step) -> str:
+    """Return the operator of a step that computes entry by entry; empty if it is none."""
+    if step.name == "compare" and "TOTALORDER" not in step.attributes.get("compare_type", ""):
+        return step.attributes["comparison_direction"].split()[-1].rstrip(">")
+    return step.name if step.name in OPERATORS else ""
+
+
 # ---- linear systems ---------------------------------------------------------------------
 def eliminate(
     graph: Graph, matrix: Int[np.ndarray, "n n"], right: Int[np.ndarray, "n m"]
@@ -132,8 +134,6 @@ def eliminate(
     NotLowered
         If a part has too many unknowns.
     """
-    if right.size > _MOST_IN_ALL:
-        raise NotLowered(f"it solves systems of more than {_MOST_IN_ALL} unknowns in all")
     parts = _parts(~np.isin(matrix, graph.zeros))
     if max(map(len, parts), default=0) > _MOST_UNKNOWNS:
         raise NotLowered(f"it solves a system of more than {_MOST_UNKNOWNS} unknowns")
@@ -290,17 +290,11 @@ def _window(x: np.ndarray, start: np.ndarray, sizes: Sequence[int]) -> tuple[sli
 
 
 # ---- numbers that are known before the program runs -------------------------------------
-def on_numbers(step: Step, *given: np.ndarray) -> list[np.ndarray] | None:
-    """The results of a step on numbers of any type; None if it has no rule here."""
-    if step.name == "sort" and step.operation == "compare" and given[0].ndim == 1:
-        # Of the rows that a factorisation exchanges.
-        order = np.argsort(given[0], kind="stable")
-        return (
-            [x[order] for x in given] if "LT" in str(step.bodies[0].steps[0].attributes) else None
-        )
+def on_numbers(step: Step, *given: np.ndarray) -> np.ndarray | None:
+    """The result of a step on numbers of any type; None if it has no rule here."""
     with np.errstate(all="ignore"):
         found = _on_numbers(step, *given)
-    return None if found is None else [found.astype(step.made[0].dtype)]
+    return None if found is None else found.astype(step.made[0].dtype)
 
 
 def _on_numbers(step: Step, *given: np.ndarray) -> np.ndarray | None:

@@ -17,18 +17,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from integrators.lowering.graph import Graph, LoweredFunction, NotLowered, WhileLoop
-from integrators.lowering.operators import operator
-from integrators.lowering.rules import INDICES, MOVES, RULES, eliminate, on_numbers
-from integrators.lowering.stablehlo import Body, Follower, Step, Type, program
+from integrators.lowering.graph import Graph, LoweredFunction, NotLowered
+from integrators.lowering.rules import INDICES, MOVES, RULES, eliminate, on_numbers, operator
+from integrators.lowering.stablehlo import Follower, Step, Type, program
 from problems.base.runtime import jax
 
 #: Entries of arrays that may be looked at, zeros included; more take half a minute.
 _MOST_ENTRIES = 10_000_000
 #: Turns of loops that are written out one after the other, as their number is known.
 _MOST_TURNS = 1000
-#: Types of numbers in C. C keeps whole numbers as floats, and JAX wraps those of fewer bits.
+#: Types of numbers in C. C keeps whole numbers as floats, which as counters stay exact: they have
+#: these operations alone, and are not so large that JAX might wrap them.
 _TYPES = {"bool", "int32", "int64", "float64"}
+_OF_COUNTERS = {"add", "subtract", "maximum", "minimum", "select", "clamp", "convert"}
+_OF_COUNTERS |= {"EQ", "NE", "LT", "LE", "GT", "GE"}
+_LARGEST_COUNT = 10**6
 
 
 class _Known(NamedTuple):
@@ -38,8 +41,6 @@ class _Known(NamedTuple):
 
 
 _Value = _Known | np.ndarray
-#: No half of a solution.
-_NO = b"", False, np.zeros(0, int)
 
 
 def lowered(function: Callable[..., Any], lengths: tuple[int | None, ...]) -> LoweredFunction:
@@ -74,10 +75,10 @@ class _Follower(Follower[_Value]):
     def __init__(self, functions: Any, graph: Graph) -> None:
         super().__init__(functions)
         self._graph, self._entries, self._turns = graph, 0, 0
-        #: Matrices by the nodes that stand for their factors.
+        #: Matrices by the nodes that stand for their factors, and right sides by the factors and
+        #: the nodes that stand for the solution with the first of them.
         self._factored: dict[bytes, np.ndarray] = {}
-        #: Factors, which of them, and right sides, by the nodes that stand for a half solution.
-        self._halves: dict[bytes, tuple[bytes, bool, np.ndarray]] = {}
+        self._halves: dict[tuple[bytes, bytes], np.ndarray] = {}
 
     def nodes(self, value: _Value) -> np.ndarray:
         """The nodes of a value."""
@@ -86,6 +87,8 @@ class _Follower(Follower[_Value]):
         numbers = value.numbers
         if numbers.dtype.kind not in "biuf":
             raise NotLowered("it has constants that are no numbers")
+        if numbers.dtype.kind in "iu" and (abs(numbers) > _LARGEST_COUNT).any():
+            raise NotLowered("it has large whole numbers")
         constants = [self._graph.constant(v) for v in numbers.flat]
         return np.array(constants, int).reshape(numbers.shape)
 
@@ -107,7 +110,7 @@ class _Follower(Follower[_Value]):
             others = sorted(_types(step) - _TYPES)
             name = repr(f"{step.name} of {others[0]}" if others else step.name)
             name = f"{name} ({reason})" if str(reason) else name
-            around = (values[k] for body in step.bodies for k in body.used if k in values)
+            around = [values[k] for body in step.bodies for k in body.used if k in values]
             return [self._unknown(name, made, [*given, *around]) for made in step.made]
         pairs = zip(results, step.made, strict=True)
         return [x if isinstance(x, _Known) else x.reshape(made.shape) for x, made in pairs]
@@ -118,28 +121,28 @@ class _Follower(Follower[_Value]):
         name = step.name
         if name == "while":
             return self._looped(step, given, values)
-        if name == "case":
-            return self._chosen(step, given, values)
         if name == "optimization_barrier":
             return given
         if all(isinstance(value, _Known) for value in given):
             found = on_numbers(step, *map(self._numbers, given))
             if found is not None:
-                return [_Known(one) for one in found]
+                return [_Known(found)]
         if name in MOVES:
             return [self._moved(step, given)]
         nodes = [self.nodes(value) for value in given]
         if not _types(step) <= _TYPES:
             raise NotLowered
-        if by := operator(step):
-            return [self._graph.each(by, *nodes)]
         if "getrf" in name:
             return self._factors(step, *nodes)
-        if name == "triangular_solve" or "trsm" in name:
+        if "trsm" in name:
             return [self._solved(step, *nodes)]
-        if name in RULES:
-            return [RULES[name](self._graph, step, *nodes)]
-        raise NotLowered
+        by = operator(step)
+        if not by and name not in RULES:
+            raise NotLowered
+        whole = any(one.dtype.kind == "i" for one in (*step.taken, *step.made))
+        if whole and (step.operation if step.bodies else by or name) not in _OF_COUNTERS:
+            raise NotLowered("it computes with whole numbers")
+        return [self._graph.each(by, *nodes) if by else RULES[name](self._graph, step, *nodes)]
 
     def _moved(self, step: Step, given: list[_Value]) -> _Value:
         """Entries at other places; indices are known beforehand."""
@@ -154,33 +157,34 @@ class _Follower(Follower[_Value]):
         return MOVES[step.name](step, *arrays, *combined)
 
     # ---- linear systems ----------------------------------------------------------------
-    def _factors(self, step: Step, matrices: np.ndarray) -> list[_Value]:
-        """Nodes that stand for the factors L and U of matrices, without exchanged rows.
+    def _factors(self, step: Step, matrix: np.ndarray) -> list[_Value]:
+        """Nodes that stand for the factors L and U of a matrix, without exchanged rows.
 
-        Whoever solves with both of them gets the solution; all else is unknown.
+        Whoever solves with one after the other gets the solution; all else is unknown.
         """
-        factors = self._unknown(repr(step.name), step.made[0], [matrices])
-        for place in np.ndindex(*matrices.shape[:-2]):
-            self._factored[factors[place].tobytes()] = matrices[place]
-        pivots, info = step.made[1:]
-        order = np.broadcast_to(np.arange(1, len(factors.T) + 1, dtype=pivots.dtype), pivots.shape)
+        if matrix.ndim > 2:
+            raise NotLowered("it factorises several matrices at once")
+        made, pivots, info = step.made
+        factors = self._unknown(repr(step.name), made, [matrix])
+        self._factored[factors.tobytes()] = matrix
+        order = np.arange(1, len(matrix) + 1, dtype=pivots.dtype)
         return [factors, _Known(order), _Known(np.zeros(info.shape, info.dtype))]
 
     def _solved(self, step: Step, factors: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """The solution with both factors of matrices; nodes that stand for it after the first."""
-        unit, transposed, left = _sides(step)
-        x = self._unknown(repr(step.name), step.made[0], [factors, right])
-        for place in np.ndindex(*factors.shape[:-2]):
-            key, b = factors[place].tobytes(), right[place]
-            matrix, (by, other, first) = self._factored.get(key), self._halves.get(b.tobytes(), _NO)
-            self._halves[x[place].tobytes()] = key, unit, b
-            if matrix is not None and by == key and other != unit:
-                a = matrix if transposed != left else matrix.T
-                solution = eliminate(self._graph, a, first if left else first.T)
-                x[place] = solution if left else solution.T
-        return x
+        """The solution with both factors of a matrix; nodes that stand for it after the first."""
+        letters = {k: chr(*number) for k, number in step.fields("mhlo.backend_config").items()}
+        kind = "".join(letters[k] for k in ("side", "uplo", "trans_x", "diag"))
+        key = factors.tobytes()
+        if kind == "LLNU":
+            half = self._unknown(repr(step.name), step.made[0], [factors, right])
+            self._halves[key, half.tobytes()] = right
+            return half
+        first = self._halves.get((key, right.tobytes()))
+        if kind != "LUNN" or key not in self._factored or first is None:
+            raise NotLowered
+        return eliminate(self._graph, self._factored[key], first)
 
-    # ---- loops and branches ------------------------------------------------------------
+    # ---- loops ------------------------------------------------------------
     def _looped(
         self, step: Step, given: list[_Value], values: dict[int, _Value]
     ) -> Sequence[_Value]:
@@ -192,7 +196,7 @@ class _Follower(Follower[_Value]):
                 self._turns = turns
                 if not _types(step) <= _TYPES:
                     raise NotLowered
-                return self._in_the_program(condition, turn, given, values)
+                return self._in_the_program(step, given, values)
             if not goes_on.numbers:
                 return state
             self._turns += 1
@@ -201,70 +205,29 @@ class _Follower(Follower[_Value]):
             state = self.run(turn, state, values)
 
     def _in_the_program(
-        self, condition: Body, turn: Body, given: list[_Value], values: dict[int, _Value]
-    ) -> Sequence[_Value]:
-        """The results of a loop whose number of turns is found in the loop."""
-        outer, inner, known = self._graph, _Follower(self.functions, Graph()), {}
-        captured: list[int] = []  # constants are written where they are used
-        inner._entries, inner._turns = self._entries, self._turns
-
-        def inside(value: _Value) -> _Value:
-            """Given values as the loop's programs see them; known ones stay known."""
-            if isinstance(value, _Known):
-                return value
-            for node in value.flat:
-                if node in known:
-                    continue
-                if outer.is_constant(node):
-                    known[node] = inner._graph.constant(outer.value(node))
-                else:
-                    known[node] = inner._graph.input(0, len(captured), outer.kind(node))
-                    captured.append(node)
-            return np.array([known[node] for node in value.flat], int).reshape(value.shape)
-
-        pairs = enumerate(zip(turn.parameters, turn.returned, strict=True))
-        first = {k: self.nodes(given[k]) for k, (before, after) in pairs if before != after}
-        kinds = [outer.kind(node) for node in _joined(first.values())]
-        inputs = iter([inner._graph.input(1, k, kind) for k, kind in enumerate(kinds)])
-        state = [
-            _next(inputs, first[k].shape) if k in first else inside(value)
-            for k, value in enumerate(given)
-        ]
-        around = {k: inside(values[k]) for k in condition.used | turn.used if k in values}
-        (goes_on,) = inner.run(condition, state, around)
-        after = inner.run(turn, state, around)
-        self._entries, self._turns = inner._entries, inner._turns
-        test = LoweredFunction(inner._graph, inner.nodes(goes_on))
-        changed = _joined([inner.nodes(after[k]) for k in first])
-        loop = WhileLoop(test, LoweredFunction(inner._graph, np.array(changed, int)))
-        outputs = iter(outer.outputs(loop, (*captured, *_joined(first.values())), kinds))
-        return [
-            _next(outputs, first[k].shape) if k in first else value for k, value in enumerate(given)
-        ]
-
-    def _chosen(
         self, step: Step, given: list[_Value], values: dict[int, _Value]
     ) -> Sequence[_Value]:
-        """The results of one of several bodies, all of which are computed."""
-        graph, before = self._graph, len(self._graph.nodes)
-        if isinstance(given[0], _Known):
-            place = int(given[0].numbers)
-            return self.run(step.bodies[place if place < len(step.bodies) else -1], [], values)
-        index = int(given[0])
-        *others, chosen = (
-            [self.nodes(value) for value in self.run(body, [], values)] for body in step.bodies
-        )
-        if any(isinstance(operator, WhileLoop) for operator, _ in graph.nodes[before:]):
-            raise NotLowered("a loop of a branch that is not taken might go on for ever")
-        for k, results in reversed([*enumerate(others)]):
-            taken = graph.apply("EQ", index, graph.constant(k))
-            pairs = zip(results, chosen, strict=True)
-            chosen = [graph.each("select", taken, yes, no) for yes, no in pairs]
-        return chosen
+        """The results of a loop whose number of turns is found in the loop."""
+        (condition, turn), graph = step.bodies, self._graph
+        pairs = enumerate(zip(turn.parameters, turn.returned, strict=True))
+        start = {k: self.nodes(given[k]) for k, (before, after) in pairs if before != after}
+        flat, first = _joined(start.values()), len(graph.nodes)
+
+        def replaced(nodes: Iterable[int]) -> list[_Value]:
+            """What a turn changes, in its shapes, beside what it does not."""
+            changed = iter([*nodes])
+            of = (start[k].shape if k in start else None for k in range(len(given)))
+            pairs = zip(given, of, strict=True)
+            return [x if shape is None else _next(changed, shape) for x, shape in pairs]
+
+        state = replaced(graph.state(k, graph.kind(node)) for k, node in enumerate(flat))
+        (goes_on,), after = (self.run(body, state, values) for body in (condition, turn))
+        changed = _joined(self.nodes(after[k]) for k in start)
+        return replaced(graph.loop(int(self.nodes(goes_on)), changed, flat, first))
 
     def _unknown(self, name: str, made: Type, given: Sequence[_Value]) -> np.ndarray:
         """Nodes of an operation without a rule, which may depend on all that it is given."""
-        kind = {"b": "b", "f": "f"}.get(made.dtype.kind, "i")
+        kind = "b" if made.dtype.kind == "b" else "f"
         on = (*{node for value in given if not isinstance(value, _Known) for node in value.flat},)
         nodes = [self._graph.unknown(name, kind, on) for _ in range(made.size)]
         return np.array(nodes, int).reshape(made.shape)
@@ -272,16 +235,6 @@ class _Follower(Follower[_Value]):
 
 def _types(step: Step) -> set[str]:
     return {str(one.dtype) for one in (*step.taken, *step.made)}
-
-
-def _sides(step: Step) -> tuple[bool, bool, bool]:
-    """Whether a triangle's diagonal is 1, it is transposed, and stands to the left of x."""
-    if step.name == "triangular_solve":
-        of = step.attributes
-        transposed = "NO_TRANSPOSE" not in of["transpose_a"]
-        return of["unit_diagonal"] == "true", transposed, of["left_side"] == "true"
-    letters = {name: chr(*number) for name, number in step.fields("mhlo.backend_config").items()}
-    return letters["diag"] == "U", letters["trans_x"] != "N", letters["side"] == "L"
 
 
 def _joined(pieces: Iterable[np.ndarray]) -> list[int]:
