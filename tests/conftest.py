@@ -185,4 +185,4 @@ def without_processes(monkeypatch):
     monkeypatch.setattr(Runner, "time", lambda self, tasks, samples, have: iter(()))
     monkeypatch.setattr(worker, "use_threads", lambda callers: None)
     # In this process tests patch functions: what is made here must not be kept.
-    monkeypatch.setattr(inventory, "keep_references", lambda file_of, told: None)
+    monkeypatch.setattr(inventory, "keep_references", lambda file_of: None)

@@ -19,7 +19,6 @@ from bench.running.process import (
     LOADING,
     PREPARING,
     RUNNING,
-    WAITING,
     GuardedProcess,
     Limits,
     Meter,
@@ -182,7 +181,6 @@ def test_who_does_nothing_for_a_minute_ends_within_any_budget(looks):
         (RUNNING, 0.0, True),
         (PREPARING, 1e-5, True),
         (RUNNING, 1e-2, False),
-        (WAITING, 0.0, False),  # another process makes what it waits for
     ):
         meter = metered(Limits(1e6), phase)
         assert looks(meter, 119, computed) == ""

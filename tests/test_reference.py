@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
-
 import numpy as np
 import pytest
 from helpers import long, toy
@@ -58,19 +55,10 @@ def test_the_reference_knows_small_components_beside_large_ones():
     assert small <= 2 * reference.error["q"][1] / 1e-6 < 1e-9
 
 
-@pytest.fixture
-def keeping(tmp_path, monkeypatch):
-    """References of this test are kept in a file; returns it, and what is told of making them."""
-    told = []
-    monkeypatch.setattr(reference, "_file_of", None)  # what follows is undone
-    monkeypatch.setattr(reference, "_told", None)
-    file = tmp_path / "references" / "beside"
-    reference.keep_references(lambda scene, t_end: file, lambda doing, made: told.append(doing))
-    return file, told
-
-
-def test_a_kept_reference_is_read_and_a_spoilt_one_made_anew(keeping, monkeypatch):
-    file, told = keeping
+def test_a_kept_reference_is_read_and_a_spoilt_one_made_anew(tmp_path, monkeypatch):
+    file, made, make = tmp_path / "references" / "beside", [], Reference._integrated
+    monkeypatch.setattr(reference, "_file_of", lambda scene, t_end: file)
+    monkeypatch.setattr(Reference, "_integrated", lambda self: made.append(1) or make(self))
     t = np.linspace(0.0, 0.2, 9)
     first = Reference(Beside(), 0.2)
     values, error, largest = first(t), first.error, first.largest
@@ -79,66 +67,30 @@ def test_a_kept_reference_is_read_and_a_spoilt_one_made_anew(keeping, monkeypatc
     assert all(np.array_equal(again(t)[g], values[g]) for g in ("q", "v", "a"))
     assert all(np.array_equal(again.error[g], error[g]) for g in error)
     assert all(np.array_equal(again.largest[g][0], largest[g][0]) for g in largest)
-    assert told == ["waiting for", "making"]
+    assert len(made) == 1
     spoilt = bytearray(content)
     spoilt[len(spoilt) // 2] ^= 1
     file.write_bytes(spoilt)
     assert np.array_equal(Reference(Beside(), 0.2)(t)["q"], values["q"])
-    assert told == ["waiting for", "making", "making"]
+    assert len(made) == 2
     assert file.read_bytes() == content
     # Without a folder for it nothing is kept, and nothing fails.
     monkeypatch.setattr(reference, "_file_of", lambda scene, t_end: file / "below")
     assert np.array_equal(Reference(Beside(), 0.2)(t)["q"], values["q"])
 
 
-def test_of_two_that_want_the_same_reference_one_makes_it(keeping, monkeypatch):
-    from filelock import FileLock
-
-    file, told = keeping
-    Reference(Beside(), 0.2).error  # noqa: B018 - makes it
-    content = file.read_bytes()
-    file.unlink()
-    other = FileLock(file.with_name(f".{file.name}.lock"), thread_local=False)
-    other.acquire()
-
-    def finish():
-        while told[-1] != "waiting for":
-            time.sleep(0.01)
-        file.write_bytes(content)
-        other.release()
-
-    finisher = threading.Thread(target=finish)
-    finisher.start()
-    assert np.isfinite(Reference(Beside(), 0.2)(np.array([0.1]))["q"]).all()
-    finisher.join()
-    assert told == ["waiting for", "making", "waiting for"]
-    # One that takes too long is not waited for any longer.
-    file.unlink()
-    monkeypatch.setattr(reference, "PATIENCE", 0.0)
-    with other:
-        assert np.isfinite(Reference(Beside(), 0.2).error["q"]).all()
-    assert told[3:] == ["waiting for", "making"]
-    assert not file.exists()
-
-
 def test_processes_without_plugins_keep_references_of_scenes_in_the_registry(monkeypatch):
-    given, told = [], []
-    monkeypatch.setattr(inventory, "keep_references", lambda *both: given.append(both))
-    inventory.load_registry(lambda *phase: told.append(phase), Sources())
-    ((file_of, tell),) = given
+    given = []
+    monkeypatch.setattr(inventory, "keep_references", given.append)
+    inventory.load_registry(lambda *phase: None, Sources())
+    (file_of,) = given
     files = [file_of(Pendulum(m=m), t_end) for m, t_end in ((1.0, 1.0), (2.0, 1.0), (2.0, 2.0))]
     assert len(set(files)) == 3
     assert file_of(Pendulum(m=2.0), 2.0) == files[2]
     assert file_of(Beside(), 0.2) is None
-    tell("waiting for", "the reference of pendulum")
-    tell("making", "the reference of pendulum")
-    assert told[-2:] == [
-        ("waiting", "waiting for the reference of pendulum"),
-        ("reference", "making the reference of pendulum"),
-    ]
     monkeypatch.setattr(inventory, "Registry", lambda *_: None)
     inventory.load_registry(lambda *phase: None, Sources({"mine.py"}))
-    assert given[1][0] is None
+    assert given[1](Pendulum(), 1.0) is None
 
 
 METHODS = {"gauss": gauss(), "radau": radau()}

@@ -13,7 +13,7 @@ import msgspec
 from bench.plugins.fingerprint import fingerprint, reference_file
 from bench.plugins.registry import Plugin, PluginError, Registry, Sources, Unavailable, why
 from bench.results.records import MethodFacts
-from bench.running.process import LOADING, REFERENCE, WAITING, Notify
+from bench.running.process import LOADING, Notify
 from integrators import checks
 from problems.base import spec
 from problems.base.checks import FalseAnswer, number
@@ -172,9 +172,5 @@ def load_registry(notify: Notify, sources: Sources) -> Registry:
     reads is not known, and may change.
     """
     registry = Registry(sorted(sources), partial(notify, LOADING))
-
-    def told(doing: str, made: str) -> None:
-        notify(REFERENCE if doing == "making" else WAITING, f"{doing} {made}")
-
-    keep_references(None if sources else partial(reference_file, registry), told)
+    keep_references((lambda scene, t_end: None) if sources else partial(reference_file, registry))
     return registry

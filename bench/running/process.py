@@ -30,10 +30,9 @@ from typing import Any
 
 # The libraries of this program are imported late: a process may be started before that.
 
-#: Phases of a job; each has a budget of its own. In the last one another process makes what is
-#: needed: it may do nothing.
+#: Phases of a job; each has a budget of its own.
 LOADING, PREPARING, REFERENCE = "loading", "preparing", "reference"
-RUNNING, MEASURING, WAITING = "running", "measuring", "waiting"
+RUNNING, MEASURING = "running", "measuring"
 #: Tells the parent that a job goes on to another phase, with words on it.
 Notify = Callable[[str, str], None]
 #: Time in s between two looks for answers, and until a process that has closed its pipe has ended.
@@ -126,7 +125,7 @@ class Meter:
             return ""
         seconds, memory = use
         computed = max(0.0, seconds - self._before)  # jobs before are not charged to this one
-        passed = 0.0 if self.phase == WAITING else min(now - self._looked, _LONGEST)
+        passed = min(now - self._looked, _LONGEST)
         self._looked, self._before = now, seconds
         self._used[self.phase] += computed
         self._still = max(0.0, self._still + passed - _REST * computed)

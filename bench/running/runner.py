@@ -11,14 +11,7 @@ from typing import Any, Self
 from bench.plugins.registry import Sources
 from bench.results.records import TIMING_SECONDS
 from bench.running.plan import Cell
-from bench.running.process import (
-    REFERENCE,
-    WAITING,
-    GuardedProcess,
-    Limits,
-    NoAnswer,
-    wait_for_any,
-)
+from bench.running.process import REFERENCE, GuardedProcess, Limits, NoAnswer, wait_for_any
 from bench.running.progress import OnStandardError, Progress
 from bench.running.worker import Worker, start_worker
 from problems.base.spec import SpecError
@@ -212,7 +205,7 @@ class Runner:
 
                 def tell(phase: str, words: str, label: str = task.label) -> None:
                     """Name the reference while it is made, else the task."""
-                    self.progress.working(words if phase in (REFERENCE, WAITING) else label)
+                    self.progress.working(words if phase == REFERENCE else label)
 
                 worker.on_phase = tell
                 lacking = self._lacking.get(task.scene or "")
@@ -221,7 +214,7 @@ class Runner:
 
     def _next(self, queue: list[deque[Task]], worker: _WorkerProcess) -> deque[Task]:
         """The first group whose programs, or else whose scene, the worker has had, else one that
-        no other has: else it would compile them again, and may wait for the scene's reference."""
+        no other has: else it would compile them, or make the reference, again."""
         others = set().union(*(w.had for w in self.workers if w is not worker))
 
         def needs(k: int) -> list[tuple]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.results.quantities import GROUPS, group_and_norm
 from bench.running.errors import component_errors, finite, scales, whole_error
-from bench.running.process import RUNNING
+from bench.running.process import REFERENCE, RUNNING
 from bench.running.worker import Worker
 from bench.sweeps.batch import Batch
 from bench.sweeps.variation import SweepRequest, read_ranges, runs_with, spec_without
@@ -89,10 +89,13 @@ def outcome_map(
     def exact_of(scene: MechatronicSystem) -> tuple[Any, Any, str]:
         """Exact values at the end, and their scales; or the reason why there are none."""
         try:
+            worker.notify(REFERENCE, f"making the reference of {scene.spec}")
             reference = Reference(scene, end)
             return reference(t)[own], scales(reference, own), ""
         except Exception as error:  # the scene may be a plugin, which may do anything
             return None, None, f"The reference failed: {said(error)}"
+        finally:
+            worker.notify(RUNNING, "running the points")
 
     for block in batch.blocks(begun=lambda: worker.notify(RUNNING, "running the points")):
         for k, member in enumerate(block.members):

@@ -2,8 +2,8 @@
 
 The integration is Gauss' method of order 24 (`problems.truth.collocation`) on the ODE form at a
 tolerance near round-off; no integrator of the bench is of this family, or of such an order. Its
-error is estimated by another integration: by the Radau IIA method of order 23, with other steps. A
-reference that is kept for later runs, with its error, is made by one process at a time.
+error is estimated by another integration: by the Radau IIA method of order 23, with other steps. It
+may be kept for later runs, with its error.
 """
 
 from __future__ import annotations
@@ -37,52 +37,17 @@ _WATCHED = 25
 #: A scene with more coordinates and multipliers has no reference: each of its many evaluations is
 #: a dense solve.
 _MOST_UNKNOWNS = 300
-#: Time in s for which a process waits for another one that makes the same reference.
-PATIENCE = 100.0
 
 
 FileOf = Callable[[MechatronicSystem, float], Path | None]
-_file_of: FileOf | None = None
-_told: Callable[[str, str], object] = lambda doing, made: None  # noqa: E731
+_file_of: FileOf = lambda scene, t_end: None  # noqa: E731
 
 
-def keep_references(file_of: FileOf | None, told: Callable[[str, str], None]) -> None:
-    """Set how this process keeps references for later ones, and reads theirs, from now on.
-
-    Parameters
-    ----------
-    file_of
-        Returns the file of a scene up to a time in s; its name tells all that decides the numbers.
-        None, or no function: nothing is kept.
-    told
-        Told "making" and "the reference of pendulum" before an integration, "waiting for" before a
-        wait for another process that makes the same one.
-    """
-    global _file_of, _told
-    _file_of, _told = file_of, told
-
-
-def _once(scene: MechatronicSystem, t_end: float, make: Callable[[], bytes]) -> bytes:
-    """Numbers of a scene from their file, or made; of several processes one makes them."""
-    made = f"the reference of {scene.spec}"
-
-    def anew() -> bytes:
-        _told("making", made)
-        return make()
-
-    path = _file_of(scene, t_end) if _file_of else None
-    if path is None or path.exists():
-        return cached(path, anew)
-    from filelock import FileLock, Timeout  # slow to import
-
-    lock = FileLock(path.with_name(f".{path.name}.lock"))
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _told("waiting for", made)
-        with lock.acquire(timeout=PATIENCE):
-            return cached(path, anew)
-    except (OSError, Timeout):  # there is no folder for it, or the other one takes too long
-        return anew()
+def keep_references(file_of: FileOf) -> None:
+    """Set the file of a scene up to a time in s by which this process keeps references for later
+    ones, and reads theirs; its name tells all that decides the numbers. None: nothing is kept."""
+    global _file_of
+    _file_of = file_of
 
 
 class ReferenceFailed(RuntimeError):
@@ -201,7 +166,8 @@ class Reference:
         if self.scene.has_closed_form:
             t = self.times
             return _known(self._closed_form(t), self._closed_form(np.nextafter(t, np.inf)))
-        return pickle.loads(_once(self.scene, self.t_end, lambda: pickle.dumps(self._integrated())))
+        path = _file_of(self.scene, self.t_end)
+        return pickle.loads(cached(path, lambda: pickle.dumps(self._integrated())))
 
     def _integrated(self) -> _Known:
         """The integration, compared with the other one."""
