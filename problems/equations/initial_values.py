@@ -279,30 +279,19 @@ def rests(scene: MechatronicSystem, t: Float[np.ndarray, " k"]) -> bool:
     t
         Times in s, the first that of the start.
     """
-    start: Any = scene.start()
-    q, v, x = start
+    q, v, x = map(np.asarray, scene.start())
     if scene.is_hybrid or not np.abs(v).max(initial=0.0) * np.ptp(t) <= STILL:
         return False
-
-    def rates(q: Any, v: Any, t: Any) -> tuple[np.ndarray, np.ndarray]:
-        rows = np.broadcast_to(x, (len(t), len(x)))
-        z, xdot = compiled(scene).complete(scene.parameters(), q, v, rows, t)
-        return np.asarray(z.a), np.asarray(xdot)
-
-    moved = np.concatenate([q, v]) + np.eye(1 + len(q) + len(v), len(q) + len(v), -1)
-    a, xdot = rates(moved[:, : len(q)], moved[:, len(q) :], np.full(len(moved), t[0]))
-    changes = np.linalg.norm(a[1:] - a[0], axis=1)
+    # Rows at all times, then those in which one entry is larger.
+    rows = np.concatenate([np.zeros((len(t), len(q) + len(v))), np.eye(len(q) + len(v))])
+    rows, times = np.concatenate([q, v]) + rows, np.append(t, np.full(len(rows) - len(t), t[0]))
+    states = rows[:, : len(q)], rows[:, len(q) :], np.broadcast_to(x, (len(rows), len(x)))
+    z, xdot = compiled(scene).complete(scene.parameters(), *states, times)
+    a, drifts = np.asarray(z.a), np.abs(np.asarray(xdot)[: len(t)]) * np.ptp(t)
+    changes = np.linalg.norm(a[len(t) :] - a[0], axis=1)
     size = changes[np.isfinite(changes)].max(initial=0.0)
-
-    def still(a: np.ndarray, xdot: np.ndarray) -> bool:
-        sizes = np.maximum(1.0, np.abs(x))
-        drifts = np.abs(xdot) * np.ptp(t) <= STILL * sizes
-        return bool((np.linalg.norm(a, axis=1) <= STILL * size).all() and drifts.all())
-
-    if not still(a[:1], xdot[:1]):
-        return False
-    q, v = (np.broadcast_to(part, (len(t), len(part))) for part in (q, v))
-    return still(*rates(q, v, t))
+    rests = np.linalg.norm(a[: len(t)], axis=1) <= STILL * size
+    return bool(rests.all() and (drifts <= STILL * np.maximum(1.0, np.abs(x))).all())
 
 
 # ---- many scenes of one kind ------------------------------------------------------------
