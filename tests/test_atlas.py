@@ -224,12 +224,12 @@ def test_the_command_keeps_what_has_not_changed_and_ends_with_an_error_at_a_diff
 
 def test_a_mistake_in_an_experiment_is_named(tmp_path):
     for change, said in [
-        (('measure = "condition"', 'measure = "conditions"'), "did you mean 'condition'"),
-        (('measure = "condition"', 'measure = "value"'), "name='none' is no component"),
+        (('measure = "condition"', 'measure = "conditions"'), "Invalid enum value 'conditions'"),
+        (('basis = "theory"\n', ""), "it needs a measure, and a basis with its reason"),
         (("healthy =", "helthy ="), "helthy"),
         (("healthy = [-0.5, inf]", "healthy = [-0.5, 3]"), "a better method would be hit"),
         (("number = 8", "number = 'eight'"), "not as expected"),
-        (('group = "lam"', 'group = "lambda"'), "group='lambda' is not known"),
+        (('group = "lam"', 'group = "lambda"'), "group='lambda' in norm"),
         (("expected = -4", "expected = [-3, -4]"), "no number and no interval"),
         (("expected = -4", "expected = 'order(2)'"), "'order(2)' cannot be computed: unknown name"),
     ]:

@@ -12,28 +12,23 @@ import tomllib
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 
-from bench.results.quantities import GROUPS, LEVELS, NORMS
+from bench.results.quantities import GROUPS, NORM, NORMS
 from bench.results.records import MethodFacts
-from bench.results.studies import BASES, Expected
+from bench.results.studies import Basis, Expected
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell
 from integrators.resolutions import Steps, Tolerances, check_end
 from problems.base import spec
 from problems.base.spec import SpecError
 
-#: Quantities that a sweep measures ...
-MEASURES = (
-    "error", "energy", "constraint", "note", "work", "reached", "value", "events",
-    "condition", "linear",
-)  # fmt: skip
-#: What is measured of the events of a run: their number, and how far their times are off in s.
-EVENTS = ("events", "time")
-#: ... and rules that make one number of the values of a sweep.
-TAKES = ("last", "largest", "growth", "slope")
+#: Quantities that a sweep measures, and rules that make one number of its values.
+Measure = Literal["error", "energy", "constraint", "note", "work", "reached", "value", "events",
+                  "condition", "linear"]  # fmt: skip
+Take = Literal["last", "largest", "growth", "slope"]
 #: Quantities of which less is better, and a higher power of the step.
 _ONE_SIDED = ("error", "energy", "constraint", "work")
 #: A component of a group, such as lam1.
@@ -74,7 +69,7 @@ class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     first to the last, or the slope of a straight line in log-log. ``show`` names a component
     (such as lam1) whose history in the first run is drawn.
 
-    ``basis``, one of `bench.results.studies.BASES`, and ``why`` say why a number is expected;
+    ``basis``, a `bench.results.studies.Basis`, and ``why`` say why a number is expected;
     ``margin`` is the distance from it that is allowed, absolute of a slope, else relative.
     """
 
@@ -87,13 +82,13 @@ class Settings(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     values: list[float] | None = None
     omega_h: list[float] | None = None
     t_end: float | None = None
-    measure: str | None = None
+    measure: Measure | None = None
     group: str | None = None
     norm: str | None = None
     name: str | None = None
-    take: str | None = None
+    take: Take | None = None
     show: str | None = None
-    basis: str | None = None
+    basis: Basis | None = None
     why: str | None = None
     margin: float | None = None
 
@@ -121,7 +116,7 @@ class Case(Settings, kw_only=True, forbid_unknown_fields=True):
             low, high = low - far, high + far
         formula = " to ".join(map(str, ends)) if any(isinstance(e, str) for e in ends) else ""
         why = " ".join((self.why or "").split()) if self.basis != "measurement" else ""
-        return Expected((low, high), self.basis or "", formula, why)
+        return Expected((low, high), self.basis or "measurement", formula, why)
 
 
 class Part(Settings, kw_only=True, forbid_unknown_fields=True):
@@ -210,14 +205,14 @@ def _number(formula: Formula) -> float:
 
 
 def _check(s: Case, healthy: tuple[float, float], where: str) -> None:
-    _one_of(s.measure, MEASURES, f"{where}: measure")
-    _one_of(s.basis, BASES, f"{where}: basis")
     expected = s.expectation()
     if not expected or not -math.inf < expected.bounds[0] <= expected.bounds[1] < math.inf:
         raise SpecError(f"{where}: expected={s.expected} is no number and no interval.")
-    if not expected.why and s.basis != "measurement":
-        raise SpecError(f"{where}: the basis {s.basis} needs a reason; write why.")
-    _one_of(s.take or "last", TAKES, f"{where}: take")
+    told = expected.why or s.basis == "measurement"
+    if s.measure is None or s.basis is None or not told:
+        raise SpecError(f"{where}: it needs a measure, and a basis with its reason; write why.")
+    if s.measure == "error" and not (s.group in GROUPS and (s.norm or NORM) in NORMS):
+        raise SpecError(f"{where}: group={s.group!r} in norm={s.norm!r} has no error.")
     good = math.inf if s.take == "slope" and not s.over else -math.inf
     if s.measure in _ONE_SIDED and good not in healthy and not (good < 0 and healthy[0] <= 0):
         side = "above" if good > 0 else "below"
@@ -225,20 +220,6 @@ def _check(s: Case, healthy: tuple[float, float], where: str) -> None:
             f"{where}: healthy={list(healthy)} is bounded {side}, so that a better method would be "
             f"hit; write {'inf' if good > 0 else 0} there."
         )
-    if s.measure == "error":
-        _one_of(s.group, GROUPS, f"{where}: group")
-        _one_of(s.norm or "max", list(NORMS), f"{where}: norm")
-    if s.measure == "value" and not COMPONENT.fullmatch(s.name or ""):
-        raise SpecError(f"{where}: name={s.name!r} is no component; write one such as q1.")
-    if s.measure == "events":
-        _one_of(s.name, EVENTS, f"{where}: name")
-    if s.measure == "constraint":
-        _one_of(s.name, LEVELS, f"{where}: name")
-
-
-def _one_of(value: str | None, known: Sequence[str], what: str) -> None:
-    if value not in known:
-        raise SpecError(f"{what}={value!r} is not known; {spec.suggest(str(value), known)}.")
 
 
 def sweep_of(s: Settings, integrator: MethodFacts | None, registry: Inventory) -> Sweep:

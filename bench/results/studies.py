@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
@@ -121,15 +121,15 @@ def drift_table(runs: Sequence[LongRun]) -> Table:
 
 
 #: Bases of numbers that are expected.
-BASES = "theory", "publication", "measurement"
+Basis = Literal["theory", "publication", "measurement"]
 
 
 class Expected(msgspec.Struct):
-    """The interval in which a number is expected, its basis, one of `BASES`, the ``formula`` of
+    """The interval in which a number is expected, its basis, the ``formula`` of
     the number or of the bounds, empty if these are plain numbers, and the reason in words."""
 
     bounds: tuple[float, float]
-    basis: Annotated[str, Meta(pattern=f"^({'|'.join(BASES)})$")]
+    basis: Basis
     formula: str
     why: str
 
