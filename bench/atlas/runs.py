@@ -53,18 +53,15 @@ def value_of(s: Settings, record: Record, rows: Rows) -> float | None:
         return max(noted, default=None)
     if record.status != "ok":
         return None
-    if s.measure == "error":
-        return record.error(s.group or "", s.norm or "max")
-    if s.measure == "energy":
-        return record.energy_drift
-    if s.measure == "value":
-        found = component_history(s.name or "", rows)
-        return found[1][-1] if found else None
-    if s.measure == "events":
-        return record.events.get(s.name or "")
-    if s.measure == "constraint":
-        return record.constraint.get(s.name or "")
-    return record.work.get(s.name or "")
+    name, values = s.name or "", component_history(s.name or "", rows)
+    return {
+        "error": record.error(s.group or "", s.norm or NORM),
+        "energy": record.energy_drift,
+        "value": values[1][-1] if values and values[1] else None,
+        "events": record.events.get(name),
+        "constraint": record.constraint.get(name),
+        "work": record.work.get(name),
+    }[s.measure or ""]
 
 
 def rounding_of(s: Settings, record: Record) -> float:
@@ -243,18 +240,15 @@ def complete_experiments(
 
 def digest(experiment: Experiment, added: Sequence[str], registry: Inventory) -> str:
     """Return a digest of the experiment and of all code that its numbers come from."""
+    cases = [case for part in experiment.part for case in part.case]
+    methods = [*filter(None, (case.integrator for case in cases)), *added]
     parts = [
-        msgspec.json.encode((experiment, list(added))),
-        fingerprint().encode(),
+        fingerprint(),
+        *(registry.integrator(name).fingerprint for name in methods),
+        *(registry.problem(case.problem).fingerprint for case in cases if case.problem),
     ]
-    for part in experiment.part:
-        for case in part.case:
-            if case.integrator:
-                parts.append(registry.integrator(case.integrator).fingerprint.encode())
-            if case.problem:
-                parts.append(registry.problem(case.problem).fingerprint.encode())
-    parts += [registry.integrator(name).fingerprint.encode() for name in added]
-    return hashlib.sha256(b"\n".join(parts)).hexdigest()[:16]
+    text = msgspec.json.encode((experiment, list(added), parts))
+    return hashlib.sha256(text).hexdigest()[:16]
 
 
 def _run(
@@ -274,7 +268,17 @@ def _run(
         **{f: getattr(experiment, f) for f in ("name", "number", "title", "claim", "remedy")},
         source=experiment.source,
         digest=digest(experiment, added, registry),
-        parts=[_part(part, trials, answers, registry) for part, trials in plans],
+        parts=[
+            PartResult(
+                text=part.text,
+                quantity=quantity_words(part),
+                take=part.take or "last",
+                healthy=_bounds(part.healthy),
+                show=part.show or "",
+                cases=[_case(part, trial, answers, registry) for trial in trials],
+            )
+            for part, trials in plans
+        ],
     )
 
 
@@ -298,19 +302,6 @@ def _trials(part: Part, added: Sequence[str], registry: Inventory) -> list[_Tria
             message = str(error)
         trials.append(_Trial(case, method, sweep, message))
     return trials
-
-
-def _part(
-    part: Part, trials: Sequence[_Trial], answers: dict[Task, Any], registry: Inventory
-) -> PartResult:
-    return PartResult(
-        text=part.text,
-        quantity=quantity_words(part),
-        take=part.take or "last",
-        healthy=_bounds(part.healthy),
-        show=part.show or "",
-        cases=[_case(part, trial, answers, registry) for trial in trials],
-    )
 
 
 def _case(part: Part, trial: _Trial, answers: dict[Task, Any], registry: Inventory) -> CaseResult:
