@@ -12,7 +12,7 @@ from test_rest import Rough
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
 from integrators.methods.energy_momentum import EnergyMomentum
-from integrators.native.loops.status import Ending
+from integrators.native.loops.kernel import Ending
 from problems import MechatronicSystem, State, jnp, parameter
 from problems.base.spec import SpecError
 from problems.scenes.pendulums import Pendulum

@@ -24,8 +24,7 @@ from integrators.contract import Integrator
 from integrators.native.algebra.step_records import COUNTS, Reading
 from integrators.native.loops import adaptive_steps, constant_steps
 from integrators.native.loops.adaptive_steps import Span
-from integrators.native.loops.kernel import Form
-from integrators.native.loops.status import Ending
+from integrators.native.loops.kernel import Ending, Form
 from integrators.resolutions import Steps, Tolerances
 from problems.base.runtime import Float, Int, jax, most_callers
 from problems.base.spec import SpecError

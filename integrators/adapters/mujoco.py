@@ -11,7 +11,7 @@ import numpy as np
 
 from integrators.adapters.equations import trajectory_from_states
 from integrators.contract import Integrator, PreparedRun, Trajectory, Work, option
-from integrators.native.loops.status import Ending
+from integrators.native.loops.kernel import Ending
 from integrators.output_rows import RowKeeper, width_of
 from integrators.resolutions import Steps
 from problems.base.spec import SpecError, validate

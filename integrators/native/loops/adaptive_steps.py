@@ -40,6 +40,7 @@ from integrators.native.algebra.step_records import (
 )
 from integrators.native.loops.kernel import (
     STEPS,
+    Ending,
     Form,
     Kernel,
     LoopRun,
@@ -49,7 +50,6 @@ from integrators.native.loops.kernel import (
     no_counts,
     rewritten_step,
 )
-from integrators.native.loops.status import Ending
 from integrators.native.step.step_program import Carried, Numbers, StepFunctions, StepProgram
 from integrators.output_rows import EVERY_STEP, is_row, row_times, width_of
 from integrators.resolutions import Tolerances

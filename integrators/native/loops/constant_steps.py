@@ -20,6 +20,7 @@ from integrators.native.algebra.step_records import COUNTS, Reading, Scalar, Tim
 from integrators.native.loops.kernel import (
     ROWS,
     STEPS,
+    Ending,
     Form,
     Kernel,
     LoopRun,
@@ -30,7 +31,6 @@ from integrators.native.loops.kernel import (
     rewritten_step,
     with_start,
 )
-from integrators.native.loops.status import Ending
 from integrators.native.step.step_program import Carried, Numbers, StepProgram
 from integrators.output_rows import EVERY_STEP, is_row, row_times, width_of
 from integrators.resolutions import Steps
@@ -216,53 +216,11 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
     return Kernel(loop, form)
 
 
-@cache
-def _single(
-    program: StepProgram, template: MechatronicSystem, form: Form, goes_on: bool
-) -> tuple[Callable, Callable, int, bool]:
-    """Compiled functions of the packed arguments, which come last, that give the state at the
-    start, and that after one more step; the numbers in its row, and whether a step calls Newton's
-    method.
-
-    A state is one array: the ending, the time and values of the last step, whether it was solved,
-    the number of steps, and all that the method passes on.
-    """
-    from jax.flatten_util import ravel_pytree  # JAX is loaded late
-
-    named = with_named_blocks(template)
-    step = rewritten_step(program, named)
-
-    def begun(packed: Array) -> tuple[Array, Array, Carried]:
-        p, numbers, start, clock = form.unpack(packed)
-        scene, h = named.with_parameters(p), step_times(clock, 0)[1]
-        state = program.begin(scene, numbers, start, h)
-        row = _row(jnp.asarray(float(_OK)), clock.t0, program.read(scene, state)._replace(notes=()))
-        return row, jnp.array([1.0, 0.0]), state
-
-    size = sum(int(np.prod(shape)) for shape in form.shapes)
-    first = jax.eval_shape(begun, jax.ShapeDtypeStruct((size,), float))
-    parted = ravel_pytree(jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), first))[1]
-
-    def advance(now: Array, packed: Array) -> Array:
-        p, numbers, start, clock = form.unpack(packed)
-        _, (_, n), state = parted(now)
-        sane = bounded(Reading.of(start.z, start.xdot))
-        take = _one_step(program, step, named, sane)
-        t, state, ending, values, report = take(
-            p, numbers, clock, n.astype(int), state, jnp.asarray(_OK), goes_on
-        )
-        row = _row(1.0 * ending, t, values._replace(notes=()))
-        return ravel_pytree((row, jnp.stack([1.0 * report.solved, n + 1]), state))[0]
-
-    p, numbers, *_ = form.structs
-    _, report = jax.eval_shape(step, p, numbers, first[2], jnp.zeros(()), jnp.zeros(()))
-    iterates = any(name.startswith("newton") for name in report.turns)
-    begin = jax.jit(lambda packed: ravel_pytree(begun(packed))[0])
-    return begin, jax.jit(advance), first[0].size, iterates
-
-
 class SingleStep:
     """A compiled step of constant size; the state stays on the device as one array.
+
+    A state holds the ending, the time and values of the last step, whether it was solved, the
+    number of steps, and all that the method passes on.
 
     Parameters
     ----------
@@ -294,6 +252,8 @@ class SingleStep:
         steps: int,
         most: int | None = None,
     ) -> None:
+        from jax.flatten_util import ravel_pytree  # JAX is loaded late
+
         self._scene, self._program = scene, program
         self.keeps_tangents = program.keeps_tangents
         numbers = numbers if most is None else numbers._replace(most=most)
@@ -303,9 +263,35 @@ class SingleStep:
         parts = scene.parameters(), numbers, self._start, clock
         form = Form.of(*parts)
         self._packed = form.pack(*parts)
-        functions = _single(program, scene.template(), form, most is not None)
-        begin, self._advance, self._width, self.iterates = functions
-        self.first = begin(self._packed)
+        named = with_named_blocks(scene.template())
+        step = rewritten_step(program, named)
+
+        @jax.jit
+        def begun(packed: Array) -> tuple[Array, Array, Carried]:
+            p, numbers, start, clock = form.unpack(packed)
+            scene = named.with_parameters(p)
+            state = program.begin(scene, numbers, start, step_times(clock, 0)[1])
+            values = program.read(scene, state)._replace(notes=())
+            return _row(jnp.asarray(float(_OK)), clock.t0, values), jnp.array([1.0, 0.0]), state
+
+        first = begun(self._packed)
+        self._width = first[0].size
+        self.first, parted = ravel_pytree(first)
+
+        def advance(now: Array, packed: Array) -> Array:
+            p, numbers, start, clock = form.unpack(packed)
+            _, (_, n), state = parted(now)
+            sane = bounded(Reading.of(start.z, start.xdot))
+            take = _one_step(program, step, named, sane)
+            t, state, ending, values, report = take(
+                p, numbers, clock, n.astype(int), state, jnp.asarray(_OK), most is not None
+            )
+            self.iterates = any(name.startswith("newton") for name in report.turns)
+            row = _row(1.0 * ending, t, values._replace(notes=()))
+            return ravel_pytree((row, jnp.stack([1.0 * report.solved, n + 1]), state))[0]
+
+        self._advance = jax.jit(advance)
+        jax.eval_shape(self._advance, self.first, self._packed)  # tells whether it iterates
 
     def __call__(self, state: Float[Array, " n"]) -> Float[Array, " n"]:
         """Take one step; the result may not be ready yet."""

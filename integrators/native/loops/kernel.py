@@ -1,11 +1,11 @@
-"""Compiled time loops that are called with few arguments, their runs, and the rows they keep."""
+"""Compiled time loops that are called with few arguments, their runs, endings and rows."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from enum import IntEnum
 from functools import cached_property, partial
-from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,18 +14,88 @@ from integrators.contract import PreparedRun, Trajectory, Work
 from integrators.lowering.stablehlo import Step
 from integrators.native.algebra import klu, small_matrices
 from integrators.native.algebra.step_records import PIVOTS, Reading, StepReport, Time, largest
-from integrators.native.loops.status import Ending
-from integrators.native.step.step_program import Carried, Numbers, StepProgram
+from integrators.native.step.step_program import Carried, Numbers, StepFunctions, StepProgram
 from integrators.output_rows import most_rows, width_of
 from integrators.program_costs import Cost, bill, costs_of, sparse
 from problems.base.runtime import Array, Bool, Float, Int, jax, jnp
 from problems.equations.formulations import Start
-from problems.equations.initial_values import consistent_start
+from problems.equations.initial_values import consistent_start, missing_rank
 from problems.equations.layouts import row_layout
 from problems.system import MechatronicSystem
 
 #: Names of the loops over steps, and over rows, which is no work of a method.
 STEPS, ROWS = "steps", "rows"
+
+
+class Ending(IntEnum):
+    """The ending of a time loop, as the compiled program reports it; zero while it runs.
+
+    Steps that follow a tolerance fail where the smallest one does.
+    """
+
+    OK = 0
+    NEWTON_FAILED = 1
+    #: The solution is not finite or grew.
+    DIVERGED = 2
+    #: Of steps that follow a tolerance.
+    BUDGET_EXCEEDED = 3
+    ERROR_TEST_FAILED = 4
+    #: Found after the run: a step failed where constraints depend on each other.
+    SINGULAR = 5
+    #: At constant steps: the method itself refused a step, whatever its equations gave.
+    REFUSED = 6
+
+    def with_cause(
+        self, functions: StepFunctions, scene: MechatronicSystem, rows: dict[str, Any]
+    ) -> Ending:
+        """`SINGULAR` in the place of a step that failed after rows ``q`` and ``t``, if constraints
+        depend on each other there and the method does not take that; no smaller step helps."""
+        failed = self in (Ending.NEWTON_FAILED, Ending.DIVERGED) and not functions.takes_redundant
+        singular = failed and missing_rank(scene, rows["q"][-1], float(rows["t"][-1]))
+        return Ending.SINGULAR if singular else self
+
+    def outcome(self, t: float, t_end: float, max_steps: int = 0) -> tuple[str, str]:
+        """Status (see `integrators.contract.STATUSES`) and message of a run that ended at t of
+        t_end, in s, with at most ``max_steps`` steps of its own choice."""
+        status, text = _OUTCOMES[self]
+        text = text and f"Ended at t={t:.6g} s of {t_end:g} s: {text}."
+        return status, text.format(max_steps=max_steps)
+
+
+_OUTCOMES = {
+    Ending.OK: ("ok", ""),
+    Ending.NEWTON_FAILED: (
+        "newton_failed",
+        "Newton's method did not converge; take a smaller step, another rtol or a method that "
+        "damps more, or look for a jump in the scene's equations",
+    ),
+    Ending.DIVERGED: (
+        "diverged",
+        "the solution grew beyond all bounds or is not finite; take a smaller step or rtol, a "
+        "method that damps more or, after an explicit one, an implicit one; or check the scene's "
+        "forces there",
+    ),
+    Ending.BUDGET_EXCEEDED: (
+        "budget_exceeded",
+        "{max_steps} steps were used up; raise max_steps, or ask for less accuracy (a larger rtol "
+        "or step)",
+    ),
+    Ending.ERROR_TEST_FAILED: (
+        "step_too_small",
+        "the error test kept failing down to the smallest step; use a larger rtol, or look for a "
+        "jump in the scene's equations",
+    ),
+    Ending.SINGULAR: (
+        "newton_failed",
+        "the tangent is singular: constraints depend on each other (redundant, or at a singular "
+        "position); use ali3p[values=own] if it takes the scene, or drop dependent constraints",
+    ),
+    Ending.REFUSED: (
+        "newton_failed",
+        "the step has no sound solution: the method's equations do not describe the scene there; "
+        "take a smaller step or another method",
+    ),
+}
 
 
 class Form(NamedTuple):
@@ -36,38 +106,30 @@ class Form(NamedTuple):
     """
 
     tree: Any
-    shapes: tuple[tuple[int, ...], ...]
-    types: tuple[str, ...]
+    leaves: tuple[jax.ShapeDtypeStruct, ...]
 
     @classmethod
     def of(cls, *arguments: Any) -> Form:
         """Find the form of parameters, numbers, start and time: floats, and integers below 2^53."""
         leaves, tree = jax.tree.flatten(arguments)
-        leaves = [np.asarray(leaf) for leaf in leaves]
-        shapes = tuple(leaf.shape for leaf in leaves)
-        return cls(tree, shapes, tuple(leaf.dtype.str for leaf in leaves))
+        arrays = map(np.asarray, leaves)
+        return cls(tree, tuple(jax.ShapeDtypeStruct(x.shape, x.dtype) for x in arrays))
 
     def pack(self, *arguments: Any) -> Float[Array, " n"]:
         """Put arguments of this form into one array."""
-        if Form.of(*arguments)[:2] != self[:2]:
+        leaves, tree = jax.tree.flatten(arguments)
+        if (tree, [*map(np.shape, leaves)]) != (self.tree, [leaf.shape for leaf in self.leaves]):
             raise RuntimeError(
                 "A kernel takes arguments of one form; another needs its own program."
             )
-        leaves = jax.tree.leaves(arguments)
         return jnp.asarray(np.concatenate([np.ravel(leaf).astype(float) for leaf in leaves]))
 
     def unpack(self, packed: Float[Array, " n"]) -> Any:
         """Return the arguments that were packed."""
-        parts = jnp.split(packed, np.cumsum([prod(shape) for shape in self.shapes])[:-1])
-        leaves = zip(parts, self.shapes, self.types, strict=True)
-        arrays = [part.reshape(shape).astype(dtype) for part, shape, dtype in leaves]
+        parts = jnp.split(packed, np.cumsum([leaf.size for leaf in self.leaves])[:-1])
+        leaves = zip(parts, self.leaves, strict=True)
+        arrays = [part.reshape(leaf.shape).astype(leaf.dtype) for part, leaf in leaves]
         return jax.tree.unflatten(self.tree, arrays)
-
-    @property
-    def structs(self) -> Any:
-        """Shapes and types in the place of the arguments."""
-        pairs = zip(self.shapes, self.types, strict=True)
-        return jax.tree.unflatten(self.tree, [jax.ShapeDtypeStruct(*pair) for pair in pairs])
 
 
 class Kernel:
