@@ -39,6 +39,8 @@ class AlphaMethod(NewtonOptions):
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
     noted: ClassVar[tuple[str, ...]] = ("h", "gamma", "theta")
     classical: ClassVar[bool] = False
+    #: Options with which nothing grows at infinite frequency.
+    bounded: ClassVar[str] = "alpha_m <= alpha_f <= 1/2, and leave gamma and beta out"
 
     formulation: str = option(
         "index3",
@@ -63,15 +65,14 @@ class AlphaMethod(NewtonOptions):
     def first_order(self) -> FirstOrder:
         """Return the algorithmic parameters for x."""
 
-    @property
-    def updated(self) -> bool:
-        """True if gamma and theta follow the step ratio."""
-        return False
-
-    @property
-    def guarded(self) -> bool:
-        """True if a cut below the safe ratio restarts the recurrence; for updated weights."""
-        return False
+    def supports(self, scene: MechatronicSystem) -> str | None:
+        radius = self.radius_at_infinity()
+        if scene.has("constraint") and radius > 1 + 1e-6:
+            return (
+                f"constraints act like infinite frequencies, which {self.spec} lets grow by a "
+                f"factor of {radius:.4g} per step; give {self.bounded}."
+            )
+        return None
 
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
         s, claims = self.scheme(), dict(self.orders)
@@ -92,7 +93,9 @@ class AlphaMethod(NewtonOptions):
 
     def scheme(self) -> Scheme:
         """Return all numbers of this member that the step needs."""
-        policy = self.updated, self.classical, self.start == "corrected", self.guarded
+        gamma = getattr(self, "gamma", "fixed")  # a policy, or a number, or no option at all
+        updated = gamma in ("updated", "guarded")
+        policy = updated, self.classical, self.start == "corrected", gamma == "guarded"
         return Scheme(*self.second_order(), *self.first_order(), *policy)
 
     def numbers(self) -> Any:
@@ -130,14 +133,6 @@ class UpdatableMethod(AlphaMethod):
         "fixed", f"gamma and theta: {POLICIES}", choices=("fixed", "updated", "guarded")
     )
 
-    @property
-    def updated(self) -> bool:
-        return self.gamma in ("updated", "guarded")
-
-    @property
-    def guarded(self) -> bool:
-        return self.gamma == "guarded"
-
 
 def _shift(name: str) -> Any:
     """A free alpha or delta; the recurrence is singular at 1."""
@@ -169,16 +164,6 @@ class GeneralizedAlpha(UpdatableMethod):
     )
     delta_m: float | None = _shift("delta_m, of the controller states")
     delta_f: float | None = _shift("delta_f, of the controller states")
-
-    def supports(self, scene: MechatronicSystem) -> str | None:
-        radius = self.radius_at_infinity()
-        if scene.has("constraint") and radius > 1 + 1e-6:
-            return (
-                f"constraints act like infinite frequencies, which these alpha_m, alpha_f, beta "
-                f"and gamma let grow by a factor of {radius:.4g} per step; alpha_m <= alpha_f <= "
-                f"1/2 with gamma and beta left out lets nothing grow."
-            )
-        return None
 
     def second_order(self) -> SecondOrder:
         gamma = None if isinstance(self.gamma, str) else self.gamma
@@ -236,9 +221,7 @@ class WBZ(UpdatableMethod):
 
     source: ClassVar[str] = "Wood, Bossak & Zienkiewicz (1980), doi:10.1002/nme.1620151011"
 
-    rho_inf: float = option(
-        0.8, "spectral radius at infinite frequency", low=0.0, high=1.0, always=True
-    )
+    rho_inf: float = rho_inf_option(0.8)
 
     def second_order(self) -> SecondOrder:
         alpha_m = (self.rho_inf - 1) / (self.rho_inf + 1)
@@ -262,6 +245,7 @@ class Newmark(AlphaMethod):
     """
 
     source: ClassVar[str] = "Newmark (1959), doi:10.1061/JMCEA3.0000098"
+    bounded: ClassVar[str] = "2 beta >= gamma >= 1/2"
 
     beta: float = option(
         0.25, "weight of the end acceleration in q", low=0.0, high=1.0, always=True
@@ -278,14 +262,6 @@ class Newmark(AlphaMethod):
         if self.gamma < 0.5:
             return 0.0
         return math.inf if 2 * self.beta >= self.gamma else (self.gamma / 2 - self.beta) ** -0.5
-
-    def supports(self, scene: MechatronicSystem) -> str | None:
-        if scene.has("constraint") and math.isfinite(self.stability_limit()):
-            return (
-                f"constraints act like infinite frequencies, and with beta={self.beta:g}, "
-                f"gamma={self.gamma:g} the method is not stable there; give 2 beta >= gamma >= 1/2."
-            )
-        return None
 
     def second_order(self) -> SecondOrder:
         return SecondOrder(0.0, 0.0, self.beta, self.gamma)

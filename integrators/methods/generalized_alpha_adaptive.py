@@ -34,6 +34,7 @@ from integrators.methods.generalized_alpha_step import (
     weights,
 )
 from integrators.native.algebra.step_records import Errors, Scalar, Time
+from integrators.native.step.method_options import rho_inf_option
 from integrators.native.step.step_program import StepFunctions
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ErrorControl
@@ -136,13 +137,7 @@ class GeneralizedAlphaAdaptive(ErrorControl, GeneralizedAlpha):
         "doi:10.1002/eqe.4290200907"
     )
 
-    rho_inf: float = option(
-        0.5,
-        "spectral radius at infinite frequency; beyond 0.5 steps may only grow slowly",
-        low=0.0,
-        high=1.0,
-        always=True,
-    )
+    rho_inf: float = rho_inf_option(0.5, "; beyond 0.5 steps may only grow slowly")
     gamma: str | float = option(
         "guarded",
         "gamma and theta: guarded, updated from the step ratio with a restart after sharp cuts, "

@@ -341,12 +341,8 @@ class StageTangents(LinearSolver):
         return tuple(jnp.full((n, n), jnp.nan * slope) for slope, *_ in self._modes)
 
     def renewed(self, residual: Residual, u: Float[Array, " n"], kept: Any) -> Any:
-        return tuple(map(small_matrices.inverse, self.assembled(u)))
-
-    def assembled(self, u: Float[Array, " n"]) -> list[Array]:
-        """The tangents of the transformed stages."""
         tangent = self._tangents(u)
-        return [tangent(slope) for slope, *_ in self._modes]
+        return tuple(small_matrices.inverse(tangent(slope)) for slope, *_ in self._modes)
 
     def update(self, kept: Any, r: Float[Array, " n"]) -> Float[Array, " n"]:
         r, du = r.reshape(self.stages, -1), jnp.zeros((len(r) // self.stages, self.stages))

@@ -37,10 +37,10 @@ FORMULATION_TEXT = (
 _PROJECTIONS = 3
 
 
-def rho_inf_option(default: float) -> Any:
+def rho_inf_option(default: float, more: str = "") -> Any:
     """The option that chooses the damping of high frequencies."""
     text = "spectral radius at infinite frequency: 0 damps most, 1 not at all"
-    return option(default, text, low=0.0, high=1.0, always=True)
+    return option(default, text + more, low=0.0, high=1.0, always=True)
 
 
 @dataclass(frozen=True)
