@@ -36,6 +36,7 @@ strain that would break the bar.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -63,8 +64,6 @@ from problems.variables import Variables
 
 #: Largest part of the forces that the energies need not explain.
 _UNEXPLAINED = 1e-8
-#: Methods for scenes that are driven, damped or controlled.
-_DRIVEN = ("generalized_alpha", "bdf2")
 
 
 @dataclass(frozen=True)
@@ -95,16 +94,12 @@ class EnergyMomentum(StageMethod, ImplicitStepMethod):
 
     def supports(self, scene: MechatronicSystem) -> str | None:
         if not scene.has("energy"):
-            return (
-                f"it states no energy, of which the discrete gradient of its potential is "
-                f"made{advice(scene, *_DRIVEN)}."
-            )
-        if scene.sizes.nx or scene.sizes.ny:
-            return (
-                f"its controller exchanges energy of which the discrete gradient knows "
-                f"nothing{advice(scene, *_DRIVEN)}."
-            )
-        return _fault(scene)
+            fault = "it states no energy, of which the discrete gradient of its potential is made"
+        elif scene.sizes.nx or scene.sizes.ny:
+            fault = "its controller exchanges energy of which the discrete gradient knows nothing"
+        else:
+            fault = _fault(scene)
+        return f"{fault}{advice(scene, 'generalized_alpha', 'bdf2')}." if fault else None
 
     def step(
         self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
@@ -188,41 +183,35 @@ def _stabilised(
     return StageEquations(residual, at, layout, (of_a, of_lam, jnp.maximum(of_q, of_lam)))
 
 
-def _fault(scene: MechatronicSystem) -> str | None:
-    """Reason why the energies of a scene do not give its motion, or None."""
-    template, (t0, t_end) = scene.template(), scene.interval
-    if operation := _unknown_operation(template):
+def _fault(scene: MechatronicSystem) -> str:
+    """Reason why the energies of a scene do not give its motion, or nothing."""
+    operation, explained = _of_kind(scene.template())
+    if operation:
         return (
             f"its equations use {operation}, whose discrete gradient is not known; write them "
-            f"without it{advice(scene, *_DRIVEN)}."
+            f"without it"
         )
-    q, v, _ = scene.start()
+    (t0, t_end), (q, v, _), p = scene.interval, scene.start(), scene.parameters()
     faster, later = v + np.linspace(0.7, 1.3, len(v)), t0 + 0.37 * (t_end - t0)
-    explained, p = _explained_on(template), scene.parameters()
     if all(explained(p, *at) for at in ((q, v, t0), (q, faster, t0), (q, v, later))):
-        return None
+        return ""
     return (
-        f"its forces are not those of its mass and energy alone (damping, driving or a gyroscopic "
-        f"part), of which the discrete gradient knows nothing{advice(scene, *_DRIVEN)}."
+        "its forces are not those of its mass and energy alone (damping, driving or a gyroscopic "
+        "part), of which the discrete gradient knows nothing"
     )
 
 
 @cache
-def _unknown_operation(scene: MechatronicSystem) -> str:
-    """An operation of the scene's equations whose discrete gradient is not known, or nothing."""
-    one, q = jnp.asarray(1.0), jnp.zeros(scene.sizes.nq)
-    end = Variables(q, q, q, jnp.zeros(scene.sizes.nl), q, q, one)
+def _of_kind(template: MechatronicSystem) -> tuple[str, Callable[..., Array]]:
+    """An operation of a kind of scene whose discrete gradient is not known, or nothing, and
+    `_explained`, compiled."""
+    one, q = jnp.asarray(1.0), jnp.zeros(template.sizes.nq)
+    end, operation = Variables(q, q, q, jnp.zeros(template.sizes.nl), q, q, one), ""
     try:
-        jax.eval_shape(lambda a, b: _momentum_balance(scene, a, b, one), end, end)
-    except NoDiscreteGradient as operation:
-        return str(operation)
-    return ""
-
-
-@cache
-def _explained_on(template: MechatronicSystem) -> Callable[..., Array]:
-    """`_explained` for a kind of scene, compiled."""
-    return jax.jit(lambda p, q, v, t: _explained(template.with_parameters(p), q, v, t))
+        jax.eval_shape(lambda a, b: _momentum_balance(template, a, b, one), end, end)
+    except NoDiscreteGradient as error:
+        operation = str(error)
+    return operation, jax.jit(lambda p, *at: _explained(template.with_parameters(p), *at))
 
 
 @equation
@@ -283,9 +272,9 @@ def discrete_derivative(
     NoDiscreteGradient
         If the function holds an operation that is not known here.
     """
-    program, shape = jax.make_jaxpr(function, return_shape=True)(start)
-    (out,) = evaluated(program, [_Pair(start, end, direction)], _result)
-    return out.change if isinstance(out, _Pair) else jnp.zeros(shape.shape)
+    pair = _Pair(start, end, direction)
+    (out,) = evaluated(jax.make_jaxpr(function)(start), [pair], _result)
+    return out.change if isinstance(out, _Pair) else jnp.zeros_like(out)
 
 
 def discrete_gradient(
@@ -314,35 +303,28 @@ def _result(equation: Any, given: list) -> list:
 
 def _changes(equation: Any, given: list[_Pair], start: list, end: list) -> list:
     """Changes of the results of an operation by those of its operands, None of constant ones."""
-    name, (x, *others), pairs = (
-        equation.primitive.name,
-        given,
-        [g.change is not None for g in given],
-    )
-
-    def is_real(value: Any) -> bool:
-        return jnp.issubdtype(jnp.result_type(value), jnp.floating)
+    name, (x, *others) = equation.primitive.name, given
+    pairs = [g.change is not None for g in given]
+    reals = [jnp.issubdtype(jnp.result_type(g.start), jnp.floating) for g in given]
 
     def mean(g: _Pair) -> Any:
         return g.start if g.change is None else (g.start + g.end) / 2
 
-    def change(g: _Pair) -> Any:
-        if g.change is None:
-            return jnp.zeros_like(g.start) if is_real(g.start) else g.start
-        return g.change
-
-    if name in _LINEAR and all(
-        is_real(g.start) for g, is_pair in zip(given, pairs, strict=True) if is_pair
-    ):
-        return bound(equation, [*map(change, given)])
+    # Constants do not change; whole numbers among them are places.
+    changes = [
+        g.change if g.change is not None else jnp.zeros_like(g.start) if real else g.start
+        for g, real in zip(given, reals, strict=True)
+    ]
+    if name in _LINEAR and all(map(operator.ge, reals, pairs)):
+        return bound(equation, changes)
     if name in ("mul", "dot_general"):
-        both = (change(x), mean(others[0])), (mean(x), change(others[0]))
+        both = (changes[0], mean(others[0])), (mean(x), changes[1])
         return [sum(bound(equation, both[k])[0] for k in (0, 1) if pairs[k])]
     if name == "div" and not pairs[1]:
         return [x.change / others[0].start]
     if name == "div":
         first, last = 1 / others[0].start, 1 / others[0].end
-        return [mean(x) * (-others[0].change * first * last) + change(x) * (first + last) / 2]
+        return [mean(x) * (-others[0].change * first * last) + changes[0] * (first + last) / 2]
     if name == "square" or (name == "integer_pow" and equation.params["y"] == 2):
         return [2 * mean(x) * x.change]
     if name == "sqrt":
