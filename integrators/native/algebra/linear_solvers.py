@@ -146,21 +146,7 @@ class DenseSolver(LinearSolver):
             residual = partial(with_constants, program, constants)
             return order.factorised(_linearised(residual, u, order.seeds)[1])
 
-        alone = jax.custom_batching.custom_vmap(small_matrices.without_products(in_order))
-
-        @alone.def_vmap
-        def _(size: int, batched: list[bool], *args: Array) -> tuple[Factors, Factors]:
-            def inverse(u: Array, *constants: Array) -> Array:
-                return self.renewed(partial(with_constants, program, constants), u, kept)
-
-            # Many runs side by side take the inverse.
-            axes = [0 if one else None for one in batched]
-            first = (x[0] if one else x for x, one in zip(args, batched, strict=True))
-            none = jax.tree.map(jnp.zeros_like, jax.eval_shape(in_order, *first))
-            found = none._replace(inverse=jax.vmap(inverse, in_axes=axes)(*args))
-            return found, jax.tree.map(lambda _: False, none)._replace(inverse=True)
-
-        factors = alone(u, *program.consts)
+        factors = small_matrices.without_products(in_order)(u, *program.consts)
         return kept, lambda r: Once(*order.solve_by(factors, r))
 
     def nothing_kept(self, size: int) -> Array:
