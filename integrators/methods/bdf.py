@@ -36,7 +36,6 @@ class BDF2(StageMethod, Formulated, ImplicitStepMethod):
     In the stabilised form the multiplier corrects q alone, not v.
     """
 
-    name: ClassVar[str] = "bdf2"
     family: ClassVar[str] = "backward differences"
     takes: ClassVar[tuple[str, ...]] = ("velocity_constraint", "coupled_force")
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2, "lam": 2, "x": 2, "y": 2}
@@ -166,7 +165,6 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
     which is not tested, is right (relative, largest over time: 0.8 and 4.2).
     """
 
-    name: ClassVar[str] = "bdf_adaptive"
     family: ClassVar[str] = "backward differences"
     takes: ClassVar[tuple[str, ...]] = ("velocity_constraint", "coupled_force")
     source: ClassVar[str] = (

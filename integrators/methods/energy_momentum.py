@@ -74,7 +74,6 @@ class EnergyMomentum(StageMethod, ImplicitStepMethod):
     index 3 lam alternates from step to step without damping.
     """
 
-    name: ClassVar[str] = "energy_momentum"
     family: ClassVar[str] = "conserving"
     source: ClassVar[str] = (
         "Simo & Tarnow (1992), doi:10.1007/BF00913408; constraints: Gonzalez (1999), "

@@ -266,7 +266,6 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
 class KRAlpha(ModelBasedMethod):
     """KR-alpha: explicit in q and v with the spectrum of generalized-alpha."""
 
-    name: ClassVar[str] = "kr_alpha"
     source: ClassVar[str] = "Kolay & Ricles (2014), doi:10.1002/eqe.2401"
 
     rho_inf: float = rho_inf_option(0.8)
@@ -279,7 +278,6 @@ class KRAlpha(ModelBasedMethod):
 class CR(ModelBasedMethod):
     """The method of Chen and Ricles: explicit in q and v with the trapezoidal rule's spectrum."""
 
-    name: ClassVar[str] = "cr"
     source: ClassVar[str] = "Chen & Ricles (2008), doi:10.1061/(ASCE)0733-9399(2008)134:8(676)"
 
     def parameters(self) -> SecondOrder:

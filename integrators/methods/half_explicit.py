@@ -103,7 +103,6 @@ class HalfExplicitEuler(HalfExplicit):
     lam and y are those of the step, which begins at q and v.
     """
 
-    name: ClassVar[str] = "half_explicit_euler"
     orders: ClassVar[dict[str, int]] = {"q": 1, "v": 1, "a": 1, "lam": 1, "x": 1, "y": 1}
     source: ClassVar[str] = "Brasey & Hairer (1993), doi:10.1137/0730025"
 
@@ -184,7 +183,6 @@ class PHEM56(FreeSteps, HalfExplicit):
     projected on the velocity constraint.
     """
 
-    name: ClassVar[str] = "phem56"
     # x is as v; on linear scenes it may show order six, so that nothing is claimed.
     orders: ClassVar[dict[str, int]] = {"q": 5, "v": 5, "a": 5, "lam": 5}
     source: ClassVar[str] = (

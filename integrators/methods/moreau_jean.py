@@ -67,7 +67,6 @@ class MoreauJean(ImplicitStepMethod):
     theta method, of order two for theta = 1/2, which does not damp.
     """
 
-    name: ClassVar[str] = "moreau_jean"
     family: ClassVar[str] = "time stepping of contact"
     takes: ClassVar[tuple[str, ...]] = tuple(WIDER)
     formulation = "index2"

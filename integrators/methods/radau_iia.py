@@ -130,7 +130,6 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
     stages.
     """
 
-    name: ClassVar[str] = "radau_iia"
     family: ClassVar[str] = "implicit Runge-Kutta"
     takes: ClassVar[tuple[str, ...]] = ("coupled_force",)
     source: ClassVar[str] = (

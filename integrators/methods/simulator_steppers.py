@@ -115,7 +115,6 @@ class SemiImplicitEuler(SimulatorStepper):
     r h = 2.
     """
 
-    name: ClassVar[str] = "semi_implicit_euler"
     takes: ClassVar[tuple[str, ...]] = ("kinematics", "velocity_constraint")
     source: ClassVar[str] = (
         "Hairer, Lubich & Wanner (2003), doi:10.1017/S0962492902000144; constraints after "
@@ -136,7 +135,6 @@ class ImplicitFast(SimulatorStepper):
     up to r h = 2 for a rate r of decay.
     """
 
-    name: ClassVar[str] = "implicit_fast"
     source: ClassVar[str] = (
         "MuJoCo, 'implicitfast' (Todorov, Erez & Tassa 2012, doi:10.1109/IROS.2012.6386109)"
     )
@@ -172,7 +170,6 @@ class LinearlyImplicitEuler(SimulatorStepper):
     h^3 v^2 k/(2 m L^2), until omega h is small.
     """
 
-    name: ClassVar[str] = "linearly_implicit_euler"
     source: ClassVar[str] = (
         "Arnold, Burgermeister & Eichberger (2007), doi:10.1007/s11044-007-9036-8"
     )

@@ -75,7 +75,6 @@ class StormerVerlet(SymplecticMethod):
     make the step implicit.
     """
 
-    name: ClassVar[str] = "stormer_verlet"
     formulation: ClassVar[str] = "ode"  # pyright: ignore[reportIncompatibleVariableOverride]
     orders: ClassVar[dict[str, int]] = {"q": 2, "v": 2, "a": 2}
     source: ClassVar[str] = (
@@ -226,7 +225,6 @@ class RATTLE(BothSides):
     Without constraints q and v are those of stormer_verlet, with the limit omega h = 2.
     """
 
-    name: ClassVar[str] = "rattle"
     source: ClassVar[str] = (
         "Andersen (1983), doi:10.1016/0021-9991(83)90014-1; symplectic: Leimkuhler & Skeel (1994), "
         "doi:10.1006/jcph.1994.1085"
@@ -245,7 +243,6 @@ class VariationalMidpoint(BothSides):
     forces have a potential, keeps momentum maps, and is stable at every step on linear systems.
     """
 
-    name: ClassVar[str] = "variational_midpoint"
     instead: ClassVar[tuple[str, ...]] = ()
     source: ClassVar[str] = (
         "Marsden & West (2001), doi:10.1017/S096249290100006X; constraints: Wendlandt & Marsden "
@@ -268,7 +265,6 @@ class SHAKE(KickMethod):
     of RATTLE begins anew at q and v. Multiplier and acceleration are second order.
     """
 
-    name: ClassVar[str] = "shake"
     source: ClassVar[str] = (
         "Ryckaert, Ciccotti & Berendsen (1977), doi:10.1016/0021-9991(77)90098-5"
     )
