@@ -9,7 +9,13 @@ import numpy as np
 
 from integrators.contract import WIDER, option
 from integrators.native.algebra.step_records import Errors, Reading, Scalar, Time
-from integrators.native.step.method_options import Formulated, OwnValues, StageMethod, StageState
+from integrators.native.step.method_options import (
+    Formulated,
+    OwnValues,
+    StageMethod,
+    StageState,
+    formulation_option,
+)
 from integrators.native.step.stage_equations import Base, Guess, Slopes, stage_equations
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ErrorControl, ImplicitStepMethod
@@ -100,10 +106,7 @@ class BLieDF(BDF2):
     takes: ClassVar[tuple[str, ...]] = tuple(WIDER)
     source: ClassVar[str] = "Wieloch & Arnold (2021), doi:10.1016/j.cam.2019.112517"
 
-    formulation: str = option(
-        "index3", "constraints that hold: index3, of positions; index2, of velocities",
-        choices=("index3", "index2"),
-    )  # fmt: skip
+    formulation: str = formulation_option("index3", "index2")
 
     def extrapolated(
         self, scene: MechatronicSystem, q: Array, kept: Array, weights: tuple, change: Array
@@ -171,12 +174,7 @@ class BDFAdaptive(OwnValues, ErrorControl, ImplicitStepMethod):
         "Brenan, Campbell & Petzold (1996), doi:10.1137/1.9781611971224, ch. 5; Jackson & "
         "Sacks-Davis (1980), doi:10.1145/355900.355903"
     )
-    formulation: str = option(
-        "stabilised_index2",
-        "constraints that hold: stabilised_index2, positions and velocities (Gear, Gupta & "
-        "Leimkuhler); index3, positions; index2, velocities; index1, accelerations",
-        choices=("stabilised_index2", "index3", "index2", "index1"),
-    )
+    formulation: str = formulation_option("stabilised_index2", "index3", "index2", "index1")
     max_order: int = option(5, "largest order", low=1, high=5)
 
     @property

@@ -45,10 +45,9 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from integrators.advice import advice
-from integrators.contract import option
 from integrators.native.algebra.jaxpr_tools import bound, evaluated
 from integrators.native.algebra.step_records import Reading, Time, largest
-from integrators.native.step.method_options import StageMethod, StageState
+from integrators.native.step.method_options import StageMethod, StageState, formulation_option
 from integrators.native.step.stage_equations import Base, Slopes, StageEquations, stage_equations
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
@@ -81,11 +80,7 @@ class EnergyMomentum(StageMethod, ImplicitStepMethod):
         "doi:10.1007/s11071-023-08522-7"
     )
 
-    formulation: str = option(
-        "index3",
-        "constraints that hold: index3, of positions; stabilised_index2, of velocities, too",
-        choices=("index3", "stabilised_index2"),
-    )
+    formulation: str = formulation_option("index3", "stabilised_index2")
 
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
         own = 1 if self.values == "own" else 2

@@ -23,7 +23,7 @@ from integrators.methods.generalized_alpha_step import (
     second_order_parameters,
 )
 from integrators.multistep import MultistepForm
-from integrators.native.step.method_options import rho_inf_option
+from integrators.native.step.method_options import formulation_option, rho_inf_option
 from integrators.native.step.step_program import StepFunctions
 from integrators.native.step_method import NewtonOptions
 from problems.equations.block_structure import output_takes
@@ -42,11 +42,7 @@ class AlphaMethod(NewtonOptions):
     #: Options with which nothing grows at infinite frequency.
     bounded: ClassVar[str] = "alpha_m <= alpha_f <= 1/2, and leave gamma and beta out"
 
-    formulation: str = option(
-        "index3",
-        "index3, or stabilised_index2 (Gear, Gupta & Leimkuhler) with an extra multiplier",
-        choices=("index3", "stabilised_index2"),
-    )
+    formulation: str = formulation_option("index3", "stabilised_index2")
     start: str = option(
         "consistent",
         "consistent: aux = a at t0; corrected: aux shifted in time, without a transient",

@@ -34,7 +34,7 @@ from integrators.methods.generalized_alpha_step import (
     weights,
 )
 from integrators.native.algebra.step_records import Errors, Scalar, Time
-from integrators.native.step.method_options import rho_inf_option
+from integrators.native.step.method_options import formulation_option, rho_inf_option
 from integrators.native.step.step_program import StepFunctions
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ErrorControl
@@ -144,12 +144,8 @@ class GeneralizedAlphaAdaptive(ErrorControl, GeneralizedAlpha):
         "which rejected steps make; updated, without it: gamma can be huge; or fixed",
         choices=("guarded", "updated", "fixed"),
     )
-    formulation: str = option(
-        "stabilised_index2",
-        "stabilised_index2 (Gear, Gupta & Leimkuhler), or index3, whose lam is first order in "
-        "varying steps",
-        choices=("stabilised_index2", "index3"),
-    )
+    # On index 3 lam is first order in varying steps.
+    formulation: str = formulation_option("stabilised_index2", "index3")
     start: str = option(
         "corrected",
         "corrected: aux shifted in time at t0; consistent: aux = a, with a transient",

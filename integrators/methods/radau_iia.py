@@ -140,7 +140,7 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
     stages: int = option(3, "number of stages", choices=(2, 3), always=True)
     # On index 3 errors of a and lam are some thousand times the tolerance and more; those of v are
     # tested times h in s, as in RADAU5.
-    formulation: str = formulation_option("stabilised_index2", always=True)
+    formulation: str = formulation_option("stabilised_index2", "index3", "index2", always=True)
 
     @property
     def order(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -243,6 +243,8 @@ class SingleStep:
         The state at the start, an array.
     """
 
+    iterates: bool
+
     def __init__(
         self,
         program: StepProgram,

@@ -27,11 +27,13 @@ from problems.variables import Variables
 #: Options by name: another option, and the value of it without which they decide nothing.
 Needs: TypeAlias = dict[str, tuple[str, str]]
 
-#: What `formulation` means, for the lists of options.
-FORMULATION_TEXT = (
-    "constraints that hold: index3, of positions; index2, of velocities; stabilised_index2, both "
-    "(Gear, Gupta & Leimkuhler)"
-)
+#: Constraints that hold in each formulation, for the lists of options.
+_HOLDING = {
+    "index3": "of positions",
+    "index2": "of velocities",
+    "index1": "of accelerations",
+    "stabilised_index2": "of both positions and velocities (Gear, Gupta & Leimkuhler)",
+}
 
 #: Iterations of a projection with one matrix.
 _PROJECTIONS = 3
@@ -121,17 +123,18 @@ class EndMethod(OwnValues):
         return after.errors
 
 
-def formulation_option(default: str, *, always: bool = False) -> Any:
-    """The option that chooses the formulation of constrained equations."""
-    choices = ("index3", "index2", "stabilised_index2")
-    return option(default, FORMULATION_TEXT, choices=choices, always=always)
+def formulation_option(*choices: str, always: bool = False) -> Any:
+    """The option that chooses the constrained equations; the first choice is the default."""
+    holding = "; ".join(f"{choice}, {_HOLDING[choice]}" for choice in choices)
+    text = f"constraints that hold: {holding}"
+    return option(choices[0], text, choices=choices, always=always)
 
 
 @dataclass(frozen=True)
 class Formulated(Integrator):
     """Base of methods that solve the constrained equations in one of three formulations."""
 
-    formulation: str = formulation_option("index3")
+    formulation: str = formulation_option("index3", "index2", "stabilised_index2")
 
 
 @dataclass(frozen=True)
