@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from integrators.output_rows import RowKeeper, width_of
 from integrators.program_costs import OWN, Algebra, Cost, NotCounted, bill, of_calls
 from problems.base.runtime import slower
 from problems.system import MechatronicSystem
-
-if TYPE_CHECKING:
-    pass
 
 NOT_FINITE = "the equations gave a value that is not finite"
 

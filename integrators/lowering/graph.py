@@ -14,11 +14,13 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Container, Iterable, Sequence
+from functools import reduce
+from operator import or_
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from problems.base.runtime import Array, Float, Int, jnp
+from problems.base.runtime import Array, Bool, Float, Int, jnp
 
 #: Nodes that a graph may have, constants and operations that nobody needs included.
 _MOST_NODES = 300_000
@@ -250,24 +252,15 @@ class Graph:
         kinds = [self._kinds[node] for node in start]
         return self.outputs(loop, (*loop.given, *start), kinds)
 
-    def origins(self, results: Iterable[int], nodes: Iterable[int]) -> list[set[int]]:
-        """For each result the numbers of those among the nodes on which it depends."""
-        found = {node: {k} for k, node in enumerate(nodes)}
-        first, results = min(found, default=0), list(results)
-        waiting = [(node, False) for node in results]
-        while waiting:
-            node, ready = waiting.pop()
+    def dependence(self, results: Sequence[int], nodes: Sequence[int]) -> Bool[np.ndarray, "m n"]:
+        """Whether each of m results depends on each of n nodes."""
+        masks = {node: 1 << k for k, node in enumerate(nodes)}
+        for node in range(min(nodes, default=0), max(results, default=-1) + 1):
             operator, given = self.nodes[node]
-            if node in found:
-                continue
-            if node < first or operator in ("constant", "input"):
-                found[node] = set()
-            elif ready:
-                found[node] = set().union(*(found[x] for x in given))
-            else:
-                waiting.append((node, True))
-                waiting.extend((x, False) for x in given)
-        return [found[node] for node in results]
+            if operator not in ("constant", "input"):
+                masks[node] = reduce(or_, (masks.get(x, 0) for x in given), 0)
+        bits = [masks.get(node, 0) >> k & 1 for node in results for k in range(len(nodes))]
+        return np.array(bits, bool).reshape(len(results), len(nodes))
 
     def kind(self, node: int) -> str:
         """The kind of a value: "f" for a number, "b" for true or false."""

@@ -292,22 +292,20 @@ def _window(x: np.ndarray, start: np.ndarray, sizes: Sequence[int]) -> tuple[sli
 # ---- numbers that are known before the program runs -------------------------------------
 def on_numbers(step: Step, *given: np.ndarray) -> np.ndarray | None:
     """The result of a step on numbers of any type; None if it has no rule here."""
+    name, made, by = step.name, step.made[0], operator(step)
     with np.errstate(all="ignore"):
-        found = _on_numbers(step, *given)
-    return None if found is None else found.astype(step.made[0].dtype)
-
-
-def _on_numbers(step: Step, *given: np.ndarray) -> np.ndarray | None:
-    name, (made, *_) = step.name, step.made
-    if name == "constant":
-        return np.broadcast_to(np.asarray(step.value), made.shape)
-    if name == "iota":
-        return np.indices(made.shape)[step.numbers("iota_dimension")[0]]
-    if name in MOVES:
-        return MOVES[name](step, *given)
-    if name == "convert":
-        return given[0].astype(made.dtype)
-    if name == "divide" and made.dtype.kind in "iu":
-        return (given[0] - np.fmod(*given)) // given[1]
-    by = operator(step)
-    return OPERATORS[by].numpy(*given) if by else None
+        if name == "constant" and step.value is not None:
+            found = np.broadcast_to(step.value, made.shape)
+        elif name == "iota":
+            found = np.indices(made.shape)[step.numbers("iota_dimension")[0]]
+        elif name in MOVES:
+            found = MOVES[name](step, *given)
+        elif name == "convert":
+            (found,) = given
+        elif name == "divide" and made.dtype.kind in "iu":
+            found = (given[0] - np.fmod(*given)) // given[1]
+        elif by:
+            found = OPERATORS[by].numpy(*given)
+        else:
+            return None
+        return found.astype(made.dtype)

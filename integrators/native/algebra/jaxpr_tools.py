@@ -100,11 +100,7 @@ def tangent_pattern(program: ClosedJaxpr, n: int) -> Bool[np.ndarray, "m n"]:
 
     lengths = (n, n, *(math.prod(shape) for shape, _ in shapes))
     graph, results = lowered(tangent, lengths)
-    changes = [graph.input(1, k) for k in range(n)]
-    entries = np.zeros((results.size, n), bool)
-    for row, found in zip(entries, graph.origins(results.ravel().tolist(), changes), strict=True):
-        row[[*found]] = True
-    return entries
+    return graph.dependence(results.ravel().tolist(), [graph.input(1, k) for k in range(n)])
 
 
 def tangent_along(
