@@ -19,6 +19,7 @@ import msgspec
 
 from bench.results.records import SCHEMA, Environment, Plan, Record, Rows, SceneRecord
 from bench.results.studies import ExperimentResult, LongRun
+from bench.results.timings import by_round
 
 T = TypeVar("T")
 
@@ -151,7 +152,7 @@ class Store:
         """Keep one timing sample of a cell: its round, in an invocation (None: the cell's own)."""
         record = self.values(Record, key, key)[key]
         place = record.environment if invocation is None else invocation, number
-        taken = dict(zip(record.rounds, record.run_s, strict=True)) | {place: seconds}
+        taken = by_round(record) | {place: seconds}
         record.rounds = sorted(taken, key=lambda place: place[1])
         record.run_s = [taken[place] for place in record.rounds]
         self._put([(key, record)])
