@@ -9,7 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.results.quantities import GROUPS, NORMS, VIOLATIONS, error_note, whole
+from bench.results.quantities import (
+    GROUPS,
+    NORMS,
+    VIOLATIONS,
+    error_note,
+    point_notes,
+    whole,
+)
 from integrators.contract import Trajectory
 from problems.base.runtime import Float
 from problems.equations.compiled import compiled
@@ -108,13 +115,22 @@ def history_error(trajectory: Trajectory, reference: Reference) -> float | None:
     It is the root of the mean of e^2 over time and over the coordinates y of all points, with
     e = abs(y - y_ref) / max(abs(y_ref), `THRESHOLD`). The rule takes equally spaced times; the mean
     over time is here the integral over all steps by the trapezoidal rule. None if the scene has no
-    points, or if it is not finite.
+    points, the run tells none, or it is not finite.
     """
     scene, t = reference.scene, trajectory.t
     if not scene.has("points"):
         return None
-    of = (named_points(scene, q) for q in (trajectory.q, _exact(trajectory, reference)["q"]))
-    found, exact = (np.hstack([*points.values()]) for points in of)
+    known = named_points(scene, _exact(trajectory, reference)["q"])
+    exact = np.hstack([*known.values()])
+    if np.isfinite(trajectory.q).all():
+        found = np.hstack([*named_points(scene, trajectory.q).values()])
+    else:  # a run may tell points alone
+        notes = [note for name, p in known.items() for note in point_notes(name, p.shape[1])]
+        told = [k for k, note in enumerate(notes) if note in trajectory.notes]
+        if not told:
+            return None
+        found = np.stack([trajectory.notes[notes[k]] for k in told], axis=1)
+        exact = exact[:, told]
     errors = np.abs(found - exact) / np.maximum(np.abs(exact), THRESHOLD)
     return finite(np.sqrt(np.mean(norms(t)["rms"](errors.T) ** 2)))
 
@@ -124,7 +140,7 @@ def relative_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:
 
     The error of a component is norm(value - reference) / scale, in every norm over time (see
     `norms`) with the same scale (see `scales`), so that "max" is never smaller than "end",
-    "settled" or "rms".
+    "settled" or "rms". Components that a partial run lacks have none, nor has a group without any.
     """
     t, exact, table = trajectory.t, _exact(trajectory, reference), ErrorTable({}, {}, {}, {})
     for group in GROUPS:
@@ -134,11 +150,16 @@ def relative_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:
         if group == "xd" and not len(found):  # of a run that knows nothing of them
             continue
         difference = found - exact[group]
+        told = ~np.isnan(found[0])
+        if not told.any():
+            continue
         sizes, unsure = scales(reference, group), reference.error[group]
         each = {name: component_errors(difference, t, sizes, name) for name in NORMS}
         table.components[group] = {name: [*map(finite, e)] for name, e in each.items()}
-        table.histories[error_note(group)] = (np.abs(difference) / sizes.components).max(axis=1)
-        table.errors[group] = {name: finite(e.max()) for name, e in each.items()}
+        table.histories[error_note(group)] = (np.abs(difference) / sizes.components)[:, told].max(
+            axis=1
+        )
+        table.errors[group] = {name: finite(e[told].max()) for name, e in each.items()}
         table.errors[whole(group)] = {
             name: finite(float(whole_error(difference, t, sizes, name))) for name in NORMS
         }

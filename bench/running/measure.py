@@ -166,12 +166,16 @@ def end_at_overlap(run: Trajectory, scene: MechatronicSystem, passes_impacts: bo
     return f"Bodies overlap by up to {below.max():.2g}, as steps pass impacts."
 
 
-def checked(trajectory: Trajectory, t_end: float) -> Trajectory:
-    """Hold an integrator to its word: "ok" means finite values up to the end, ``t_end`` in s."""
+def checked(trajectory: Trajectory, t_end: float, partial: bool = False) -> Trajectory:
+    """Hold an integrator to its word: "ok" means finite values up to the end, ``t_end`` in s.
+
+    In ``partial`` rows others stand for components that are not known.
+    """
     if trajectory.status != "ok":
         return trajectory
     y = trajectory
-    if not all(np.isfinite(part).all() for part in (y.q, y.v, y.a, y.lam, y.x, y.xdot, y.y)):
+    values = () if partial else (y.q, y.v, y.a, y.lam, y.x, y.xdot, y.y)
+    if not all(np.isfinite(part).all() for part in values):
         y.status, y.message = "diverged", "It reported success with values that are not finite."
     elif abs(y.t[-1] - t_end) > 1e-9 * max(1.0, abs(t_end)):
         said = f"It reported success at t={y.t[-1]:.9g} s instead of {t_end:.9g} s."
@@ -290,7 +294,9 @@ def stored_rows(trajectory: Trajectory | Mapping[str, Any]) -> Rows:
     """
     values = trajectory if isinstance(trajectory, Mapping) else vars(trajectory)
     t = np.asarray(values["t"])
-    given = [name for name in (*GROUPS, "xdot") if np.size(values.get(name, ()))]
+    # Groups whose first row is not known are left out.
+    named = [name for name in (*GROUPS, "xdot") if np.size(values.get(name, ()))]
+    given = [name for name in named if np.isfinite(np.asarray(values[name])[0]).all()]
     groups = {name: np.asarray(values[name]) for name in given}
     finite_rows = np.isfinite(t)
     for rows in groups.values():

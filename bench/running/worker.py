@@ -14,6 +14,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from bench.plugins.registry import Registry, Sources, why
 from bench.results.quantities import PARTS, point_notes
 from bench.results.records import Record, Rows, SceneRecord
@@ -132,8 +134,9 @@ class Worker:
         if reference and reference.missing:
             _add(record, f"No errors are known. {reference.missing}")
             reference = None
+        whole = bool(np.isfinite(run.q).all() and np.isfinite(run.v).all())
         energy = lambda: measure.invariant_changes(scene, run, reference, ["energy"])  # noqa: E731
-        change = part("energy drift is known", energy, {})
+        change = part("energy drift is known", energy, {}) if whole else {}
         if reference:
             measure.end_at_blow_up(run, reference, change)
         if run.status != "ok":
@@ -144,8 +147,8 @@ class Worker:
             found = relative_errors(run, reference)
             record.errors, record.components = found.errors, found.components
             record.reference_error = found.reference_errors
-            held = part("violations are known", lambda: constraint_errors(run, reference), None)
-            if held:
+            find = (lambda: constraint_errors(run, reference)) if whole else lambda: None
+            if held := part("violations are known", find, None):
                 record.errors |= held.errors
                 record.reference_error |= held.reference_errors
             record.events = part("events are known", lambda: event_errors(run, reference), {})
@@ -174,11 +177,13 @@ class Worker:
             return f"{caution} {overlap} {uncontrolled(scene, run, record.rtol)}"
 
         noted = part(unknown, lambda: histories(reference), {}) if reference else {}
-        drift = part("residuals of the constraints are known", violations, {})
+        drift = part("residuals of the constraints are known", violations, {}) if whole else {}
         drift |= {name: abs(values) for name, values in change.items()}
         record.constraint = {name: finite(values.max()) for name, values in drift.items()}
         record.energy_drift = record.constraint.pop("energy", None)
-        run.notes |= noted | drift | part("named points or published digits are known", points, {})
+        run.notes |= noted | drift
+        if whole:
+            run.notes |= part("named points or published digits are known", points, {})
         bill = lambda: checks.checked_bill(prepared.bill(run), PARTS)  # noqa: E731
         record.operations = part("operations are known", bill, {})
         claims = lambda: checks.checked_orders(method.claims(scene), "claims()")  # noqa: E731
@@ -191,7 +196,7 @@ class Worker:
                     method, cell.resolution, reference
                 )
                 _add(record, " ".join(failed))
-        _add(record, part("cautions are known", cautions, ""))
+        _add(record, part("cautions are known", cautions, "") if whole else "")
 
     def run(self, cell: Cell) -> tuple[Trajectory, float | None]:
         """Run a cell; return its trajectory, however it ends, and processor seconds to prepare."""
@@ -215,7 +220,8 @@ class Worker:
             measured = run.measure()
             seconds = computed_seconds() - measuring
             trajectory = checks.checked_trajectory(measured, scene.sizes, *span)
-            measure.end_at_overlap(trajectory, scene, bool(integrator.passes_impacts))
+            if not integrator.partial:
+                measure.end_at_overlap(trajectory, scene, bool(integrator.passes_impacts))
         except (InconsistentStart, NoConsistentStart, SpecError) as error:
             return Trajectory.failed("crashed", f"{said(error)}."), None
         except BaseException as error:  # of a plugin, which may even raise SystemExit
@@ -225,7 +231,7 @@ class Worker:
         self.prepared[cell.key], self._seconds[cell.key] = run, seconds
         if fault := measure.ignored_pattern(trajectory, cell.resolution, *span):
             trajectory.status, trajectory.message = "crashed", fault
-        return measure.checked(trajectory, cell.t_end), compile_s
+        return measure.checked(trajectory, cell.t_end, integrator.partial), compile_s
 
     def time(self, cell: Cell) -> float:
         """Take a timing sample: processor seconds of a bare run, by `measure.least_seconds`.

@@ -1,0 +1,215 @@
+"""Judgement of runs of other programs: files of a method become an integrator with their rows."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, NamedTuple
+
+import msgspec
+
+from bench.plugins.registry import Plugin
+from bench.results.records import Environment, MethodFacts, Plan, SceneRecord, Study
+from bench.results.store import Store
+from bench.running.plan import Cell
+from bench.running.process import PREPARING
+from bench.running.profiles import FIGURES
+from bench.running.told import FACTS, Told, read_told, trajectory_of
+from bench.running.worker import CellResult, Worker
+from integrators.contract import WIDER, Integrator, PreparedRun, Trajectory
+from integrators.resolutions import Steps, Tolerances
+from problems.base.spec import SpecError, convert, is_name, options_of, suggest
+from problems.system import MechatronicSystem
+
+#: Formulation, clock and machine of runs whose equations and times an author tells.
+TOLD = "as told by the author"
+Resolution = Steps | Tolerances
+
+
+@dataclass
+class _Rows(PreparedRun):
+    """A run that has been done: its rows."""
+
+    rows: Trajectory
+
+    def measure(self) -> Trajectory:
+        return self.rows
+
+    def execute(self) -> None:
+        raise SpecError("The times of another program are not taken here.")
+
+
+@dataclass(frozen=True)
+class ToldMethod(Integrator):
+    """Another program, whose rows are judged; seconds and counts are as told by its author."""
+
+    formulation = TOLD
+    takes: ClassVar = tuple(WIDER)
+    takes_redundant = True
+    partial: ClassVar[bool] = True
+    runs: ClassVar[Mapping[Resolution, Trajectory]] = {}
+    scene: ClassVar[str] = ""
+
+    def prepare(
+        self, scene: MechatronicSystem, t_end: float, resolution: Resolution
+    ) -> PreparedRun:
+        """Return the rows of a file; raise SpecError for a later start, which no file has."""
+        rows = self.runs[resolution]
+        if rows.t[0] != scene.interval[0]:
+            raise SpecError("No file has another start.")
+        return _Rows(rows)
+
+
+# Rows where values jump lie in the phases of their times: no phase is run by itself.
+ToldMethod.prepare = ToldMethod.prepare.__wrapped__  # type: ignore[attr-defined]
+
+
+class Judgement(NamedTuple):
+    """Results of all files, their scene if it is described, their method, and what each lacks."""
+
+    results: list[CellResult]
+    scene: SceneRecord | None
+    method: MethodFacts
+    lacking: list[list[str]]
+
+
+def judge_job(
+    worker: Worker,
+    problem: str,
+    files: Sequence[str],
+    given: Mapping[str, Sequence[float] | str],
+    describe: bool,
+) -> Judgement:
+    """Do a job of a worker: measure the errors of the runs in files against the reference.
+
+    Parameters
+    ----------
+    given
+        Facts that the files do not tell: "step" and "rtol" are sequences, of a number for each
+        file, "method" is the name.
+    describe
+        Whether the scene is described, too.
+
+    Raises
+    ------
+    SpecError
+        If a file is not as `read_told` and `trajectory_of` want it, tells facts that are not known,
+        or other parameters than the scene's, or the files are not runs of one method up to one end.
+    """
+    worker.notify(PREPARING, "reading files")
+    scene = worker.problem(problem)
+    told = [read_told(Path(file)) for file in files]
+    runs: dict[Resolution, Trajectory] = {}
+    lacking = []
+    for k, one in enumerate(told):
+        _check_facts(scene, one)
+        resolution = _resolution(one, {n: v[k] for n, v in given.items() if n != "method"})
+        if resolution in runs:
+            raise SpecError(f"{one.file} has the step or tolerance of a file before it.")
+        runs[resolution], missing = trajectory_of(scene, one)
+        lacking.append(missing)
+    ends = {float(f"{run.t[-1]:.9g}") for run in runs.values()}
+    names = {str(given.get("method") or one.facts.get("method", "told")) for one in told}
+    for word, found in (("end times", ends), ("methods", names)):
+        if len(found) > 1:
+            raise SpecError(f"The files have {word} {', '.join(map(str, found))}; judge one.")
+    t_end = scene.interval[1] if scene.interval[1] in ends else runs[next(iter(runs))].t[-1]
+    method = _method(worker, names.pop(), runs, told)
+    results = []
+    for one, resolution in zip(told, runs, strict=True):
+        record, rows = worker.measure(Cell(scene.spec, method.spec, float(t_end), resolution))
+        record.compile_s = None
+        seconds = one.number("seconds")
+        record.run_s = [seconds] if seconds else []
+        results.append(CellResult(record, rows))
+    described = worker.scene(scene.spec, float(t_end)) if describe else None
+    return Judgement(results, described, method, lacking)
+
+
+def _method(
+    worker: Worker, name: str, runs: Mapping[Resolution, Trajectory], told: Sequence[Told]
+) -> MethodFacts:
+    """Put the integrator with these runs among those of the worker."""
+    if not is_name(name) or name in worker.registry.integrators:
+        raise SpecError(
+            f"The method {name!r} is not allowed: it is a method of stepbench, or no word of "
+            "letters, digits, '_', '.' and '-'; name yours by --method."
+        )
+    files = [Path(one.file).name for one in told]
+    digest = hashlib.sha256("".join(one.digest for one in told).encode()).hexdigest()
+    kinds = {type(resolution) for resolution in runs}
+    if len(kinds) > 1:
+        raise SpecError("Some files have steps and others tolerances; judge them one by one.")
+    own = {
+        "name": name,
+        "family": name,
+        "source": f"{TOLD}: seconds, counts; rows of {', '.join(files)}",
+        "controls": "step" if kinds == {Steps} else "tolerance",
+        "runs": runs,
+        "source_text": digest,
+        "__doc__": ToldMethod.__doc__,
+        "__module__": __name__,
+    }
+    cls = type("Told", (ToldMethod,), own)
+    worker.registry.integrators[name] = Plugin("integrators", name, files[0], lambda: cls)
+    return worker.inventory.integrator(name)
+
+
+def _resolution(told: Told, given: Mapping[str, float]) -> Resolution:
+    step, rtol = (given.get(n, told.number(n)) for n in ("step", "rtol"))
+    if (step is None) == (rtol is None):
+        raise SpecError(
+            f"{told.file} tells {'no' if step is None else 'both a'} step and rtol; write one of "
+            "them, as '# step=0.01' before the head, or give --steps or --rtols."
+        )
+    return Tolerances(rtol, told.number("atol")) if step is None else Steps(float(step))
+
+
+def _check_facts(scene: MechatronicSystem, told: Told) -> None:
+    """Refuse facts that are not known, and another scene or other parameters than the scene's."""
+    parameters = options_of(type(scene))
+    for name, value in told.facts.items():
+        if name in parameters:
+            own = getattr(scene, name)
+            if convert(scene.name, parameters[name], value) != own:
+                raise SpecError(
+                    f"{told.file} says {name}={value}, and the scene has {name}={own}; judge it "
+                    f"with --set {name}={value}."
+                )
+        elif name == "scene":
+            if value not in (scene.spec, scene.name):
+                raise SpecError(f"{told.file} is a run of {value}, not of {scene.spec}.")
+        elif name not in FACTS:
+            raise SpecError(
+                f"{told.file} tells {name}={value}, which is no fact and no parameter; "
+                f"{suggest(name, [*FACTS, 'scene', *parameters])}."
+            )
+
+
+def store_judgement(store: Store, found: Judgement) -> None:
+    """Keep judged runs beside others; their times belong to a machine that nobody knows."""
+    records, plan = [result.record for result in found.results], store.plan()
+    unknown = dict.fromkeys(("date", "command", "cpu", "platform", "clock"), TOLD)
+    machine = Environment(cores=0, memory_gib=0.0, versions={}, **unknown)
+    store.keep(machine)
+    for record, rows in found.results:
+        seconds, record.run_s, record.environment = record.run_s, [], machine.number
+        store.save(record, rows)
+        for second in seconds:
+            store.add_sample(record.key, 0, second, machine.number)
+    first = records[0]
+    study = Study(
+        title=f"{found.method.name}, {TOLD}",
+        problem=first.problem,
+        t_end=first.t_end,
+        figures=[*FIGURES],
+        cells=[record.key for record in records],
+    )
+    plan = plan or Plan(name="judged", title="Judged runs", samples=0, budget_s=60.0, studies=[])
+    others = [s for s in plan.studies if (s.title, s.problem) != (study.title, study.problem)]
+    methods = plan.integrators | {found.method.spec: found.method}
+    store.keep(msgspec.structs.replace(plan, studies=[*others, study], integrators=methods))
+    if found.scene:
+        store.keep(found.scene)
