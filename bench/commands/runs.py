@@ -16,7 +16,7 @@ import numpy as np
 from bench.commands import options
 from bench.commands.options import MOST_MEMBERS, Given
 from bench.results.flat_rows import published_table
-from bench.results.quantities import ASKED, NORM, NORMS
+from bench.results.quantities import ASKED, ERROR_NAMES, NORM, NORMS
 from bench.results.records import Record, Rows
 from bench.results.table import NO_VALUE, Table, formatted
 from problems.base.spec import SpecError
@@ -351,5 +351,7 @@ def _judged(series: Series) -> Table:
     ]
     points = ["points"] * any(r.history_error is not None for r in series.records)
     title = f"{series.label} on {series.records[0].problem}: errors, {NORMS[NORM]}"
-    note = "Points: by the rule of the IFToMM library. Seconds: as told by the author."
-    return Table(title, ["run", *groups, *points, "seconds"], rows, note=note)
+    note = "Seconds: as told by the author."
+    note = "Points: by the rule of the IFToMM library. " * len(points) + note
+    heads = [ERROR_NAMES[g].split()[-1] for g in groups]
+    return Table(title, ["run", *heads, *points, "seconds"], rows, note=note)

@@ -6,7 +6,8 @@
    that does nothing else. Nothing is checked: no status, no NaN, no rows but the last.
 
    cc -O3 -march=native yardstick_slider_crank.c -lm; a.out STEPS SECONDS RHO_INF
-   prints: microseconds per step, Newton iterations per step, q and a at the end. */
+   prints: microseconds per step, Newton iterations per step, q and a at the end. With a fourth
+   argument, the name of a method, it prints all rows for `stepbench judge`. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -86,8 +87,9 @@ static void linearise(const double q[NQ], const double a[NQ], const double lam[N
   }
 }
 
-/* Consistent positions, velocities and accelerations of the crank at 0.7 rad and 10 rad/s. */
-static void start(double q[NQ], double v[NQ], double a[NQ]) {
+/* Consistent positions, velocities, accelerations and multipliers of the crank at 0.7 rad and
+   10 rad/s. */
+static void start(double q[NQ], double v[NQ], double a[NQ], double lam[NL]) {
   double th = 0.7, w1 = 10, ph = -asin(l1 / l2 * sin(th));
   double w2 = -l1 * cos(th) * w1 / (l2 * cos(ph));
   double crank[2] = {l1 * cos(th), l1 * sin(th)}, rod[2] = {l2 * cos(ph), l2 * sin(ph)};
@@ -106,6 +108,7 @@ static void start(double q[NQ], double v[NQ], double a[NQ]) {
         on_crank[k] * crank[across[k]] * w1 * w1 + on_rod[k] * rod[across[k]] * w2 * w2;
   solve(A, r);
   for (int i = 0; i < NQ; i++) a[i] = -r[i];
+  for (int i = 0; i < NL; i++) lam[i] = -r[NQ + i];
 }
 
 static double largest(const double *values, int count) {
@@ -113,6 +116,24 @@ static double largest(const double *values, int count) {
   for (int i = 0; i < count; i++)
     if (fabs(values[i]) > most) most = fabs(values[i]);
   return most;
+}
+
+static void cells(const char *group, const double *values, int count) {
+  for (int i = 0; i < count; i++)
+    if (values)
+      printf(",%.17g", values[i]);
+    else
+      printf(",%s%d", group, i + 1);
+}
+
+/* A row for `stepbench judge`, or its head if there are no values. */
+static void row(double t, const double *q, const double *v, const double *a, const double *lam) {
+  if (q)
+    printf("%.17g", t);
+  else
+    printf("t");
+  cells("q", q, NQ), cells("v", v, NQ), cells("a", a, NQ), cells("lam", lam, NL);
+  printf("\n");
 }
 
 int main(int count, char **given) {
@@ -124,12 +145,19 @@ int main(int count, char **given) {
   mass[0] = mass[1] = m1, mass[CRANK] = m1 * l1 * l1 / 12;
   mass[3] = mass[4] = m2, mass[ROD] = m2 * l2 * l2 / 12, mass[6] = m3;
 
-  double q[NQ], v[NQ], a[NQ], aux[NQ], lam[NL] = {0}, base_q[NQ], base_v[NQ], base_aux[NQ];
+  double q[NQ], v[NQ], a[NQ], aux[NQ], lam[NL], base_q[NQ], base_v[NQ], base_aux[NQ];
   double r[N], A[N][N];
   long iterations = 0;
   struct timespec from, to;
-  start(q, v, a);
+  const char *method = count > 4 ? given[4] : NULL;
+  start(q, v, a, lam);
   for (int i = 0; i < NQ; i++) aux[i] = a[i];
+  if (method) {
+    printf("# step=%.17g method=%s\n", h, method);
+    row(0, NULL, NULL, NULL, NULL);
+    row(0, q, v, a, lam);
+  }
+  for (int i = 0; i < NL; i++) lam[i] = 0;
 
   clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &from);
   for (int n = 0; n < steps; n++) {
@@ -153,10 +181,15 @@ int main(int count, char **given) {
       v[i] = base_v[i] + sv * a[i];
       aux[i] = base_aux[i] + slope * a[i];
     }
+    if (method) row((n + 1) * h, q, v, a, lam);
   }
   clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &to);
 
   double seconds = (to.tv_sec - from.tv_sec) + 1e-9 * (to.tv_nsec - from.tv_nsec);
+  if (method) {
+    printf("# seconds=%.17g newton=%ld steps=%d\n", seconds, iterations, steps);
+    return 0;
+  }
   printf("%.6f %.4f", 1e6 * seconds / steps, (double)iterations / steps);
   for (int i = 0; i < NQ; i++) printf(" %.17g", q[i]);
   for (int i = 0; i < NQ; i++) printf(" %.17g", a[i]);
