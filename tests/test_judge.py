@@ -34,7 +34,7 @@ def worker():
 
 
 def judged(worker, scene, *files, **given):
-    return judge_job(worker, scene, [*map(str, files)], given, False)
+    return judge_job(worker, scene, [*map(str, files)], given, "", False)
 
 
 def exact_columns(scene, count=101, groups=GROUPS):
@@ -262,7 +262,7 @@ def test_a_program_in_c_stands_in_a_report_beside_the_same_method_of_the_bench(
         found = sorted(store.records().values(), key=lambda r: -(r.h or 0.0))
         (plan, machines) = store.plan(), store.environments()
     assert [r.integrator for r in found] == ["ga_in_c"] * 3
-    assert all(r.run_s and machines[r.rounds[0][0]].cpu == "as told by the author" for r in found)
+    assert all(r.run_s and machines[r.environment].cpu == "as told by the author" for r in found)
     assert plan.integrators["ga_in_c"].source.startswith("as told by the author: seconds, counts")
     assert "ga_in_c" in (folder / "report.html").read_text(encoding="utf-8")
     scene = worker.problem("slider_crank")

@@ -79,7 +79,8 @@ def judge_job(
     worker: Worker,
     problem: str,
     files: Sequence[str],
-    given: Mapping[str, Sequence[float] | str],
+    given: Mapping[str, Sequence[float]],
+    method: str,
     describe: bool,
 ) -> Judgement:
     """Do a job of a worker: measure the errors of the runs in files against the reference.
@@ -87,8 +88,9 @@ def judge_job(
     Parameters
     ----------
     given
-        Facts that the files do not tell: "step" and "rtol" are sequences, of a number for each
-        file, "method" is the name.
+        Facts that the files do not tell: "step" or "rtol", of a number for each file.
+    method
+        Name of the method; empty: as the files tell it.
     describe
         Whether the scene is described, too.
 
@@ -105,27 +107,27 @@ def judge_job(
     lacking = []
     for k, one in enumerate(told):
         _check_facts(scene, one)
-        resolution = _resolution(one, {n: v[k] for n, v in given.items() if n != "method"})
+        resolution = _resolution(one, {n: v[k] for n, v in given.items()})
         if resolution in runs:
             raise SpecError(f"{one.file} has the step or tolerance of a file before it.")
         runs[resolution], missing = trajectory_of(scene, one)
         lacking.append(missing)
     ends = {float(f"{run.t[-1]:.9g}") for run in runs.values()}
-    names = {str(given.get("method") or one.facts.get("method", "told")) for one in told}
+    names = {method or one.facts.get("method", "told") for one in told}
     for word, found in (("end times", ends), ("methods", names)):
         if len(found) > 1:
             raise SpecError(f"The files have {word} {', '.join(map(str, found))}; judge one.")
     t_end = scene.interval[1] if scene.interval[1] in ends else runs[next(iter(runs))].t[-1]
-    method = _method(worker, names.pop(), runs, told)
+    facts = _method(worker, names.pop(), runs, told)
     results = []
     for one, resolution in zip(told, runs, strict=True):
-        record, rows = worker.measure(Cell(scene.spec, method.spec, float(t_end), resolution))
+        record, rows = worker.measure(Cell(scene.spec, facts.spec, float(t_end), resolution))
         record.compile_s = None
         seconds = one.number("seconds")
         record.run_s = [seconds] if seconds else []
         results.append(CellResult(record, rows))
     described = worker.scene(scene.spec, float(t_end)) if describe else None
-    return Judgement(results, described, method, lacking)
+    return Judgement(results, described, facts, lacking)
 
 
 def _method(
@@ -164,7 +166,9 @@ def _resolution(told: Told, given: Mapping[str, float]) -> Resolution:
             f"{told.file} tells {'no' if step is None else 'both a'} step and rtol; write one of "
             "them, as '# step=0.01' before the head, or give --steps or --rtols."
         )
-    return Tolerances(rtol, told.number("atol")) if step is None else Steps(float(step))
+    if rtol is not None:
+        return Tolerances(rtol, told.number("atol"))
+    return Steps(step or 0.0)
 
 
 def _check_facts(scene: MechatronicSystem, told: Told) -> None:
@@ -195,10 +199,8 @@ def store_judgement(store: Store, found: Judgement) -> None:
     machine = Environment(cores=0, memory_gib=0.0, versions={}, **unknown)
     store.keep(machine)
     for record, rows in found.results:
-        seconds, record.run_s, record.environment = record.run_s, [], machine.number
+        record.environment = machine.number
         store.save(record, rows)
-        for second in seconds:
-            store.add_sample(record.key, 0, second, machine.number)
     first = records[0]
     study = Study(
         title=f"{found.method.name}, {TOLD}",

@@ -286,17 +286,18 @@ def _noted(error: float) -> float | None:
     return float(f"{error:.3g}") if math.isfinite(error) else None
 
 
-def stored_rows(trajectory: Trajectory | Mapping[str, Any]) -> Rows:
+def stored_rows(trajectory: Trajectory | Mapping[str, Any], partial: bool = False) -> Rows:
     """Return a trajectory, or the values of a reference with "t", in the form that is stored.
 
     Rows end before the first one that is not finite, as JSON has no such numbers. Of many rows some
-    are kept (`integrators.output_rows.spread_rows`), of large groups the first components.
+    are kept (`integrators.output_rows.spread_rows`), of large groups the first components. Of
+    ``partial`` rows the whole groups are kept.
     """
     values = trajectory if isinstance(trajectory, Mapping) else vars(trajectory)
     t = np.asarray(values["t"])
-    # Groups whose first row is not known are left out.
-    named = [name for name in (*GROUPS, "xdot") if np.size(values.get(name, ()))]
-    given = [name for name in named if np.isfinite(np.asarray(values[name])[0]).all()]
+    given = [name for name in (*GROUPS, "xdot") if np.size(values.get(name, ()))]
+    if partial:
+        given = [name for name in given if not np.isnan(values[name][0]).any()]
     groups = {name: np.asarray(values[name]) for name in given}
     finite_rows = np.isfinite(t)
     for rows in groups.values():

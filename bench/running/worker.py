@@ -114,7 +114,8 @@ class Worker:
                 _add(record, f"No errors are known. {lacking}")
                 record.stopped = REFERENCE
             self._compare(cell, record, trajectory, errors and not lacking)
-        return CellResult(record, measure.stored_rows(trajectory))
+        partial = self.registry.integrator(cell.integrator).partial
+        return CellResult(record, measure.stored_rows(trajectory, partial))
 
     def _compare(self, cell: Cell, record: Record, run: Trajectory, errors: bool) -> None:
         """Find all that is known of a good run; a failure costs a part, and is not the run's."""
