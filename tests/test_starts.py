@@ -213,12 +213,17 @@ def test_a_suite_runs_a_scene_from_another_start(stepbench, tmp_path, monkeypatc
     monkeypatch.setattr(suite, "run_suite", told)
     asked = "run", "quick", "-p", "pendulum", "-i", "rattle", "--set", "start.X=0.5"
     assert stepbench(*asked).stderr == "Error: pendulum[start.X=0.5]\n"
+    for asked, words in (
+        ("run", "--keyframe belongs to scenes; name them with -p."),
+        ("solve pendulum rattle", "has no option 'keyframe'"),
+    ):
+        assert words in stepbench(*asked.split(), "--keyframe", "home").stderr
 
 
 def test_a_new_problem_of_a_model_has_its_start(stepbench, tmp_path, keyed):
     file = tmp_path / "mine.py"
     asked = "new", "problem", "mine", "--from", keyed, "--out", file
-    start = "--set", "keyframe=home", "--set", "start.shoulder.v=-2"
+    start = "--keyframe", "home", "--set", "start.shoulder.v=-2"
     assert not stepbench(*asked, *start).exit_code
     scene = Registry([file]).problem("mine")
     assert scene.spec == "mine[keyframe=home]"

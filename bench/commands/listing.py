@@ -202,7 +202,7 @@ def new(o: Given) -> None:
     Examples:
       stepbench new integrator my_method
       stepbench new problem my_scene --out scenes/my_scene.py
-      stepbench new problem my_robot --from robot.xml --set keyframe=home --set start.hip=0.3
+      stepbench new problem my_robot --from robot.xml --keyframe home --set start.hip=0.3
     """
     if o.model is not None and (o.kind != "problem" or o.model.suffix not in SUFFIXES):
         raise SpecError(f"--from takes a model ({', '.join(SUFFIXES)}) for a new problem.")

@@ -85,10 +85,11 @@ def _numbers(_: click.Context, __: click.Parameter, text: str | None) -> tuple[f
         raise click.BadParameter(f"{text!r} is not a list of numbers such as 0.1,0.05.") from None
 
 
-def _settings(_: object, __: object, items: Sequence[str]) -> dict[str, str]:
-    """Read name=value pairs, each name once."""
+def _settings(context: click.Context, _: object, items: Sequence[str]) -> dict[str, str]:
+    """Read name=value pairs, each name once, and the keyframe, which is such a pair."""
     pairs: dict[str, str] = {}
-    for item in items:
+    keyframe = context.meta.get("keyframe")
+    for item in items if keyframe is None else [*items, f"keyframe={keyframe}"]:
         name, _, value = map(str.strip, item.partition("="))
         if not (name and value):
             raise click.BadParameter(f"{item!r} is not of the form name=value.")
@@ -149,6 +150,9 @@ _OPTIONS = {
     "t_end": ("--t-end", "End time in s; the scene's own if not given.", _REAL),
     "settings": ("--set", "Set a parameter of the scene, or start.NAME, a coordinate at its start; "
                  "repeatable.", _is(metavar="NAME=VALUE", multiple=True, callback=_settings)),
+    "keyframe": ("--keyframe", "Keyframe at which a model of MuJoCo starts.",
+                 _is(metavar="NAME", is_eager=True, expose_value=False,
+                     callback=lambda context, _, name: context.meta.update(keyframe=name))),
     "budget": ("--budget", "Processor time in s after which a run is stopped.",
                _is(float, default=BUDGET_S, callback=lambda _, __, value: budget_of(value))),
     "plugins": ("--plugins", "Python file, or folder of them, with more scenes or integrators; "
@@ -263,7 +267,8 @@ def command(
 
     def made(function: Callable[[Given], None]) -> click.Command:
         call = wraps(function)(lambda **values: function(Given(**values)))
-        return click.command(name, params=[*map(parameter, parameters.split())])(call)
+        keys = parameters.replace("settings", "settings keyframe").split()
+        return click.command(name, params=[*map(parameter, keys)])(call)
 
     return made
 
@@ -272,6 +277,7 @@ def command(
 def refuse(why: str, *names: str) -> None:
     """Raise SpecError on the first of these parameters that the command line gives."""
     context = click.get_current_context()
+    names = (*names, "keyframe") if "settings" in names else names
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
         if parameter.name in names and source is ParameterSource.COMMANDLINE:
