@@ -17,8 +17,6 @@ from problems.scenes.full_car import FullCar, FullCarPassive
 from problems.scenes.quarter_car import QuarterCar
 
 METHOD = GeneralizedAlpha(rho_inf=0.9)
-#: The lane change early and quick, so that a short run meets it.
-EARLY = {"t_left": 0.5, "t_right": 1.0, "pulse": 0.2}
 
 
 # ---- balances --------------------------------- -------------------------------------
