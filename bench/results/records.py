@@ -21,6 +21,8 @@ SCHEMA = 5
 INTERRUPTED = "interrupted"
 #: Status of a cell whose integrator cannot take the scene: no failure of a run.
 UNSUPPORTED = "unsupported"
+#: Formulation, clock and machine of runs whose times and counts are not measured here.
+TOLD = "as told by the author"
 #: Statuses of cells whose integrator was not tried: nothing is known of its result.
 NOT_TRIED = {INTERRUPTED, UNSUPPORTED}
 

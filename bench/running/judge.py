@@ -11,7 +11,7 @@ from typing import ClassVar, NamedTuple
 import msgspec
 
 from bench.plugins.registry import Plugin
-from bench.results.records import Environment, MethodFacts, Plan, SceneRecord, Study
+from bench.results.records import TOLD, Environment, MethodFacts, Plan, SceneRecord, Study
 from bench.results.store import Store
 from bench.running.plan import Cell
 from bench.running.process import PREPARING
@@ -23,8 +23,6 @@ from integrators.resolutions import Steps, Tolerances
 from problems.base.spec import SpecError, convert, is_name, options_of, suggest
 from problems.system import MechatronicSystem
 
-#: Formulation, clock and machine of runs whose equations and times an author tells.
-TOLD = "as told by the author"
 Resolution = Steps | Tolerances
 
 

@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from msgspec.structs import replace
+
 from bench.plugins.fingerprint import environment
 from bench.plugins.registry import Sources, plugin_files
 from bench.results.records import (
@@ -80,9 +82,13 @@ def measure_suite(
     the best first.
     """
     cells, scenes = missing_cells(suite, store, registry), missing_scenes(suite, store, registry)
-    store.keep(suite.plan)
+    records, before = store.records(), store.plan()
+    # Runs of an earlier plan are still shown, and so are the facts of their methods.
+    kept = {record.integrator for record in records.values()}
+    known = before.integrators if before else {}
+    facts = {name: own for name, own in known.items() if name in kept} | suite.plan.integrators
+    store.keep(replace(suite.plan, integrators=facts))
     number = 0
-    records = store.records()
     due = any(_samples_due(suite, records, last) for last in (False, True))
     if cells or further or due:
         machine = environment()

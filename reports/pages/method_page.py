@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from bench.results.quantities import COSTS, GROUPS, NORM, NORMS, WRONG
-from bench.results.records import MethodFacts
+from bench.results.records import TOLD, MethodFacts
 from bench.results.studies import ExperimentResult, spared
 from bench.results.table import Table
 from reports.charts.maps import method_strip
@@ -50,6 +50,7 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
     runs = [r for s in by_scene.values() for r in s.records]
     name = first.records[0].integrator
     facts = stored.facts.get(name)
+    known = first.controls == "step" and not (facts and facts.formulation == TOLD)
     stability = [
         Text("Spectral radius, damping and period error over the step:"),
         Text(f'stepbench stability "{name}"{plugin_option(facts)}', "code"),
@@ -72,7 +73,7 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
         "title": facts.title.rstrip(".") if facts else "",
         "card": [*map(Text, failings(label, asked, stored))],
         "said": [
-            Section("Its stability", stability if first.controls == "step" else []),
+            Section("Its stability", stability if known else []),
         ],
         "facts": Section("What it is", [_facts(name, first, facts)]),
         "scenes": Section("On all scenes", [strip, _scenes_table(by_scene)]),

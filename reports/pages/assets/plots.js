@@ -320,7 +320,7 @@
     if (names) chart.append(legend(drawn, at, wide));
     if (large) chart.append(svg("text", { class: "asked-name", x: beside ? at.inside.x1 - 4 : at.inside.x0 + 6, y: y - 5, "text-anchor": beside ? "end" : "start" }, `asked: ${question.target}`));
     if (!all.some((p) => !p.failed)) chart.append(svg("text", { class: "nothing", x: wide / 2, y: fits.high / 2, "text-anchor": "middle" },
-      curves.some((c) => c.points.length) ? "no run reached the end" : "not run"));
+      curves.some((c) => c.points.some((p) => !p.failed)) ? `no ${data.cost_words[question.cost]} known` : curves.some((c) => c.points.length) ? "no run reached the end" : "not run"));
     listen(chart, curves, question, fits, large ? null : stepbench.page(scene.page));
     stepbench.hide(chart);
     place.replaceChildren(chart);
