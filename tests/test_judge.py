@@ -34,7 +34,7 @@ def worker():
 
 
 def judged(worker, scene, *files, **given):
-    return judge_job(worker, scene, [*map(str, files)], given, "", False)
+    return judge_job(worker, scene, [*map(str, files)], given, None, False)
 
 
 def exact_columns(scene, count=101, groups=GROUPS):

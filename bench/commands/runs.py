@@ -318,7 +318,7 @@ def judge(o: Given) -> None:
         if values and len(values) != len(o.files):
             raise SpecError(f"--{name}s gives {len(values)} numbers for {len(o.files)} files.")
     given = {name: values for name, values in given.items() if values}
-    task = [*map(str, o.files)], given, o.method or "", o.out is not None
+    task = [*map(str, o.files)], given, o.method, o.out is not None
     found = options.guarded(o.problem, judge_job, sources, o.budget, scene.spec, *task)
     records = [result.record for result in found.results]
     if o.as_json:

@@ -78,7 +78,7 @@ def judge_job(
     problem: str,
     files: Sequence[str],
     given: Mapping[str, Sequence[float]],
-    method: str,
+    method: str | None,
     describe: bool,
 ) -> Judgement:
     """Do a job of a worker: measure the errors of the runs in files against the reference.
@@ -88,7 +88,7 @@ def judge_job(
     given
         Facts that the files do not tell: "step" or "rtol", of a number for each file.
     method
-        Name of the method; empty: as the files tell it.
+        Name of the method; None: as the files tell it.
     describe
         Whether the scene is described, too.
 
@@ -111,7 +111,7 @@ def judge_job(
         runs[resolution], missing = trajectory_of(scene, one)
         lacking.append(missing)
     ends = {float(f"{run.t[-1]:.9g}") for run in runs.values()}
-    names = {method or one.facts.get("method", "told") for one in told}
+    names = {one.facts.get("method", "told") if method is None else method for one in told}
     for word, found in (("end times", ends), ("methods", names)):
         if len(found) > 1:
             raise SpecError(f"The files have {word} {', '.join(map(str, found))}; judge one.")

@@ -28,7 +28,7 @@ RIGHT = {
     "compare": "{store} {store}", "merge": "{store}", "versus": "newmark ida {store}",
     "stability": "newmark", "drift": "pendulum newmark", "atlas": "undamped_index3",
     "map": "pendulum generalized_alpha", "realtime": "pendulum newmark", "recommend": "pendulum",
-    "recommend methods": "pendulum newmark",
+    "recommend methods": "pendulum newmark", "judge": "pendulum {odd}/rows.csv",
     # Parameters that only other arguments take:
     **{f"solve {name}": "pendulum ida" for name in ("rtol", "atol")},
     **{f"map {name}": "pendulum generalized_alpha_adaptive" for name in ("rtol", "atol")},
@@ -54,7 +54,8 @@ NEEDED = {
 #: Not wrong there: these commands tell of a plugin that is of no use, and any seed will do.
 TOLD = re.compile(
     r"(list|check) plugins (text|binary)|run plugins binary|"
-    r"check checked (number|half)|solve seed many"
+    r"check checked (number|half)|solve seed many|"
+    r"judge method module"
 )
 ANY = {
     "empty": "", "blank": " \t", "sequences": "\x1b[31mred\x1b]0;title\x07\x9b2J\rover",
@@ -99,7 +100,7 @@ def wrong_values(parameter: click.Parameter) -> dict[str, str]:
         return WHOLE
     if isinstance(kind, click.types.FloatParamType):
         return REAL
-    return LIST if parameter.name in ("steps", "pattern", "at") else ANY
+    return LIST if parameter.name in ("steps", "pattern", "at", "rtols") else ANY
 
 
 def wrong_lines() -> Iterator[tuple[str, list[str]]]:
@@ -135,6 +136,9 @@ def places(tmp_path_factory) -> dict[str, str]:
     os.mkfifo(odd / "pipe")
     (odd / "circle").symlink_to("circle")
     (odd / "file.txt").write_text("text")
+    (odd / "rows.csv").write_text(
+        "# step=1\nt,q1,q2\n0.35,0.82884336436844,-0.55948072115347\n1.35,0.5,-0.8\n"
+    )
     (odd / "bits.py").write_bytes(bytes(range(256)))
     with socket.socket(socket.AF_UNIX) as made:
         made.bind(str(odd / "socket"))
@@ -158,7 +162,7 @@ def assert_refused(result: Result) -> str:
 
 
 #: Commands that start a process for most of their values.
-COSTLY = ("map", "solve", "stability")
+COSTLY = ("map", "solve", "stability", "judge")
 
 
 @pytest.mark.parametrize("all_of_them", [False, pytest.param(True, marks=pytest.mark.attack)])
