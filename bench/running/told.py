@@ -210,8 +210,8 @@ def trajectory_of(scene: MechatronicSystem, told: Told) -> tuple[Trajectory, lis
         lacking += [group] * (len(missing) > 0) if whole else [f"{group}{i + 1}" for i in missing]
     counts = {name: told.number(name) for name in _COUNTS}
     work = Work(**{name: None if n is None else int(n) for name, n in counts.items()})
-    groups = (rows[name] for name in ("q", "v", "a", "lam", "x", "xdot", "y"))
-    return Trajectory(t, *groups, work=work, notes=notes), lacking
+    q, v, a, lam, x, xdot, y = (rows[n] for n in ("q", "v", "a", "lam", "x", "xdot", "y"))
+    return Trajectory(t, q, v, a, lam, x, xdot, y, work=work, notes=notes), lacking
 
 
 def _check_times(scene: MechatronicSystem, told: Told) -> None:
