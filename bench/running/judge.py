@@ -115,16 +115,16 @@ def judge_job(
     for word, found in (("end times", ends), ("methods", names)):
         if len(found) > 1:
             raise SpecError(f"The files have {word} {', '.join(map(str, found))}; judge one.")
-    t_end = scene.interval[1] if scene.interval[1] in ends else runs[next(iter(runs))].t[-1]
+    t_end = float(next(iter(runs.values())).t[-1])
     facts = _method(worker, names.pop(), runs, told)
     results = []
     for one, resolution in zip(told, runs, strict=True):
-        record, rows = worker.measure(Cell(scene.spec, facts.spec, float(t_end), resolution))
+        record, rows = worker.measure(Cell(scene.spec, facts.spec, t_end, resolution))
         record.compile_s = None
         seconds = one.number("seconds")
         record.run_s = [seconds] if seconds else []
         results.append(CellResult(record, rows))
-    described = worker.scene(scene.spec, float(t_end)) if describe else None
+    described = worker.scene(scene.spec, t_end) if describe else None
     return Judgement(results, described, facts, lacking)
 
 

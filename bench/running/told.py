@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import fields
@@ -47,7 +48,7 @@ class Told(NamedTuple):
     def number(self, name: str) -> float | None:
         """Return a fact that is a number from 0 up, or None if the file does not tell it."""
         try:
-            if (value := float(self.facts.get(name, 0))) >= 0:
+            if 0 <= (value := float(self.facts.get(name, 0))) < math.inf:
                 return value if name in self.facts else None
         except ValueError:
             pass
@@ -178,7 +179,7 @@ def trajectory_of(scene: MechatronicSystem, told: Told) -> tuple[Trajectory, lis
         If a column is not known, times do not increase from the start of the scene within its
         interval, or the first row is not the scene's start.
     """
-    known, t, notes = places(scene), told.columns["t"], {}
+    t, known, notes = _times(scene, told), places(scene), {}
     shapes = {group: (len(t), scene.sizes.of(group)) for group in (*VARIABLES, "xdot")}
     rows = {group: np.full(shape, np.nan) for group, shape in shapes.items()}
     points = named_points(scene, scene.start().q[None])
@@ -194,7 +195,6 @@ def trajectory_of(scene: MechatronicSystem, told: Told) -> tuple[Trajectory, lis
             raise SpecError(
                 f"{told.file}: {scene.spec} has no {name!r}; {suggest(name, [*known, *axes])}."
             )
-    _check_times(scene, told)
     for group, values in zip("qvx", scene.start(), strict=True):
         first, size = rows[group][0], np.abs(values).max(initial=1.0)
         if (off := np.abs(first - values) > _SAME_START * size).any():
@@ -214,8 +214,9 @@ def trajectory_of(scene: MechatronicSystem, told: Told) -> tuple[Trajectory, lis
     return Trajectory(t, q, v, a, lam, x, xdot, y, work=work, notes=notes), lacking
 
 
-def _check_times(scene: MechatronicSystem, told: Told) -> None:
-    t, (t0, t_end) = told.columns["t"], scene.interval
+def _times(scene: MechatronicSystem, told: Told) -> np.ndarray:
+    """The times, of which the first is the start of the scene to the last digit."""
+    t, (t0, t_end) = told.columns["t"].copy(), scene.interval
     slack = _SAME_TIME * (t_end - t0)
     if len(back := np.flatnonzero(np.diff(t) <= 0)):
         k = int(back[0])
@@ -228,6 +229,8 @@ def _check_times(scene: MechatronicSystem, told: Told) -> None:
             f"{told.file} has times from {t[0]:.9g} s to {t[-1]:.9g} s; {scene.spec} starts at "
             f"{t0:g} s and ends at {t_end:g} s."
         )
+    t[0], t[-1] = t0, t_end if t[-1] > t_end - slack else t[-1]
+    return t
 
 
 def template(worker: Worker, problem: str) -> str:
