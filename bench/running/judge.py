@@ -48,7 +48,6 @@ class ToldMethod(Integrator):
     takes_redundant = True
     partial: ClassVar[bool] = True
     runs: ClassVar[Mapping[Resolution, Trajectory]] = {}
-    scene: ClassVar[str] = ""
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Resolution

@@ -214,7 +214,7 @@ class _Follower(Follower[_Value]):
         flat, first = _joined(start.values()), len(graph.nodes)
 
         def replaced(nodes: Iterable[int]) -> list[_Value]:
-            """What a turn changes, in its shapes, beside what it does not."""
+            """The values that a turn changes, in their shapes, behind those that stay."""
             changed = iter([*nodes])
             of = (start[k].shape if k in start else None for k in range(len(given)))
             pairs = zip(given, of, strict=True)
