@@ -189,6 +189,7 @@ def test_a_method_follows_the_question_on_all_its_scenes_and_reset_returns_to_th
     standing, *rows = [node.text for node in browser.find_elements("css selector", seen)]
     assert "Reaches 1e-9 in position q" in standing
     assert "on 0 of 2 scenes tried" in standing
+    assert len(rows) == 2
     with Store(site) as store:
         own = [r for r in store.records().values() if r.integrator == "good[rho_inf=0.8]"]
     for scene, row in zip(("spring_mass", "pendulum"), rows, strict=True):

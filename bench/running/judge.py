@@ -111,9 +111,9 @@ def judge_job(
         lacking.append(missing)
     ends = {float(f"{run.t[-1]:.9g}") for run in runs.values()}
     names = {one.facts.get("method", "told") if method is None else method for one in told}
-    for word, found in (("end times", ends), ("methods", names)):
-        if len(found) > 1:
-            raise SpecError(f"The files have {word} {', '.join(map(str, found))}; judge one.")
+    for word, found in (("end times", map(str, sorted(ends))), ("methods", sorted(names))):
+        if len(several := [*found]) > 1:
+            raise SpecError(f"The files have {word} {', '.join(several)}; judge one.")
     t_end = float(next(iter(runs.values())).t[-1])
     facts = _method(worker, names.pop(), runs, told)
     results = []

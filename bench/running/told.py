@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -76,13 +77,13 @@ def read_told(path: Path) -> Told:
         raise SpecError(f"{path}: {error}") from None
     except OSError as error:
         raise SpecError(f"{path} cannot be read: {error.strerror or error}.") from None
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
         raise SpecError(f"{path} is not as expected: {said(error)}.") from None
     if "t" not in columns:
         raise SpecError(f"{path} has no column t; its columns are {', '.join(columns) or 'none'}.")
     count = len(columns["t"])
     if not 2 <= count <= MOST_ROWS:
-        more = "write fewer, such as every tenth" if count else "write at least two"
+        more = "write fewer, such as every tenth" if count > MOST_ROWS else "write more"
         raise SpecError(f"{path} has {count} rows; 2 to {MOST_ROWS} are judged: {more}.")
     for name, column in columns.items():
         if column.shape != (count,):
@@ -245,7 +246,7 @@ def template(worker: Worker, problem: str) -> str:
         for i, component in enumerate(scene.components(group), 1)
     )
     return (
-        f"# {scene.spec} from {scene.interval[0]:g} s to {scene.interval[1]:g} s: {told}\n"
+        f'# scene="{scene.spec}", from {scene.interval[0]:g} s to {scene.interval[1]:g} s; {told}\n'
         "# step=0.01 method=my_method seconds=0.1 residuals=1000\n"
         f"t,{','.join(names)}\n{','.join(f'{value:.17g}' for value in values)}\n"
     )

@@ -52,7 +52,7 @@
     return [...rows.values()].sort((one, two) => two[1] + two[2] - one[1] - one[2] || two[1] - one[1] || two[3] - one[3] || one[4] - two[4]);
   };
 
-  // 'A is cheapest on 6 of 9 scenes; nobody reaches 2.': `headline` of reports/questions/verdict.py.
+  // 'A is cheapest on 6 of 9 scenes; nobody reaches 2.': `headline` of reports/verdicts.py.
   // With the leader by another cost, ``of``, its count is told where it does not lead: ' (B on 1)'.
   stepbench.headline = (question, of) => {
     const scenes = judged(question), rows = stepbench.standings(question), count = scenes.length;

@@ -38,7 +38,7 @@
   const marks = (scene, own, m, { group }) => [[own.later.includes(m), data.later], [group !== "a" && data.scenes[scene].wrong_a.includes(m), data.wrong_a]].flatMap(([is, text]) => is ? `; ${text}` : []).join("");
   // A violation that is larger than the accuracy is told to be.
   const times = (off, { target }) => off > Number(target) ? `: ${stepbench.number(off / target)} times the accuracy` : "";
-  // 'A (100 at h=0.1) and B (105 at h=0.2) tie; next: C, 2 times', as reports/questions/verdict.py says it.
+  // 'A (100 at h=0.1) and B (105 at h=0.2) tie; next: C, 2 times', as `verdict` of reports/verdicts.py says it.
   stepbench.verdict = (scene, question = stepbench.question) => {
     const own = stepbench.answer(question)[scene];
     if (!own) return [stepbench.unjudged(scene, question)];
@@ -132,7 +132,7 @@
     const own = data.scenes.map((scene, k) => ({ scene, k, runs: runsOf(k, index), found: answer[k] })).filter(({ runs }) => runs);
     const count = (is) => own.filter(({ found }) => found && is(found)).length, wins = (found) => found.votes && found.first.includes(index);
     const best = (found) => found?.first.length ? joined(found.first.slice(0, MOST).map((m) => [part(stepbench.methodRef(m))])) : [];
-    document.querySelector(`[data-standing="${table.id}"]`).textContent = `Reaches ${question.target} in ${data.group_names[question.group]} (${stepbench.norm()}) on ${count((found) => Array.isArray(found.states[index]) || found.states[index] === "unknown")} of ${own.length} scenes tried; at the least ${data.cost_words[question.cost]} alone on ${count((found) => wins(found) && found.alone)}, tied on ${count((found) => wins(found) && !found.alone)}.`;
+    document.querySelector(`[data-standing="${table.id}"]`).textContent = `Reaches ${question.target} in ${data.group_names[question.group]} (${stepbench.norm()}) on ${count((found) => Array.isArray(found.states[index]) || found.states[index] === "unknown")} of ${count((found) => found.states[index])} scenes tried; at the least ${data.cost_words[question.cost]} alone on ${count((found) => wins(found) && found.alone)}, tied on ${count((found) => wins(found) && !found.alone)}.`;
     filled(table, `Its cheapest run with an error of at most ${question.target} in ${data.group_names[question.group]}, ${stepbench.norm()}, on each scene`,
       ["scene", ...heads(question, mine), "cheapest"], own.map(({ scene, k, runs, found }) => {
         const line = row([html("th", { scope: "row" }, stepbench.to(scene.page, { title: scene.id }, scene.name))], k, index, refused(runs) || found?.states[index], question, mine && { ...mine, ...highlighted(question, k) }, false);
