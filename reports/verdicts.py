@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from statistics import median
 
 from bench.results.quantities import COSTS, NORM, NORMS
 from bench.results.records import NOT_TRIED, Record, counted
@@ -35,8 +36,6 @@ HEADLINES = {
     "two": "{who} are each cheapest on {on}{but}.",
     "many": "{count} methods tie: each is cheapest on {on}{but}.",
 }
-#: Stands beside answers by both costs.
-DIFFER = "Operations of libraries are estimates."
 #: A winner that other starts of the motion make one, and one with wrong accelerations.
 LATER, WRONG_A = "a tie if the motion starts later", "its acceleration is wrong in every run"
 
@@ -76,6 +75,21 @@ def headlines(found: Mapping[Question, Answer], names: Names, aim: str = "") -> 
         [f"{COSTS[question.cost].least.capitalize()}{aim}: ", *headline(own, names, first)]
         for question, own in both.items()
     ]
+
+
+def differing_costs(found: Mapping[Question, Answer], runs: Iterable[Record], names: Names) -> str:
+    """The sentence beside answers by both costs: what one says that the other does not.
+
+    If other methods lead by time than by operations, it has the time that an operation takes these.
+    """
+    lead = [a.standings[0].label for q, a in found.items() if q.cost in BOTH and a.standings]
+    each: dict[str, list[float]] = {label: [] for label in lead}
+    for run in runs:
+        if label_of(run) in each and run.seconds and (count := run.cost("operations")):
+            each[label_of(run)].append(1e9 * run.seconds / count)
+    said = [f"{names[k]} {number(median(own))} ns" for k, own in each.items() if own]
+    words = f", and one takes {named(said)} (medians): so times rank otherwise"
+    return f"Operations of libraries are estimates{words * (len(said) > 1)}."
 
 
 def verdict(found: SceneAnswer, names: Names) -> str:

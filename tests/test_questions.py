@@ -13,9 +13,9 @@ from test_ranking import worded
 
 from bench.results.records import UNSUPPORTED
 from reports.questions import ALL, FIRST, GRID, TARGETS, Question, filters, kind_of, plain
-from reports.ranking import answer, answers
+from reports.ranking import answer, answers, by_cost
 from reports.series import series_of
-from reports.verdicts import LATER, WRONG_A, headline, headlines
+from reports.verdicts import LATER, WRONG_A, differing_costs, headline, headlines
 
 COUNTS = Question("a", 1e-4, "residuals")
 
@@ -188,3 +188,17 @@ def test_all_questions_have_answers_for_the_groups_of_the_scenes():
         for sentence in said:
             assert re.fullmatch(r"[A-Za-z0-9][^\n]*\.", sentence)
             assert not re.search(r"None|nan|  | ,|\[\]", sentence), sentence
+
+
+def test_other_winners_by_time_are_explained_by_the_time_of_an_operation():
+    few = costing("s", "few", 100, run_s=[4e-3] * 3, operations={"method": 1e6})
+    quick = costing("s", "quick", 300, run_s=[1e-3] * 3, operations={"method": 2e6})
+    for runs, said in (
+        ([few, quick], ", and one takes few 4 ns and quick 0.5 ns (medians): so times rank other"),
+        ([few], "."),
+    ):
+        found = by_cost(scenes_of(runs), Question("a", 1e-4, "operations"))
+        names = {"few": "few", "quick": "quick"}
+        assert differing_costs(found, runs, names).startswith(
+            f"Operations of libraries are estimates{said}"
+        )

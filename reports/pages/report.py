@@ -23,7 +23,7 @@ from reports.tables.order_table import lost_orders_table, order_tables
 from reports.tables.ranking_tables import integrators_table, winners_table
 from reports.tables.run_tables import failures_table, notes_table, unsupported_table
 from reports.tables.scene_tables import references_table
-from reports.verdicts import DIFFER
+from reports.verdicts import differing_costs
 from reports.wrong import silent_tables, wrong_runs, wrong_sentences
 
 
@@ -45,9 +45,10 @@ class Report:
         self.run_ids = {key: f"run-{i}" for i, key in enumerate(stored.records, 1)}
         self.failed = sum(r.status not in {"ok", *NOT_TRIED} for r in self.runs)
         self.missing = missing_data(stored)
-        self.times, self.differ = times_sentence(stored.times), DIFFER
         first = stored.first
         self.answered = by_cost(self.series, first)
+        self.times = times_sentence(stored.times)
+        self.differ = differing_costs(self.answered, self.runs, self.names)
         self.answer = self.answered[first]
         self.winners = winners_table(self.answered, self.names)
         self.wrong_runs = wrong_runs(stored, first.group)
