@@ -73,7 +73,7 @@ def test_a_job_that_takes_too_much_or_does_nothing_or_is_not_prepared_is_told_so
     monkeypatch.setattr(limits, "STILL_SECONDS", 2.0)
     for job, words in (
         (jobs.hoards, "budget of 0.3 GiB; take a smaller scene"),
-        (jobs.sleeps, "did nothing for 2 s: it sleeps or waits; so it goes"),
+        (jobs.sleeps, "2 s: it sleeps or waits; have it compute or return"),
     ):
         fate = GuardedProcess(jobs.prepare, (10,), Limits(60.0, 0.3, advice="so it goes")).ask(job)
         assert fate.status == "budget_exceeded"

@@ -138,6 +138,7 @@ class Meter:
             reason = f"it took more than {allowed:g} s of processor time, its budget"
         elif self._still > STILL_SECONDS:
             reason = f"it did nothing for {STILL_SECONDS:g} s: it sleeps or waits"
+            advice = "have it compute or return"
         else:
             return ""
         return f"{reason}; {advice}" if advice else reason
