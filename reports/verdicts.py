@@ -27,7 +27,7 @@ from reports.scenes import StoredRuns, stored_runs
 from reports.series import label_of
 from reports.wrong import wrong_runs, wrong_sentences
 
-#: Headlines; answers.js fills in the same ones. ``who`` is one integrator or two.
+#: Headlines; question.js fills in the same ones. ``who`` is one integrator or two.
 HEADLINES = {
     "unjudged": "No scene here can be judged.",
     "nobody": "No method reaches {target} on {any}.",

@@ -64,7 +64,9 @@ def test_pages_have_commands_code_symbols_terms_and_dois(folder):
     command = f"stepbench stability &#34;good[rho_inf=0.8]&#34;{option}"
     assert command in page(folder, "method-good?rho_inf=0.8?.html")
     assert option not in page(folder, "method-generalized_alpha*.html")
-    assert "--plugins \\u0027my method.py" in page(folder, "scene-spring_mass.html")
+    plugins = {m["label"]: m["plugins"] for m in page_data(folder)["methods"]}
+    assert plugins["good[rho_inf=0.8]"] == " --plugins 'my method.py'"
+    assert plugins[LONG] == ""
     assert "Like <code>slider_crank_minimal</code>; a and λ ring." in html
     assert "<mi>Φ</mi>" in html
     # A cell is as wide as the name that it shows.

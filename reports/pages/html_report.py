@@ -22,8 +22,8 @@ FILE = FRONT
 #: Scripts that are made: the library that draws, and the data of all pages with a question.
 LIBRARY, DATA = "vega.js", "data.js"
 #: Scripts of a page with a question, in the order in which they are needed.
-_QUESTION_SCRIPTS = (DATA, "question.js", "answers.js", "marks.js", "plots.js", "verdict.js")
-_FRONT_SCRIPTS = (*_QUESTION_SCRIPTS, "words.js", "panels.js", "heat.js", "profile.js")
+_QUESTION_SCRIPTS = (DATA, "question.js", "marks.js", "plots.js", "verdict.js")
+_FRONT_SCRIPTS = (*_QUESTION_SCRIPTS, "front.js")
 #: Scripts of all pages but the front page.
 _DRAWING_SCRIPTS = (LIBRARY, "charts.js", "motion.js")
 #: Pages beside a report that commands write into its folder, with their titles in the contents.
@@ -133,7 +133,7 @@ def _written(site: Site, pages: list[Page], made: dict[str, str]) -> str:
     drawing = _DRAWING_SCRIPTS if site.single or kind != "front" else ()
     failed = f", {report.failed} failed" if report.failed else ""
     return html(
-        ("kept.js", *(scripts.get(kind, ()) if DATA in made else ()), "page.js", *drawing),
+        ("base.js", *(scripts.get(kind, ()) if DATA in made else ()), "page.js", *drawing),
         assets=None if site.single else FOLDER if kind == "front" else "",
         made=made,
         address=partial(site.address, here=here),

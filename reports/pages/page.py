@@ -137,7 +137,7 @@ class Link(NamedTuple):
     words: str = ""
 
 
-def write_page(page: Page, folder: Path, programs: Sequence[str] = ("page.js",)) -> Path:
+def write_page(page: Page, folder: Path, programs: Sequence[str] = ("base.js", "page.js")) -> Path:
     """Write a page with still charts that needs no other.
 
     A report in the same folder is in its contents.

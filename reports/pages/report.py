@@ -11,7 +11,7 @@ from reports.charts.errors import error_against_cost
 from reports.charts.line_styles import line_styles
 from reports.charts.work import size_charts
 from reports.formatting import file_name
-from reports.pages.method_page import method_page, plugin_option
+from reports.pages.method_page import method_page
 from reports.pages.page import Figure, Page, Section, Text
 from reports.pages.scene_page import scene_page
 from reports.pages.studies import atlas_page, drift_page, jumps_page
@@ -53,10 +53,8 @@ class Report:
         self.winners = winners_table(self.answered, self.names)
         self.wrong_runs = wrong_runs(stored, first.group)
         self.wrong = wrong_sentences(self.wrong_runs, first.group, self.names)
-        options = {k: plugin_option(stored.facts.get(k.partition(" x ")[0])) for k in self.names}
-        plugins = {label: option for label, option in options.items() if option}
         self.scenes = [
-            scene_page(f"scene-{i}", title, stored, store.rows, self.styles, self.run_ids, plugins)
+            scene_page(f"scene-{i}", title, stored, store.rows, self.styles, self.run_ids)
             for i, title in enumerate(stored.titles.values(), 1)
         ]
         asked = answers(self.series, [first.group])

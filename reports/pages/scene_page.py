@@ -91,7 +91,6 @@ def scene_page(
     read_rows: Callable[[str], Rows],
     styles: Mapping[str, LineStyle],
     ids: Mapping[str, str],
-    plugins: Mapping[str, str],
 ) -> Page:
     """The page of one scene over one interval: a picture, tabs and cards.
 
@@ -105,8 +104,6 @@ def scene_page(
         Gives the rows of a run by key.
     styles, ids
         Styles of integrators by label, and anchors of runs by key.
-    plugins
-        The options by which a command knows integrators, by label.
     """
     scene, series = stored.scenes.get(name), stored.series[name]
     runs = [r for s in series for r in s.records]
@@ -161,7 +158,6 @@ def scene_page(
         "cards": cards,
         "place": measured.index(name) if runs else None,
         "end": f"{runs[0].t_end:g}" if runs and usual else "",
-        "plugins": plugins,
     }
     return Page(
         page_file("scene", name),

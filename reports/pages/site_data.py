@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
@@ -11,10 +12,12 @@ from typing import Any
 
 from bench.results.quantities import ASKED, COSTS, ERROR_NAMES, NORM, NORMS, RANKED_COSTS, TRUST
 from bench.results.records import NOT_TRIED, UNSUPPORTED, Record, SceneRecord
+from bench.results.table import short_exponent
 from bench.results.timings import FEWEST, LEAST_OF_FEW, median_interval
 from reports.charts.mechanism import little_picture
 from reports.formatting import number, tie_text
 from reports.names import FAMILIES, form_name, scene_name
+from reports.pages.method_page import plugin_option
 from reports.pages.page import page_file
 from reports.pages.report import Report
 from reports.questions import (
@@ -29,7 +32,7 @@ from reports.questions import (
     tag_name,
 )
 from reports.ranking import Answer, SceneAnswer, answers
-from reports.series import Series, groups_of, ok_runs, reference_error, step_or_tolerance
+from reports.series import Series, groups_of, ok_runs, reference_error
 from reports.verdicts import HEADLINES, LATER, WRONG_A
 from reports.wrong import wrong_runs, wrong_sentences
 
@@ -94,7 +97,7 @@ def site_data(report: Report) -> dict[str, Any] | None:
 
 
 def _method(report: Report, series: Sequence[Series], label: str, family: str) -> dict[str, Any]:
-    style = report.styles[label]
+    style, (name, pattern, _) = report.styles[label], label.partition(" x ")
     return {
         "label": label,
         "short": report.names[label],
@@ -105,6 +108,8 @@ def _method(report: Report, series: Sequence[Series], label: str, family: str) -
         "shape": style.shape,
         "dash": list(style.dash),
         "page": page_file("method", label),
+        "command": "" if pattern else shlex.quote(name),
+        "plugins": plugin_option(report.stored.facts.get(name)),
     }
 
 
@@ -120,6 +125,7 @@ def _scene(
     return {
         "id": name,
         "name": scene_name(name),
+        "command": shlex.quote(name),
         "kind": kind_of(scene.tags if scene else ()),
         "about": " · ".join([*filter(None, [options]), *tags]),
         "page": page_file("scene", name),
@@ -138,14 +144,20 @@ def _runs(series: Series, places: Mapping[str, int], columns: Sequence[str]) -> 
     refused = {*endings} == {UNSUPPORTED}
     return {
         "method": places[series.label],
-        "control": "h" if series.controls == "step" else "rtol",
-        "resolutions": [_short(step_or_tolerance(r), 6) for r in series.records],
+        "resolutions": [r.resolution.split(",")[0].split(" ")[0] for r in series.records],
+        "options": [_option(r) for r in series.records],
         "columns": [own if any(own) else None for own in found],
         "spread": [_spread(r) for r in series.records],
         "phi": [_violation(r) for r in series.records],
         **({"endings": endings} if {*endings} != {"ok"} else {}),
         **({"refused": series.records[0].message} if refused else {}),
     }
+
+
+def _option(record: Record) -> str:
+    """The option of `stepbench solve` that repeats a run."""
+    name, size = ("step", record.h) if record.controls == "step" else ("rtol", record.rtol)
+    return f"--{name} {short_exponent(repr(size))}"
 
 
 def _violation(record: Record) -> str:

@@ -1,6 +1,7 @@
 // Draws the charts of a page with Vega-Lite: <div class="chart"> and its specification as JSON.
+"use strict";
 (() => {
-  "use strict";
+  const { html } = stepbench;
   const options = { mode: "vega-lite", renderer: "svg", ast: true, actions: { export: true, source: false, compiled: false, editor: false } };
   // Room for the labels of an axis beside a panel, and the narrowest panel that can be read.
   const beside = 110, least = 230;
@@ -22,13 +23,7 @@
     }
     return chart;
   };
-  const link = (name, text) => {
-    const a = document.createElement("a");
-    a.href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
-    a.download = name + ".csv";
-    a.textContent = name + ".csv";
-    return a;
-  };
+  const link = (name, text) => html("a", { href: URL.createObjectURL(new Blob([text], { type: "text/csv" })), download: name }, name);
   // Rows of a table in CSV. Vega's own reader makes a program of the head, which the policy forbids.
   const rows = (text) => {
     const table = [[]];
@@ -45,10 +40,11 @@
     if (place.dataset.drawn) return;
     place.dataset.drawn = "yes";
     const chart = JSON.parse(node.textContent, plain);
-    const data = document.createElement("p");
-    data.className = "data";
-    data.append("Data: ", ...Object.entries(chart.datasets || {}).flatMap(([name, text]) => [link(name, text), " "]));
-    for (const name in chart.datasets) chart.datasets[name] = rows(chart.datasets[name]);
+    const data = html("p", { class: "data" }, "Data: ");
+    for (const [name, text] of Object.entries(chart.datasets)) {
+      data.append(link(`${name}.csv`, text), " ");
+      chart.datasets[name] = rows(text);
+    }
     window.vegaEmbed(place, fit(chart, place.clientWidth || document.body.clientWidth), options).then(
       (result) => {
         place.view = result.view;

@@ -1,7 +1,7 @@
-// Marks of methods, SVG elements, numbers in words, and the note beside the pointer.
+// Marks of methods, numbers and sentences, tables, and the note beside the pointer.
 "use strict";
 (() => {
-  const SVG = "http://www.w3.org/2000/svg";
+  const { html, svg, data } = stepbench;
   const SHAPES = {
     "circle": (r) => `m${-r} 0a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0z`,
     "square": (r) => `m${-.9 * r} ${-.9 * r}h${1.8 * r}v${1.8 * r}h${-1.8 * r}z`,
@@ -18,31 +18,29 @@
     return points.map(([x, y], k) => k ? `l${x - points[k - 1][0]} ${y - points[k - 1][1]}` : `m${x} ${y}`).join("") + "z";
   };
 
-  const svg = (name, attributes = {}, ...children) => {
-    const node = document.createElementNS(SVG, name);
-    for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
-    node.append(...children);
-    return node;
-  };
-  const html = (name, attributes = {}, ...children) => {
-    const node = document.createElement(name);
-    for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
-    node.append(...children);
-    return node;
-  };
-
   const shape = (method, r) => SHAPES[method.shape]?.(r) ?? polygon(method.shape, r);
   // A colour of a method that follows light and dark; paper is always light.
   const colour = (method) => `light-dark(${method.light}, ${method.dark})`;
-  const badge = (method) => {
-    const path = svg("path", { d: "M7 7" + shape(method, 4.4) });
-    path.style.fill = colour(method);
-    return svg("svg", { class: "badge", viewBox: "0 0 14 14", width: 14, height: 14, "aria-hidden": "true" }, path);
-  };
+  const badge = (method) => svg("svg", { class: "badge", viewBox: "0 0 14 14", width: 14, height: 14, "aria-hidden": "true" },
+    svg("path", { d: "M7 7" + shape(method, 4.4), style: `fill: ${colour(method)}` }));
 
   // A link to a page of the report, and the head of a method's row.
   const to = (page, attributes, ...children) => html("a", { ...attributes, href: stepbench.page(page) }, ...children);
   const head = (method) => html("th", { scope: "row" }, badge(method), to(method.page, { title: method.label }, method.short));
+  // A part of a sentence is text, or the place of a reference to something in the report.
+  const part = (item) => {
+    if (typeof item === "string") return item;
+    const method = item.kind === "method" && data.methods.find((m) => m.label === item.key);
+    const style = method ? `color: color-mix(in oklab, ${colour(method)} 70%, var(--ink))` : null;
+    const looks = { class: item.kind, title: item.key, style }, text = item.text || item.key;
+    return item.page ? to(item.page, looks, text) : html("span", looks, text);
+  };
+  // Sentences on runs that reach the end and are wrong, as paragraphs.
+  const wrong = (of, which) => (data.wrong[stepbench.question.group]?.[of][which] || []).map(
+    (parts) => html("p", { class: "wrong" }, ...parts.map(part)));
+  const columns = (...names) => html("tr", {}, ...names.map((name) => html("th", { scope: "col" }, name)));
+  const fill = (table, caption, heads, rows) => table.replaceChildren(
+    html("caption", {}, caption), html("thead", {}, ...heads), html("tbody", {}, ...rows));
 
   // Three significant digits, as in the tables and sentences (bench/results/table.py).
   const number = (value) => {
@@ -51,17 +49,12 @@
     if (rounded >= 1e-4 && value < 1e6) return rounded >= 100 ? rounded.toFixed(0) : String(rounded);
     return rounded.toExponential().replace("e+", "e");
   };
-  const PREFIXES = [[1e12, "T"], [1e9, "G"], [1e6, "M"], [1e3, "k"], [1, ""]];
-  const digits = (value) => value >= 100 ? Math.round(value).toString() : String(Number(value.toPrecision(3)));
+  const TICKS = [[1e12, "\u202fT"], [1e9, "\u202fG"], [1e6, "\u202fM"], [1e3, "\u202fk"], [1, ""]], TIMES = [[1, " s"], [1e-3, " ms"], [1e-6, " µs"]];
   // A cost at a tick of an axis, in few characters with its unit.
   const costTick = (value, cost) => {
-    if (value < 1e-35) return "0";
-    if (cost === "seconds") {
-      const [scale, unit] = value >= 1 ? [1, "s"] : value >= 1e-3 ? [1e3, "ms"] : [1e6, "µs"];
-      return `${digits(value * scale)} ${unit}`;
-    }
-    const [scale, prefix] = PREFIXES.find(([least]) => value >= least * .9995) || [1, ""];
-    return `${digits(value / scale)}${prefix ? "\u202f" + prefix : ""}`;
+    const units = cost === "seconds" ? TIMES : TICKS, [size, unit] = units.find(([least]) => value >= least * .9995) || units.at(-1);
+    const own = value / size;
+    return value < 1e-35 ? "0" : `${own >= 100 ? Math.round(own) : Number(own.toPrecision(3))}${unit}`;
   };
   // A cost as in tables and sentences (reports/formatting.py).
   const costText = (value, cost) => {
@@ -69,8 +62,7 @@
     const [size, word] = [[1e9, " billion"], [1e6, " million"]].find(([least]) => value >= least) || [1, ""];
     return `${number(value / size)}${word}`;
   };
-  const costWithUnit = (value, cost) =>
-    cost === "seconds" ? costText(value, cost) : `${costText(value, cost)} ${stepbench.data.units[cost]}`;
+  const costWithUnit = (value, cost) => cost === "seconds" ? costText(value, cost) : `${costText(value, cost)} ${data.units[cost]}`;
   // A ratio with as many digits as tell it from 1, as in sentences.
   const multiple = (ratio) => ratio > 1e35 ? "∞" : ratio >= 1.01 ? number(ratio) : String(Number(ratio.toPrecision(6)));
   // A multiple in a cell with little room.
@@ -86,11 +78,7 @@
   document.body.append(note);
   const tip = {
     show(lines, x, y) {
-      note.replaceChildren(...lines.map((line, k) => {
-        const row = html(k ? "span" : "strong");
-        row.append(...[line].flat());
-        return row;
-      }));
+      note.replaceChildren(...lines.map((line, k) => html(k ? "span" : "strong", {}, ...[line].flat())));
       note.hidden = false;
       const { offsetWidth: wide, offsetHeight: high } = note;
       const left = x + 14 + wide > innerWidth ? x - 14 - wide : x + 14;
@@ -101,13 +89,17 @@
   };
   window.addEventListener("keydown", (event) => { if (event.key === "Escape") tip.hide(); });
 
+  // Whether the question is about constraints; methods hold them up to the rounding of Φ.
+  const violation = ({ group }) => group.startsWith("constraint");
   // The error of a scene's reference itself, of which errors must be a multiple to be judged.
-  const ownError = (scene, group) => number(stepbench.floor(scene, { ...stepbench.question, group }) / stepbench.data.trust);
+  const ownError = (scene, group) => number(stepbench.floor(scene, { ...stepbench.question, group }) / data.trust);
   // The reason for which a question has no answer on a scene.
-  const unjudged = (scene, { group, target }) => stepbench.data.scenes[scene].groups.includes(group)
-    ? `${target} cannot be judged on this scene: the reference's own error in ${stepbench.data.group_names[group]} is ` +
-      `${ownError(scene, group)}, more than a hundredth of it.`
-    : `This scene has no ${stepbench.data.group_names[group]}, or no run of it reached the end.`;
+  const unjudged = (scene, { group, target }) => data.scenes[scene].groups.includes(group)
+    ? `${target} cannot be judged on this scene: the reference's own error in ${data.group_names[group]} is ${ownError(scene, group)}, more than a hundredth of it.`
+    : `This scene has no ${data.group_names[group]}, or no run of it reached the end.`;
 
-  Object.assign(stepbench, { svg, html, to, head, shape, colour, badge, costText, costTick, costWithUnit, multiple, number, times, tip, cut, room, ownError, unjudged });
+  Object.assign(stepbench, {
+    to, head, part, wrong, columns, fill, shape, colour, badge, cut, room, tip,
+    number, costText, costTick, costWithUnit, multiple, times, violation, ownError, unjudged,
+  });
 })();

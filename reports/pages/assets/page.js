@@ -2,117 +2,84 @@
 // screens. Without this script all rows and sections stand one below the other.
 "use strict";
 (() => {
-  const FOLDED = 12, FILTERED = 8, FEW = 5;
+  const { html } = stepbench, FOLDED = 12, FILTERED = 8, FEW = 5;
   const reveals = [];  // each shows a place that it has; null: everything
-  const make = (name, attributes, ...children) => {
-    const node = document.createElement(name);
-    for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
-    node.append(...children);
-    return node;
-  };
+  const button = (looks, ...content) => html("button", { type: "button", ...looks }, ...content);
+  // A field that tells what is typed in it, and how that is to be compared.
+  const search = (looks, tell) => html("input", { type: "search", class: "filter", ...looks, input: ({ target }) => tell(target.value.trim(), target.value.trim().toLowerCase()) });
+  const has = (node, wanted) => node.textContent.toLowerCase().includes(wanted);
 
   // What a cell is sorted by: its number, or its text. Cells without a value come last.
   const valueOf = (cell) => {
-    const text = (cell.dataset.value ?? cell.textContent).trim();
-    const number = parseFloat(text.replace(/^[^\d.+-]*/, "")) * (/ million/.test(text) ? 1e6 : / billion/.test(text) ? 1e9 : 1);
-    return /^[–-]?$/.test(text) ? null : /^[\s×<>≤~]*[+-]?[\d.]/.test(text) && !Number.isNaN(number) ? number : text;
+    const text = cell.textContent.trim(), scale = / million/.test(text) ? 1e6 : / billion/.test(text) ? 1e9 : 1;
+    const number = /^[\s×<>≤~]*[+-]?[\d.]/.test(text) ? parseFloat(text.replace(/^[^\d.+-]*/, "")) * scale : NaN;
+    return /^[–-]?$/.test(text) ? null : Number.isNaN(number) ? text : number;
   };
-  const compare = (one, two) => {
+  const compare = (one, two, way) => {
     if (one === null || two === null) return (one === null) - (two === null);
-    if (typeof one === "number" && typeof two === "number") return one - two;
-    return String(one).localeCompare(String(two), undefined, { numeric: true });
+    return way * (typeof one === "number" && typeof two === "number" ? one - two : String(one).localeCompare(two, undefined, { numeric: true }));
   };
-
   for (const table of document.querySelectorAll("table.sortable")) {
-    const body = table.tBodies[0], heads = [...table.tHead.rows[0].cells];
-    const rows = [...body.rows], first = [...rows];
-    let open = rows.length <= FOLDED, wanted = "", order = first;
-    const count = make("button", { type: "button", class: "unfold" });
+    const body = table.tBodies[0], heads = [...table.tHead.rows[0].cells], rows = [...body.rows], frame = table.closest(".wide");
+    let open = rows.length <= FOLDED, typed = "";
     const show = () => {
-      let n = 0, found = 0;
-      for (const row of order) {
-        const fits = row.textContent.toLowerCase().includes(wanted);
-        found += fits;
-        row.hidden = !fits || (!open && ++n > FOLDED);
-      }
-      count.hidden = open || found <= FOLDED;
-      count.textContent = `show all ${found} rows`;
+      const found = [...body.rows].filter((row) => has(row, typed)), shown = new Set(open ? found : found.slice(0, FOLDED));
+      for (const row of rows) row.hidden = !shown.has(row);
+      count.hidden = shown.size === found.length;
+      count.textContent = `show all ${found.length} rows`;
     };
-    heads.forEach((head, column) => {
-      if (!head.textContent.trim()) return;
-      const button = make("button", { type: "button", class: "sort" }, ...head.childNodes);
-      head.append(button);
-      button.addEventListener("click", () => {
-        const before = head.getAttribute("aria-sort");
-        for (const other of heads) other.removeAttribute("aria-sort");
-        if (before === "descending") order = [...first];
-        else {
-          const down = before === "ascending";
-          head.setAttribute("aria-sort", down ? "descending" : "ascending");
-          const values = new Map(first.map((row) => [row, row.cells[column] ? valueOf(row.cells[column]) : null]));
-          order = [...first].sort((one, two) => {
-            const [a, b] = [values.get(one), values.get(two)];
-            return a === null || b === null || !down ? compare(a, b) : -compare(a, b);
-          });
-        }
-        body.append(...order);
-        show();
-      });
-    });
-    count.addEventListener("click", () => {
-      open = true;
-      show();
-    });
-    const frame = table.closest(".wide") || table;
-    frame.after(count);
-    if (rows.length > FILTERED) {
-      const input = make("input", { type: "search", class: "filter", placeholder: "filter rows", "aria-label": "filter the rows of this table" });
-      input.addEventListener("input", () => {
-        wanted = input.value.trim().toLowerCase();
-        show();
-      });
-      frame.before(input);
-    }
-    reveals.push((target) => {
+    const unfold = (target) => {
       open ||= !target || table.contains(target);
       show();
-    });
+    };
+    const count = button({ class: "unfold", click: () => unfold(null) });
+    heads.forEach((head, column) => head.textContent.trim() && head.append(button({ class: "sort", click() {
+      const next = { null: "ascending", ascending: "descending" }[head.getAttribute("aria-sort")], way = next === "descending" ? -1 : 1;
+      for (const other of heads) other.removeAttribute("aria-sort");
+      if (next) head.setAttribute("aria-sort", next);
+      const values = new Map(rows.map((row) => [row, valueOf(row.cells[column])]));
+      body.append(...(next ? rows.toSorted((one, two) => compare(values.get(one), values.get(two), way)) : rows));
+      show();
+    } }, ...head.childNodes)));
+    frame.after(count);
+    if (rows.length > FILTERED) frame.before(search({ placeholder: "filter rows", "aria-label": "filter the rows of this table" }, (_, wanted) => {
+      typed = wanted;
+      show();
+    }));
+    reveals.push(unfold);
     show();
   }
 
   for (const box of document.querySelectorAll("[data-tabs]")) {
     const sections = [...box.querySelectorAll(":scope > .tab")];
-    const buttons = sections.map((section) => {
-      const button = make("button", { type: "button", id: `${section.id}-tab`, role: "tab", "aria-controls": section.id }, section.dataset.title);
-      section.setAttribute("role", "tabpanel");
-      section.setAttribute("aria-labelledby", button.id);
-      return button;
-    });
-    const bar = make("div", { class: "tabbar", role: "tablist", "aria-label": "Details" }, ...buttons);
+    let now = 0;
     const show = (k) => {
-      sections.forEach((section, i) => { section.hidden = i !== k; });
-      buttons.forEach((button, i) => {
-        button.setAttribute("aria-selected", i === k);
-        button.tabIndex = i === k ? 0 : -1;
+      now = k;
+      sections.forEach((section, i) => {
+        section.hidden = i !== k;
+        buttons[i].setAttribute("aria-selected", i === k);
+        buttons[i].tabIndex = i === k ? 0 : -1;
       });
     };
-    buttons.forEach((button, k) => button.addEventListener("click", () => show(k)));
-    bar.addEventListener("keydown", (event) => {
-      const now = buttons.indexOf(document.activeElement), last = buttons.length - 1;
-      const next = { ArrowRight: now < last ? now + 1 : 0, ArrowLeft: now ? now - 1 : last, Home: 0, End: last }[event.key];
+    const buttons = sections.map((section, k) => button({ id: `${section.id}-tab`, role: "tab", "aria-controls": section.id, click: () => show(k) }, section.dataset.title));
+    for (const section of sections) {
+      section.setAttribute("role", "tabpanel");
+      section.setAttribute("aria-labelledby", `${section.id}-tab`);
+    }
+    box.prepend(html("div", { class: "tabbar", role: "tablist", "aria-label": "Details", keydown(event) {
+      const last = buttons.length - 1, next = { ArrowRight: now < last ? now + 1 : 0, ArrowLeft: now ? now - 1 : last, Home: 0, End: last }[event.key];
       if (next === undefined) return;
       event.preventDefault();
       show(next);
       buttons[next].focus();
-    });
-    box.prepend(bar);
+    } }, ...buttons));
     show(0);
     reveals.push((target) => {
       const k = sections.findIndex((section) => section.contains(target));
       if (k >= 0) show(k);
       else if (!target) for (const section of sections) section.hidden = false;
     });
-    window.addEventListener("afterprint", () => show(buttons.findIndex((button) => !button.tabIndex)));
+    window.addEventListener("afterprint", () => show(now));
   }
 
   // A link to a place opens its tab, table and fold; paper has no folds.
@@ -132,26 +99,19 @@
 
   const side = document.querySelector("nav.side");
   if (side) {
-    const button = make("button", { type: "button", class: "menu", "aria-expanded": "false" }, "Contents");
     const set = (on) => {
       side.classList.toggle("open", on);
-      button.setAttribute("aria-expanded", String(on));
+      menu.setAttribute("aria-expanded", on);
     };
-    button.addEventListener("click", () => set(!side.classList.contains("open")));
+    const menu = button({ class: "menu", "aria-expanded": "false", click: () => set(!side.classList.contains("open")) }, "Contents");
     side.addEventListener("keydown", (event) => { if (event.key === "Escape") set(false); });
-    side.firstElementChild.after(button);
+    side.firstElementChild.after(menu);
     side.classList.add("folds");
-    const links = [...side.querySelectorAll("li")];
-    if (links.length > FEW) {
-      const input = make("input", { type: "search", class: "filter", placeholder: "find …", title: "a scene, a method or a word", "aria-label": "filter the contents" });
-      const none = make("p", { class: "about", role: "status" });
-      input.addEventListener("input", () => {
-        const asked = input.value.trim().toLowerCase();
-        for (const link of links) link.hidden = !link.textContent.toLowerCase().includes(asked);
-        for (const part of side.querySelectorAll("div")) part.hidden = part.dataset.searched !== undefined && !asked || !part.querySelector("li:not([hidden])");
-        none.textContent = links.every((link) => link.hidden) ? `Nothing is called “${input.value.trim()}”.` : "";
-      });
-      side.querySelector(".about").after(input, none);
-    }
+    const links = [...side.querySelectorAll("li")], none = html("p", { class: "about", role: "status" });
+    if (links.length > FEW) side.querySelector(".about").after(search({ placeholder: "find …", title: "a scene, a method or a word", "aria-label": "filter the contents" }, (typed, wanted) => {
+      for (const link of links) link.hidden = !has(link, wanted);
+      for (const part of side.querySelectorAll("div")) part.hidden = part.dataset.searched !== undefined && !wanted || !part.querySelector("li:not([hidden])");
+      none.textContent = links.every((link) => link.hidden) ? `Nothing is called “${typed}”.` : "";
+    }), none);
   }
 })();

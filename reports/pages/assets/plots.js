@@ -1,4 +1,4 @@
-// Work-precision charts: error up, cost to the right, on one scene.
+// Work-precision charts: error up, cost to the right, on one scene; and what all charts of the page share.
 "use strict";
 (() => {
   const { svg, html, data } = stepbench;
@@ -32,42 +32,90 @@
     stepbench.hide(document);
   });
 
+  // ---- what charts share ----
+  const text = (x, y, said, more = {}) => svg("text", { x, y, ...more }, said);
+  stepbench.frame = (wide, high, looks, count, more) => svg("svg", {
+    class: `plot${looks}${stepbench.question.highlight ? " field" : ""}${count > 16 ? " many" : ""}`,
+    viewBox: `0 0 ${wide} ${high}`, width: wide, height: high, ...more,
+  });
+  // Grid and texts of two axes from pairs of a place and a text; texts that would touch are left out.
+  stepbench.axes = ({ x0, x1, y0, y1, low }, across, up, title) => {
+    const lines = svg("g", { class: "grid" });
+    const texts = svg("g", { class: "axis" }, text((x0 + x1) / 2, low, title, { class: "title", "text-anchor": "middle" }));
+    for (const [y, said] of up) {
+      lines.append(svg("path", { d: `M${x0} ${y}H${x1}` }));
+      texts.append(text(x0 - 6, y + 4, said, { "text-anchor": "end" }));
+    }
+    let last = -Infinity;
+    for (const [x, said] of across) {
+      lines.append(svg("path", { d: `M${x} ${y0}V${y1}` }));
+      if (x - last < 7 * said.length + 8) continue;
+      last = x;
+      texts.append(text(x, y1 + 15, said, { "text-anchor": "middle" }));
+    }
+    return [lines, texts];
+  };
+  const kindOf = (method, first) => method.label === stepbench.question.highlight ? "mine" : first ? "first" : "other";
+  const marks = (method, points, r) => points.map(({ x, y }) => `M${x.toFixed(1)} ${y.toFixed(1)}${stepbench.shape(method, r)}`).join("");
+  const curve = ({ method, kind, places }, d, ...more) => svg("g", { class: `curve ${kind}`, "data-method": places, style: `--own: ${stepbench.colour(method)}` },
+    svg("path", { class: "line", d, "stroke-dasharray": method.dash[1] > 0 && method.dash.join(" ") }), ...more);
+  const label = (method, said, x, y, more) => text(x, y, said, { class: "name", style: `fill: ${stepbench.colour(method)}`, ...more });
+  // Names at the right edge, at the ends of their curves and moved apart; they may be a legend for keys.
+  const legend = (items, { x1, y0, y1 }, switches) => {
+    const own = items.filter((item) => item.end).sort((one, two) => one.end.y - two.end.y);
+    const step = 15, most = Math.floor((y1 - y0) / step) + 1, rest = own.length > most, x = x1 + 16;
+    const shown = rest ? [...own.filter((item) => item.kind !== "other"), ...own.filter((item) => item.kind === "other")]
+      .slice(0, most - 1).sort((one, two) => one.end.y - two.end.y) : own;
+    let next = y0, least = y1 + (rest ? 0 : step / 2);
+    for (const item of shown) next = (item.at = Math.max(next, item.end.y)) + step;
+    for (const item of [...shown].reverse()) least = (item.at = Math.min(item.at, least)) - step;
+    const entry = (item) => {
+      const light = (on) => {
+        on &&= !off.has(item.places);
+        group.parentNode.classList.toggle("one", on);
+        item.node.classList.toggle("lit", on);
+      };
+      return svg("g", switches ? {
+        class: "entry switch", tabindex: 0, role: "button", "aria-label": `show ${item.method.short}`, "data-method": item.places,
+        pointerenter: () => light(true), pointerleave: () => light(false), focus: () => light(true), blur: () => light(false), click: () => light(false),
+        keydown(event) {
+          if (!["Enter", " "].includes(event.key)) return;
+          event.preventDefault();
+          event.target.dispatchEvent(new MouseEvent("click", { bubbles: true, shiftKey: event.shiftKey }));
+        },
+      } : { "data-method": item.places },
+      svg("path", { class: "leader", d: `M${item.end.x + 4} ${item.end.y}L${x - 4} ${item.at}` }), label(item.method, stepbench.cut(item.name), x, item.at + 4),
+      svg("title", {}, switches ? `${item.method.label}: a click hides or shows it, a double click shows it alone` : item.name));
+    };
+    const group = svg("g", { class: "legend" }, ...shown.map(entry));
+    if (rest) group.append(text(x, y1 + 16, `and ${own.length - shown.length} more`, { class: "more" }));
+    return group;
+  };
+  Object.assign(stepbench, { curve, marks, kindOf, legend });
+
+  // ---- one scene ----
   // All runs of a scene as points; failed runs keep their cost only.
   const pointsOf = (scene, { group, cost }) => data.runs_of[scene].map((runs) => {
     const errors = stepbench.columnOf(runs, group), costs = stepbench.columnOf(runs, cost);
-    const points = [];
-    for (let k = 0; k < runs.resolutions.length; k++) {
-      const ending = stepbench.endingOf(runs, k);
-      if (!data.not_tried.includes(ending)) points.push({
-        k, ending, failed: ending !== "ok", resolution: stepbench.resolutionOf(runs, k),
-        error: errors ? errors[k] : NaN, cost: costs ? costs[k] : NaN,
-      });
-    }
-    return { method: data.methods[runs.method], index: runs.method, points };
-  }).filter((curve) => curve.points.length);
+    const points = runs.resolutions.map((resolution, k) => {
+      const ending = runs.endings?.[k] ?? "ok";
+      return { resolution, ending, failed: ending !== "ok", index: runs.method, error: errors ? errors[k] : NaN, cost: costs ? costs[k] : NaN };
+    }).filter(({ ending }) => !data.not_tried.includes(ending));
+    return { method: data.methods[runs.method], places: runs.method, points };
+  }).filter((own) => own.points.length);
 
-  // Powers of ten in a range, so many at most.
-  const decades = ([low, high], most) => {
-    const first = Math.ceil(low - 1e-9), last = Math.floor(high + 1e-9);
-    const step = Math.max(1, Math.ceil((last - first + 1) / most));
-    return Array.from({ length: last - first + 1 }, (_, k) => first + k).filter((n) => n % step === 0);
+  // Powers of ten between two logarithms, so many at most; with the digits 2 and 5 where these are few.
+  const ticksOf = ([low, high], most) => {
+    const ticks = (...digits) => Array.from({ length: Math.floor(high) - Math.floor(low) + 2 }, (_, k) => Math.floor(low) + k)
+      .flatMap((n) => digits.map((digit) => digit * 10 ** n))
+      .filter((tick) => Math.log10(tick) > low - 1e-9 && Math.log10(tick) < high + 1e-9);
+    const decades = ticks(1), step = Math.ceil(decades.length / most), finer = ticks(1, 2, 5);
+    const found = decades.filter((tick) => Math.round(Math.log10(tick)) % step === 0);
+    return found.length > 2 ? found : finer.filter((_, k) => k % Math.ceil(finer.length / most) === 0);
   };
-  const ticksOf = (range, most) => {
-    const found = decades(range, most).map((n) => 10 ** n);
-    if (found.length > 2) return found;
-    const [low, high] = range.map((n) => 10 ** n), finer = [];
-    for (let n = Math.floor(range[0]); n <= range[1]; n++)
-      for (const digit of [1, 2, 5]) if (digit * 10 ** n >= low && digit * 10 ** n <= high) finer.push(digit * 10 ** n);
-    return finer.filter((_, k) => k % Math.ceil(finer.length / most) === 0);
-  };
+  // The logarithms of the ends of an axis.
   const range = (values, room) => {
-    let low = Infinity, high = -Infinity;
-    for (const value of values) {
-      low = Math.min(low, value);
-      high = Math.max(high, value);
-    }
-    if (low > high) [low, high] = [1, 10];
-    [low, high] = [Math.log10(low), Math.log10(high)];
+    const [low, high] = values.length ? [Math.min(...values), Math.max(...values)].map(Math.log10) : [0, 1];
     const more = Math.max(room * (high - low), .15);
     return [low - more, high + more];
   };
@@ -79,7 +127,7 @@
     const bands = BANDS.filter(([, own]) => curves.some((curve) => curve.points.some(own)));
     const y = range([...errors, Number(question.target)], .05);
     const x = range(ok.map((p) => p.cost).filter((cost) => cost > 1e-35), .04);
-    const inside = { x0: size.left, x1: wide - size.right, y0: size.top + BAND * bands.length, y1: size.high - size.bottom };
+    const inside = { x0: size.left, x1: wide - size.right, y0: size.top + BAND * bands.length, y1: size.high - size.bottom, low: size.high - 4 };
     const onX = (cost) => inside.x0 + (Math.log10(cost) - x[0]) / (x[1] - x[0]) * (inside.x1 - inside.x0);
     const onY = (error) => inside.y1 - (Math.log10(error) - y[0]) / (y[1] - y[0]) * (inside.y1 - inside.y0);
     const between = (value, low, high) => Math.max(low, Math.min(high, value));
@@ -94,44 +142,6 @@
     return { x, y, inside, bands: bands.map(([name]) => name), onX, onY, floor: floor && Math.log10(floor) > y[0] ? onY(Math.min(floor, 10 ** y[1])) : null };
   };
 
-  const grid = (at, size, question) => {
-    const { inside, onX, onY } = at, lines = svg("g", { class: "grid" }), texts = svg("g", { class: "axis" });
-    at.bands.forEach((name, k) => {
-      const top = size.top + BAND * k;
-      lines.append(svg("rect", { class: "band", x: inside.x0, y: top + 1, width: inside.x1 - inside.x0, height: BAND - 2 }));
-      texts.append(svg("text", { x: inside.x0 - 6, y: top + 11, "text-anchor": "end" }, name));
-    });
-    for (const error of ticksOf(at.y, size.ticks)) {
-      const y = onY(error);
-      lines.append(svg("path", { d: `M${inside.x0} ${y}H${inside.x1}` }));
-      texts.append(svg("text", { x: inside.x0 - 6, y: y + 4, "text-anchor": "end" }, error.toExponential(0).replace("e+", "e")));
-    }
-    let last = -Infinity;
-    for (const cost of ticksOf(at.x, size.ticks)) {
-      const x = onX(cost), text = stepbench.costTick(cost, question.cost);
-      lines.append(svg("path", { d: `M${x} ${inside.y0}V${inside.y1}` }));
-      if (x - last < 7 * text.length + 8) continue;
-      last = x;
-      texts.append(svg("text", { x, y: inside.y1 + 15, "text-anchor": "middle" }, text));
-    }
-    texts.append(svg("text", { class: "title", x: (inside.x0 + inside.x1) / 2, y: size.high - 4, "text-anchor": "middle" }, stepbench.costName(question)));
-    texts.append(svg("text", { class: "title", x: 2, y: size.top - 8 }, `error in ${data.group_names[question.group].split(" ").at(-1)}`));
-    return [lines, texts];
-  };
-
-  const curve = ({ method, index, points, kind }, size) => {
-    const ok = points.filter((p) => p.shown && !p.failed), failed = points.filter((p) => p.shown && p.failed);
-    const mark = size.mark * (kind === "first" ? 1.35 : 1);
-    const group = svg("g", { class: `curve ${kind}`, "data-method": index });
-    group.style.setProperty("--own", stepbench.colour(method));
-    const line = svg("path", { class: "line", d: ok.filter((p) => !p.banded).map((p, k) => `${k ? "L" : "M"}${p.x.toFixed(1)} ${p.y.toFixed(1)}`).join("") });
-    if (method.dash[1] > 0) line.setAttribute("stroke-dasharray", method.dash.join(" "));
-    const marks = (own) => own.map((p) => `M${p.x.toFixed(1)} ${p.y.toFixed(1)}${stepbench.shape(method, mark)}`).join("");
-    group.append(line, svg("path", { class: "marks", d: marks(ok) }));
-    if (failed.length) group.append(svg("path", { class: "marks open", d: marks(failed) }));
-    return group;
-  };
-
   // Points on the way from one to another, 8 px apart.
   const steps = (p, q) => {
     const count = Math.ceil(Math.hypot(q.x - p.x, q.y - p.y) / 8) || 1;
@@ -139,8 +149,8 @@
   };
 
   // A place for a text near a point, away from other points and texts.
-  const placed = (text, p, at, points, taken) => {
-    const wide = 8.8 * text.length, high = 15;
+  const placed = (said, p, at, points, taken) => {
+    const wide = 8.8 * said.length, high = 15;
     let best = null;
     for (const far of [9, 16, 26, 44, 70]) for (const [dx, dy] of [[1, -.5], [1, .5], [-1, -.5], [-1, .5], [0, -1], [0, 1]]) {
       const left = p.x + dx * far - (dx < 0 ? wide : dx ? 0 : wide / 2), top = p.y + dy * (far + 4) - high / 2;
@@ -154,53 +164,10 @@
     taken.push(best);
     return best;
   };
-  const label = (method, text, left, y) => {
-    const node = svg("text", { class: "name", x: left, y }, text);
-    node.style.fill = stepbench.colour(method);
-    return node;
-  };
-
-  // Names at the right edge, at the ends of their curves and moved apart, as a legend for keys.
-  const legend = (drawn, at, wide) => {
-    const own = drawn.map((item) => ({ ...item, end: item.points.filter((p) => p.shown && !p.banded).at(-1) }))
-      .filter((item) => item.end).sort((one, two) => one.end.y - two.end.y);
-    const step = 15, most = Math.floor((at.inside.y1 - at.inside.y0) / step) + 1;
-    const shown = own.length > most ? own.filter((item) => item.kind === "first" || item.kind === "mine").concat(
-      own.filter((item) => item.kind !== "first" && item.kind !== "mine")).slice(0, most - 1).sort((a, b) => a.end.y - b.end.y) : own;
-    let next = at.inside.y0;
-    for (const item of shown) next = (item.at = Math.max(next, item.end.y)) + step;
-    let least = at.inside.y1 + (shown.length < own.length ? 0 : step / 2);
-    for (const item of [...shown].reverse()) least = (item.at = Math.min(item.at, least)) - step;
-    const group = svg("g", { class: "legend" }), x = at.inside.x1 + 16;
-    for (const item of shown) {
-      const node = svg("g", { class: "entry switch", tabindex: 0, role: "button", "aria-label": `show ${item.method.short}`, "data-method": item.index });
-      node.append(
-        svg("path", { class: "leader", d: `M${item.end.x + 4} ${item.end.y}L${x - 4} ${item.at}` }),
-        label(item.method, stepbench.cut(item.method.short), x, item.at + 4),
-        svg("title", {}, `${item.method.label}: a click hides or shows it, a double click shows it alone`));
-      const light = (on) => {
-        on &&= !off.has(item.index);
-        group.parentNode.classList.toggle("one", on);
-        item.node.classList.toggle("lit", on);
-      };
-      for (const [event, on] of [["pointerenter", true], ["pointerleave", false], ["focus", true], ["blur", false]])
-        node.addEventListener(event, () => light(on));
-      node.addEventListener("click", () => light(false));
-      node.addEventListener("keydown", (event) => {
-        if (!["Enter", " "].includes(event.key)) return;
-        event.preventDefault();
-        node.dispatchEvent(new MouseEvent("click", { bubbles: true, shiftKey: event.shiftKey }));
-      });
-      group.append(node);
-    }
-    if (shown.length < own.length) group.append(svg("text", { class: "more", x, y: at.inside.y1 + 16 }, `and ${own.length - shown.length} more`));
-    return group;
-  };
-
   // What a chart says, from its data.
   const words = (scene, curves, question, answer) => {
     const failed = curves.reduce((n, c) => n + c.points.filter((p) => p.failed).length, 0);
-    const reach = answer ? Object.values(answer.states).filter((state) => Array.isArray(state) || state === "unknown").length : 0;
+    const reach = answer ? Object.values(answer.states).filter(stepbench.reaches).length : 0;
     const first = answer?.first.map((m) => data.methods[m].short) || [];
     return `${scene.name}: error in ${data.group_names[question.group]} (${stepbench.norm()}) against ${stepbench.costName(question)}, ` +
       `${curves.length} methods, ${curves.reduce((n, c) => n + c.points.length, 0)} runs, ${failed} of them failed. ` +
@@ -209,119 +176,113 @@
   };
 
   // Pointer and keys find runs; a click opens the scene's page.
-  const listen = (chart, curves, question, size, address) => {
-    const points = curves.flatMap((c) => c.points.filter((p) => p.shown).map((p) => ({ ...p, method: c.method, index: c.index })));
-    const ring = svg("circle", { class: "found", r: size.mark + 4, visibility: "hidden" });
-    chart.append(ring);
-    let now = -1;
+  const listen = (chart, points, question, size, address) => {
+    const ring = svg("circle", { class: "found", r: size.mark + 4, visibility: "hidden" }), box = () => chart.getBoundingClientRect();
+    const scale = () => box().width / chart.viewBox.baseVal.width, seen = () => points.filter((p) => !off.has(p.index));
+    let now = null;
     const hide = () => {
       ring.setAttribute("visibility", "hidden");
       stepbench.tip.hide();
     };
-    const show = (k) => {
-      now = k;
-      const p = points[k], box = chart.getBoundingClientRect(), scale = box.width / chart.viewBox.baseVal.width;
-      ring.setAttribute("cx", p.x);
-      ring.setAttribute("cy", p.y);
-      ring.setAttribute("visibility", "visible");
+    const show = (p) => {
+      now = p;
+      for (const [name, value] of [["cx", p.x], ["cy", p.y], ["visibility", "visible"]]) ring.setAttribute(name, value);
       stepbench.tip.show([
-        [stepbench.badge(p.method), ` ${p.method.label}`],
+        [stepbench.badge(data.methods[p.index]), ` ${data.methods[p.index].label}`],
         p.resolution,
         p.failed ? `ended with ${p.ending}` : `error ${stepbench.number(p.error)} in ${data.group_names[question.group]}, ${stepbench.norm()}`,
         stepbench.costWithUnit(p.cost, question.cost),
         p.failed ? "it did not reach the end" : "it reached the end",
-      ], box.left + scale * p.x, box.top + scale * p.y);
+      ], box().left + scale() * p.x, box().top + scale() * p.y);
     };
     chart.addEventListener("pointermove", (event) => {
-      const box = chart.getBoundingClientRect(), scale = chart.viewBox.baseVal.width / box.width;
-      const x = (event.clientX - box.left) * scale, y = (event.clientY - box.top) * scale;
-      let best = -1, least = 20 ** 2;
-      points.forEach((p, k) => {
-        if (off.has(p.index)) return;
-        const far = (p.x - x) ** 2 + (p.y - y) ** 2;
-        if (far < least) [best, least] = [k, far];
-      });
-      if (best < 0) hide();
-      else show(best);
+      const x = (event.clientX - box().left) / scale(), y = (event.clientY - box().top) / scale();
+      let best = null, least = 20;
+      for (const p of seen()) {
+        const far = Math.hypot(p.x - x, p.y - y);
+        if (far < least) [best, least] = [p, far];
+      }
+      if (best) show(best);
+      else hide();
     });
     chart.addEventListener("pointerleave", hide);
     chart.addEventListener("blur", hide);
     chart.addEventListener("keydown", (event) => {
-      const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
-      if (event.target !== chart || !points.some((p) => !off.has(p.index))) return;
-      if (step) {
-        do now = (now + step + points.length) % points.length; while (off.has(points[now].index));
-        show(now);
-      } else if (["ArrowDown", "ArrowUp"].includes(event.key)) {
-        const way = event.key === "ArrowDown" ? 1 : -1, from = points[Math.max(now, 0)].method;
-        let k = Math.max(now, 0);
-        while (points[k + way] && (points[k].method === from || off.has(points[k].index))) k += way;
-        if (!off.has(points[k].index)) show(k);
+      const all = seen(), at = all.indexOf(now), from = Math.max(at, 0);
+      const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key], way = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+      if (event.target !== chart || !all.length) return;
+      if (step) show(all[(at + step + all.length) % all.length]);
+      else if (way) {
+        let k = from;
+        while (all[k + way] && all[k].index === all[from].index) k += way;
+        show(all[k]);
       } else if (event.key === "Enter" && address) location.href = address;
       else return;
       event.preventDefault();
     });
     if (address) chart.addEventListener("click", () => { location.href = address; });
+    chart.append(ring);
   };
 
   // Draw one scene's chart into a place, for the question of the page.
   stepbench.draw = (place, index, { large = false, wide: known = 0 } = {}) => {
-    const size = large ? LARGE : SMALL, scene = data.scenes[index], { question } = stepbench;
+    const scene = data.scenes[index], { question } = stepbench;
     if (!scene.groups.includes(question.group)) {
       place.replaceChildren(html("p", { class: "note" }, stepbench.unjudged(index, question)));
       return;
     }
+    const answer = stepbench.answer()[index], floor = stepbench.floor(index), rank = { other: 0, first: 1, mine: 2 };
+    const curves = pointsOf(index, question).map((own) => ({ ...own, name: own.method.short, kind: kindOf(own.method, answer?.first.includes(own.places)) }));
     const wide = Math.max(260, Math.round(known || place.clientWidth || (large ? 900 : 360)));
-    const curves = pointsOf(index, question), narrow = large && wide < 560, names = large && !narrow;
-    const fits = narrow ? { ...size, right: 14, left: 50, high: 380 }
-      : names ? { ...size, right: 26 + stepbench.room(curves.filter((c) => c.points.some((o) => o.error > 0 && o.cost > 0)).map((c) => c.method.short)) } : size;
-    const answer = stepbench.answer()[index], floor = stepbench.floor(index);
-    const at = layoutOf(curves, fits, wide, question, floor);
-    const chart = svg("svg", {
-      class: `plot${large ? " large" : ""}${question.highlight ? " field" : ""}${curves.length > 16 ? " many" : ""}`,
-      viewBox: `0 0 ${wide} ${fits.high}`, width: wide, height: fits.high,
-      role: names ? "group" : "img", tabindex: 0, "aria-label": words(scene, curves, question, answer),
-    });
-    if (at.floor !== null && at.floor < at.inside.y1) {
-      chart.append(svg("rect", { class: "floor", x: at.inside.x0, y: at.floor, width: at.inside.x1 - at.inside.x0, height: at.inside.y1 - at.floor }));
-      if (large) chart.append(svg("text", { class: "floor-name", x: at.inside.x0 + 6, y: at.floor + 14 }, `below: within ${data.trust} times ${stepbench.violation(question) ? "rounding" : "the reference's own error"}, ${stepbench.ownError(index, question.group)}`));
+    const narrow = large && wide < 560, names = large && !narrow, size = large ? { ...LARGE } : SMALL;
+    if (narrow) Object.assign(size, { right: 14, left: 50, high: 380 });
+    if (names) size.right = 26 + stepbench.room(curves.filter((own) => own.points.some((p) => p.error > 0 && p.cost > 0)).map((own) => own.name));
+    const at = layoutOf(curves, size, wide, question, floor), { inside } = at;
+    const chart = stepbench.frame(wide, size.high, large ? " large" : "", curves.length,
+      { role: names ? "group" : "img", tabindex: 0, "aria-label": words(scene, curves, question, answer) });
+    if (at.floor !== null && at.floor < inside.y1) {
+      chart.append(svg("rect", { class: "floor", x: inside.x0, y: at.floor, width: inside.x1 - inside.x0, height: inside.y1 - at.floor }));
+      if (large) chart.append(text(inside.x0 + 6, at.floor + 14, `below: within ${data.trust} times ${stepbench.violation(question) ? "rounding" : "the reference's own error"}, ${stepbench.ownError(index, question.group)}`, { class: "floor-name" }));
     }
-    chart.append(...grid(at, fits, question));
+    at.bands.forEach((name, k) => chart.append(
+      svg("rect", { class: "band", x: inside.x0, y: size.top + BAND * k + 1, width: inside.x1 - inside.x0, height: BAND - 2 }),
+      text(inside.x0 - 6, size.top + BAND * k + 11, name, { "text-anchor": "end" })));
+    chart.append(...stepbench.axes(inside, ticksOf(at.x, size.ticks).map((cost) => [at.onX(cost), stepbench.costTick(cost, question.cost)]),
+      ticksOf(at.y, size.ticks).map((error) => [at.onY(error), error.toExponential(0).replace("e+", "e")]), stepbench.costName(question)),
+    text(2, size.top - 8, `error in ${data.group_names[question.group].split(" ").at(-1)}`, { class: "title" }));
     const y = at.onY(Number(question.target));
-    chart.append(svg("path", { class: "asked", d: `M${at.inside.x0} ${y}H${at.inside.x1}` }));
-    const kindOf = (c) => c.method.label === question.highlight ? "mine" : answer?.first.includes(c.index) ? "first" : "other";
-    const rank = { other: 0, first: 1, mine: 2 };
-    const drawn = curves.map((c) => ({ ...c, kind: kindOf(c) })).sort((one, two) => rank[one.kind] - rank[two.kind]);
-    for (const item of drawn) chart.append(item.node = curve(item, fits));
-    const all = curves.flatMap((c) => c.points.filter((p) => p.shown));
+    chart.append(svg("path", { class: "asked", d: `M${inside.x0} ${y}H${inside.x1}` }));
+    const drawn = [...curves].sort((one, two) => rank[one.kind] - rank[two.kind]);
+    for (const item of drawn) {
+      const shown = item.points.filter((p) => p.shown), line = shown.filter((p) => !p.banded), mark = size.mark * (item.kind === "first" ? 1.35 : 1);
+      item.end = line.at(-1);
+      item.node = curve(item, line.map((p, k) => `${k ? "L" : "M"}${p.x.toFixed(1)} ${p.y.toFixed(1)}`).join(""),
+        ...[["marks", false], ["marks open", true]].map(([looks, failed]) => svg("path", { class: looks, d: marks(item.method, shown.filter((p) => p.failed === failed), mark) })));
+      chart.append(item.node);
+    }
+    const all = curves.flatMap((own) => own.points.filter((p) => p.shown));
     // On the left no line leads to a name; the name of the reference's floor may stand there.
     const beside = at.floor !== null && Math.abs(y - 19 - at.floor) < 16;
-    const taken = large ? [{ left: beside ? at.inside.x1 - 84 : at.inside.x0 + 6, top: y - 17, wide: 80, high: 14 }] : [];
+    const taken = large ? [{ left: beside ? inside.x1 - 84 : inside.x0 + 6, top: y - 17, wide: 80, high: 14 }] : [];
     // Names keep away from lines and from the asked accuracy, too.
-    const busy = curves.flatMap((c) => c.points.filter((p) => p.shown && !p.banded).flatMap((p, k, own) => steps(p, own[k + 1] || p)))
-      .concat(steps({ x: at.inside.x0, y }, { x: at.inside.x1, y }));
-    const named = drawn.filter((item) => item.kind !== "other").reverse();
+    const busy = curves.flatMap((own) => own.points.filter((p) => p.shown && !p.banded).flatMap((p, k, line) => steps(p, line[k + 1] || p)))
+      .concat(steps({ x: inside.x0, y }, { x: inside.x1, y }));
     // All winners have a ring, few a name.
-    for (const [k, item] of named.entries()) {
-      const own = svg("g", { "data-method": item.index });
+    for (const [k, item] of drawn.filter(({ kind }) => kind !== "other").reverse().entries()) {
+      const own = svg("g", { "data-method": item.places }), state = answer?.states[item.places];
+      const run = Array.isArray(state) && item.points[state[1]].shown ? item.points[state[1]] : null, p = run || item.end;
+      if (run) own.append(svg("circle", { class: "winner", cx: p.x, cy: p.y, r: size.mark + 4, style: `stroke: ${stepbench.colour(item.method)}` }));
       chart.append(own);
-      const state = answer?.states[item.index], run = Array.isArray(state) ? item.points[state[1]] : null;
-      if (run?.shown) {
-        const ring = svg("circle", { class: "winner", cx: run.x, cy: run.y, r: fits.mark + 4 });
-        ring.style.stroke = stepbench.colour(item.method);
-        own.append(ring);
-      }
-      const p = run?.shown ? run : item.points.filter((o) => o.shown && !o.banded).at(-1);
       if (k > 2 || !p || (names && !run)) continue;
-      const spot = placed(item.method.short, p, at, busy, taken);
+      const spot = placed(item.name, p, at, busy, taken);
       if (spot?.far > 20) own.append(svg("path", { class: "leader", d: `M${p.x} ${p.y}L${spot.near.x} ${spot.near.y}` }));
-      if (spot) own.append(label(item.method, item.method.short, spot.left, spot.top + 12));
+      if (spot) own.append(label(item.method, item.name, spot.left, spot.top + 12));
     }
-    if (names) chart.append(legend(drawn, at, wide));
-    if (large) chart.append(svg("text", { class: "asked-name", x: beside ? at.inside.x1 - 4 : at.inside.x0 + 6, y: y - 5, "text-anchor": beside ? "end" : "start" }, `asked: ${question.target}`));
-    if (!all.some((p) => !p.failed)) chart.append(svg("text", { class: "nothing", x: wide / 2, y: fits.high / 2, "text-anchor": "middle" },
-      curves.some((c) => c.points.some((p) => !p.failed)) ? `no ${data.cost_words[question.cost]} known` : curves.some((c) => c.points.length) ? "no run reached the end" : "not run"));
-    listen(chart, curves, question, fits, large ? null : stepbench.page(scene.page));
+    if (names) chart.append(legend(drawn, inside, true));
+    if (large) chart.append(text(beside ? inside.x1 - 4 : inside.x0 + 6, y - 5, `asked: ${question.target}`, { class: "asked-name", "text-anchor": beside ? "end" : "start" }));
+    if (all.every((p) => p.failed)) chart.append(text(wide / 2, size.high / 2, !curves.length ? "not run"
+      : curves.some((own) => own.points.some((p) => !p.failed)) ? `no ${data.cost_words[question.cost]} known` : "no run reached the end", { class: "nothing", "text-anchor": "middle" }));
+    listen(chart, all, question, size, large ? null : stepbench.page(scene.page));
     stepbench.hide(chart);
     place.replaceChildren(chart);
   };
