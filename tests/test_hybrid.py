@@ -225,7 +225,7 @@ def test_a_rocking_block_changes_sides_as_in_closed_form():
 Blind = toy("Blind", base=BouncingBall, events=lambda self, z: jnp.sqrt(z.q - 0.5))
 
 
-@pytest.mark.parametrize("methods", [[IDA()], *long([CVODE()])])
+@pytest.mark.parametrize("methods", [[], *long([IDA(), CVODE()])])
 def test_events_that_do_not_end_or_are_no_numbers_end_the_run_with_a_sentence(methods):
     scene = BouncingBall(e=0.1)  # for it they accumulate after few flights
     end = np.sqrt(2 / scene.g) * (1 + scene.e) / (1 - scene.e)

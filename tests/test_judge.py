@@ -267,6 +267,7 @@ def test_the_program_of_the_document_is_built_and_judged(worker, tmp_path):
         assert errors[-1] < 1e-4
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not shutil.which("cc"), reason="There is no C compiler.")
 def test_a_program_in_c_stands_in_a_report_beside_the_same_method_of_the_bench(
     worker, stepbench, tmp_path

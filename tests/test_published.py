@@ -173,11 +173,10 @@ def test_the_four_bars_energy_falls_with_order_two_as_exudyns_does():
 #: The first two singular positions are passed at t = 0.714 and 1.228 s.
 def test_singular_positions_are_passed_on_the_same_branch():
     scene = NFourBar(loops=2)
-    for method in ("rattle", "energy_momentum", "lobatto_iiia_iiib"):
-        run = run_of(method, scene, 1.5)
-        assert run.status == "ok", run.message
-        assert spread(scene, run).max() < 1e-9
-        assert np.abs(run.q - scene.exact(run.t)["q"]).max() < 0.02
+    run = run_of("rattle", scene, 1.5)
+    assert run.status == "ok", run.message
+    assert spread(scene, run).max() < 1e-9
+    assert np.abs(run.q - scene.exact(run.t)["q"]).max() < 0.02
 
 
 @pytest.mark.long

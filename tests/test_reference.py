@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import long, toy
+from helpers import toy
 
 from bench.plugins.registry import Sources
 from bench.running import inventory
@@ -157,7 +157,8 @@ def test_a_solution_that_ends_is_told_with_its_time():
         solved(lambda t, s: np.nan * s, [1.0], 2.0, METHODS["radau"])
 
 
-@pytest.mark.parametrize("truck", [PlanarTruckJoint(), *long(PlanarTruck())], ids=str)
+@pytest.mark.long
+@pytest.mark.parametrize("truck", [PlanarTruckJoint(), PlanarTruck()], ids=str)
 def test_forces_in_balance_leave_rounding_that_is_no_size_of_the_motion(truck):
     ours = Reference(truck, 5.0)
     assert max(np.max(ours.error[group]) for group in "qv") < 1e-12

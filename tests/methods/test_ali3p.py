@@ -151,6 +151,7 @@ class Turning(Stated):
         return found | {"lam": found["lam"] * least}
 
 
+@pytest.mark.long
 def test_redundant_constraints_are_taken_where_velocities_are_no_rates():
     scene, steps = Turning(length=2.0), [0.02, 0.01, 0.005]
     off = {g: [] for g in ("q", "v", "a", "lam")}
