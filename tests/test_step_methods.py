@@ -305,12 +305,17 @@ def test_options_resolutions_and_blocks_are_checked_from_python_too():
         begin, step, read = Theta.begin, Theta.step, Theta.read
         theta, other, form = 0.5, 0.5, "one"
 
+    class Short(Theta):
+        def read(self, scene, state):
+            return super().read(scene, state)._replace(a=jnp.zeros(3))
+
     for method, at, words in [
         (Theta(form="three"), Steps(0.1), "form=three is not allowed"),
         (Theta(theta=2.0), Steps(0.1), r"theta=2\.0 lies outside"),
         (Theta(), Tolerances(1e-3), r"takes Steps\(h\)"),
         (Careful(), Steps(0.1), r"takes Tolerances\(rtol\)"),
         (Wrong(), Steps(0.1), "ImplicitStepMethod"),  # it solves equations
+        (Short(), Steps(0.1), r"read\(\) returns a of shape \(3,\), expected \(1,\)"),
     ]:
         with pytest.raises(SpecError, match=words):
             method.prepare(Oscillator(), 1.0, at)

@@ -259,10 +259,16 @@ def _refine(trial: Trial, claims: dict[str, int]) -> dict[str, _Slope]:
     ratio = 2.0 if max(claims.values()) <= _LOW else 2.0**0.5
     length = trial.t_end - trial.scene.interval[0]
     known = reference(trial.scene, trial.t_end)
-    slopes, count, trouble = {group: _Slope([]) for group in claims}, float(_FEWEST), ""
-    while count <= _MOST:
-        h = length / round(count)
+    slopes, tried, trouble = {group: _Slope([]) for group in claims}, 0.0, ""
+    # Samples cut steps: those that divide the time between two are all of one size.
+    samples = round(length / trial.scene.sample_time) if trial.scene.has("sample") else 1
+    count = max(1.0, _FEWEST / samples)
+    while samples * count <= _MOST:
+        h = length / samples / round(count)
         count *= ratio
+        if h == tried:
+            continue
+        tried = h
         run = trial.trajectory(trial.prepared(Steps(h)))
         trouble = run.status != "ok" and f"h={h:.2g} s it ends with {run.status}: {run.message}"
         if trouble:

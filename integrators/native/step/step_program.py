@@ -26,6 +26,7 @@ from integrators.native.algebra.step_records import (
     Time,
 )
 from integrators.native.step.step_work import EquationsFinder, StepWork, keeper
+from problems.base.checks import FalseAnswer
 from problems.base.runtime import Array, Bool, jax, jnp
 from problems.base.spec import SpecError
 from problems.equations.formulations import Start
@@ -203,8 +204,13 @@ class StepProgram:
         return Carried(state, tuple(work.kept) if self.keeps_tangents else ()), work.report()
 
     def read(self, scene: MechatronicSystem, now: Carried) -> Reading:
-        """Return the variables."""
-        return self.functions.read(scene, now.state)
+        """Return the variables; raise FalseAnswer if a group has another size than in the scene."""
+        found = self.functions.read(scene, now.state)
+        for group in Reading._fields[:-1]:
+            shape, expected = np.shape(getattr(found, group)), (scene.sizes.of(group),)
+            if shape != expected:
+                raise FalseAnswer(f"read() returns {group} of shape {shape}, expected {expected}.")
+        return found
 
     def chosen(self, accepted: Bool[Array, ""], after: Carried, before: Carried) -> Carried:
         """Return ``after`` if its step was accepted, else ``before``."""
