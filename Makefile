@@ -13,7 +13,7 @@ TESTS := $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 .venv/installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "stepbench needs Python 3.11 or newer; set PYTHON=...")'
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python .ci/install -e .
+	$(BIN)/python .ci/install -e ".[mujoco,sympy,notebook]"
 	touch $@
 
 .venv/tested: .venv/installed
