@@ -27,14 +27,13 @@ from reports.scenes import StoredRuns, stored_runs
 from reports.series import label_of
 from reports.wrong import wrong_runs, wrong_sentences
 
-#: Headlines; question.js fills in the same ones. ``who`` is one integrator or two.
+#: Headlines; question.js fills in the same ones. ``who`` are one integrator or several.
 HEADLINES = {
     "unjudged": "No scene here can be judged.",
     "nobody": "No method reaches {target} on {any}.",
     "unpriced": "It is reached, but no costs can be compared.",
     "one": "{who} is cheapest on {on}{but}.",
-    "two": "{who} are each cheapest on {on}{but}.",
-    "many": "{count} methods tie: each is cheapest on {on}{but}.",
+    "several": "{who} are each cheapest on {on}{but}.",
 }
 #: A winner that other starts of the motion make one, and one with wrong accelerations.
 LATER, WRONG_A = "a tie if the motion starts later", "its acceleration is wrong in every run"
@@ -43,27 +42,28 @@ LATER, WRONG_A = "a tie if the motion starts later", "its acceleration is wrong 
 def headline(found: Answer, names: Names, of: Answer | None = None) -> Sentence:
     """'A is cheapest on 6 of 9 scenes; nobody reaches 2.': twelve words, a name counted as one.
 
-    Where the leader of ``of``, by another cost, does not lead, its count is told: ' (B on 1)'.
+    Where the leader of ``of``, by another cost, does not lead, its count is told: '; B on 1'.
     """
     judged, rows = len(found.scenes), found.standings
     every = {1: "the scene", 2: "both scenes"}.get(judged, f"all {judged} scenes")
     missed = sum(not s.reached for s in found.scenes.values())
-    count, alone = max(((s.alone + s.tied, s.alone) for s in rows), default=(0, 0))
+    count = max((s.alone + s.tied for s in rows), default=0)
     if not count:
         kind = "unpriced" if missed < judged else "nobody" if judged else "unjudged"
         scenes = {1: "the scene"}.get(judged, f"any of the {judged} scenes judged")
         return [HEADLINES[kind].format(target=found.question.accuracy, any=scenes)]
-    lead = [s.label for s in rows if (s.alone + s.tied, s.alone) == (count, alone)]
+    lead = [s for s in rows if s.alone + s.tied == count]
+    alone = max(s.alone for s in lead)
     on = every if count == judged else f"{count} of {judged} scenes"
     but = f"; nobody reaches {missed}" if missed else ""
-    if alone < count:
-        but = f", with {counted(count - alone, 'tie')}"
-    kind = {1: "one", 2: "two"}.get(len(lead), "many")
-    said = HEADLINES[kind].rpartition("{who}")[2].format(count=len(lead), on=on, but=but)
-    who = listed([method_ref(label, names)] for label in lead) if kind != "many" else []
+    if alone == 0 or (len(lead) == 1 and alone < count):
+        but = f", {alone or 'none'} alone"
+    kind = "one" if len(lead) == 1 else "several"
+    said = HEADLINES[kind].rpartition("{who}")[2].format(on=on, but=but)
+    who = listed([method_ref(s.label, names)] for s in lead)
     other = of.standings[0].label if of and of.standings else ""
     own = next((s.alone + s.tied for s in rows if s.label == other), count)
-    beside = f" ({names.get(other, other)} on {own or 'none'})." if own < count else "."
+    beside = f"; {names.get(other, other)} on {own or 'none'}." if own < count else "."
     return [*who, said.removesuffix(".") + beside]
 
 

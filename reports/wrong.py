@@ -181,7 +181,7 @@ def silent_tables(
                 rows.append([w.label, w.scene, f"{w.silent} of {w.judged}", error, why])
                 silent += w.silent
         count = 5 if kind == "every" else 4  # only what is never right has a cause
-        head = ["integrator", "scene", "runs", "smallest error", "cause"][:count]
+        head = ["integrator", "scene", "runs", "most accurate run", "cause or difficulty"][:count]
         about = f"{caption}, in {quantity(group)}: {counted(silent, 'run')}"
         rows = [row[:count] for row in rows]
         tables += [Table(about, head, rows, code=(0, 1), links=links)] if rows else []

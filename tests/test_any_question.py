@@ -279,7 +279,7 @@ def test_a_highlighted_method_is_compared_with_each(browser, folder):
     for scene, cost, said in (
         ("won", "seconds", "2.5 x (interval 2.49 to 2.51)"),
         ("won", "residuals", "2.5 x"),
-        ("near", "operations", "1.05 x, not significant"),
+        ("near", "operations", "1.05 x, not told apart"),
         ("near", "residuals", "1.05 x"),
     ):
         fragment = f"#group=a&target=1e-4&cost={cost}&highlight=one"

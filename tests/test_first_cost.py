@@ -104,7 +104,7 @@ def test_page_markdown_and_terminal_take_the_same_cost_first(folders, name):
     assert {f"a|max|{cost}", f"a|max|{beside}"} <= {*data["answers"]}
     one, two = (plain(s) for s in headlines(report.answered, report.names))
     assert one == f"{least[cost]}: {winner} is cheapest on the scene."
-    assert two == f"{least[beside]}: {other} is cheapest on the scene ({winner} on none)."
+    assert two == f"{least[beside]}: {other} is cheapest on the scene; {winner} on none."
     assert report.winners.head[1] == least[cost].lower()
     markdown = (folder / "report.md").read_text(encoding="utf-8")
     bullets = markdown.partition("## Answer")[2].strip().splitlines()

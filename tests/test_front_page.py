@@ -110,7 +110,7 @@ def test_runs_without_a_place_on_the_axes_stand_in_bands(browser, tmp_path):
 
 
 def test_a_scene_without_the_quantity_is_not_counted_and_says_so(browser, site):
-    said = "This scene has no multiplier λ, or no run of it reached the end."
+    said = "This scene has no multiplier λ."
     open_front(browser, site, "#group=lam&target=1e-4&cost=operations&scenes=all")
     assert "reached, of 1 scene" in text(browser, "#standings")
     cells = heat_cells(browser)

@@ -35,7 +35,7 @@ def test_a_partial_store_shows_what_is_there_and_says_what_is_missing(tmp_path: 
             ([], {"plan": False}, "The store holds no finished run."),
             (some(), {"plan": False}, "The store holds no plan"),
             (failed_only(), {}, "No run reached the end"),
-            (some(), {"samples": 0}, "5 of 5 runs that reached the end have no timing samples."),
+            (some(), {"samples": 0}, "Without timing samples: 5 of 5 runs that reached the end."),
         ]
     ):
         folder = plant(tmp_path / str(k), records, **how)

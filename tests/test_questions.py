@@ -125,16 +125,16 @@ def test_the_headline_has_at_most_twelve_words():
     for wins, line in (
         ([(1, 9), (1, 9), (9, 1)], "A is cheapest on 2 of 3 scenes."),
         ([(1, 9), (1, 9), (None, None)], "A is cheapest on 2 of 3 scenes; nobody reaches 1."),
-        ([(1, 9), (1, 1), (9, 1), (1, 9)], "A is cheapest on 3 of 4 scenes, with 1 tie."),
-        ([(1, 1), (2, 2)], "A and B are each cheapest on both scenes, with 2 ties."),
-        ([(1, 9, 9), (9, 1, 9), (9, 9, 1)], "3 methods tie: each is cheapest on 1 of 3 scenes."),
+        ([(1, 9), (1, 1), (9, 1), (1, 9)], "A is cheapest on 3 of 4 scenes, 2 alone."),
+        ([(1, 1), (2, 2)], "A and B are each cheapest on both scenes, none alone."),
+        ([(1, 9, 9), (9, 1, 9), (9, 9, 1)], "A, B and C are each cheapest on 1 of 3 scenes."),
         ([(1, 9), (1, 9)], "A is cheapest on both scenes."),
         ([(None, None)] * 3, "No method reaches 1e-4 on any of the 3 scenes judged."),
         ([(1,)], "It is reached, but no costs can be compared."),
         # Both are first on three scenes, B on one of them by itself.
         (
             [(1, 1, 5), (5, 1, 5), (1, 5, 1), (1, 1, 1)],
-            "B is cheapest on 3 of 4 scenes, with 2 ties.",
+            "B and A are each cheapest on 3 of 4 scenes.",
         ),
     ):  # fmt: skip
         found = answer(scenes_of(field(*wins, rivals="ABC"[: len(wins[0])])), COUNTS)
@@ -154,7 +154,7 @@ def test_both_costs_have_a_headline_and_the_leader_of_one_its_count_by_the_other
         record.run_s = [1e-3 if record.integrator == "two" else 3e-3] * 7
     found = {q: a for q, a in answers(scenes_of(records), ["a"]).items() if q.target == 1e-4}
     assert [plain(s) for s in headlines(found, {})] == [
-        operations, "Least time: two is cheapest on both scenes (one on none).",
+        operations, "Least time: two is cheapest on both scenes; one on none.",
     ]  # fmt: skip
 
 

@@ -39,7 +39,7 @@ class HeavyTop(MechatronicSystem):
     nominal_step = 2e-3
     tags = ("constrained", "index 3", "conservative", "spatial", "singular mass")
     difficulties = (
-        "M(q) alone is singular: a method that inverts it cannot take this scene",
+        "M(q) alone is singular: only with the constraints has it accelerations",
         "lam loses an order on index 3 with the plain start",
     )
     coordinates = ("x [m]", "y [m]", "z [m]", "p0", "p1", "p2", "p3")

@@ -28,7 +28,7 @@ class CarAxis(MechatronicSystem):
     nominal_step = 0.005
     tags = ("constrained", "index 3", "rheonomic", "stiff", "benchmark")
     difficulties = (
-        "stiff springs against light masses: explicit methods are held to short steps",
+        "stiff springs against light masses: the smaller eps, the shorter explicit steps",
         "the right wheel's motion makes a constraint depend on time: velocities need Phi_t, too",
     )
     coordinates = ("left x [m]", "left y [m]", "right x [m]", "right y [m]")

@@ -91,10 +91,10 @@ class Report:
         claims = integrators_table([*self.names], stored.facts)
         sections = [
             Section("Rating", overviews(stored.plan, stored.records)),
-            Section("Claims and results", [claims], "integrators"),
+            Section("Claims", [claims], "integrators"),
             Section("Over all scenes", sizes),
         ]
-        learn, count = "What the methods claim, and what was measured.", len(self.methods)
+        learn, count = "What the methods claim, and their cost over sizes.", len(self.methods)
         return Page("methods.html", "Methods", learn, sections, heading="Answer", count=count)
 
     def _failures(self) -> Page:
@@ -103,8 +103,8 @@ class Report:
         unsupported = unsupported_table(runs)
         fine = f"Every run{' that its method supports' * bool(unsupported)} reached the end."
         why = (
-            "A cause is named where its experiment of the failure atlas hit the same method; else "
-            "stands what is hard in the scene."
+            "A cause is named where an experiment of the failure atlas shows it for this method; "
+            "if there is none, what is hard in the scene."
         )
         lead = [Text([*self.wrong[0], f" {why}"])] if self.wrong else []
         silent = silent_tables(self.wrong_runs, group, stored.scenes)
@@ -128,7 +128,7 @@ class Report:
         how = (
             "A reference is a closed form, or Gauss collocation of order 24 with steps as short as "
             "round-off allows; its error is the distance from Radau IIA of order 23 with other "
-            "steps. Published digits stand on the pages of scenes."
+            "steps. Pages of scenes have published digits, where there are some."
         )
         machines = [
             {

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import math
 import shlex
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Any
 
 from bench.results.quantities import ASKED, COSTS, ERROR_NAMES, NORM, NORMS, RANKED_COSTS, TRUST
-from bench.results.records import NOT_TRIED, UNSUPPORTED, Record, SceneRecord
+from bench.results.records import NOT_TRIED, UNSUPPORTED, Record, SceneRecord, counted
 from bench.results.table import short_exponent
 from bench.results.timings import FEWEST, LEAST_OF_FEW, median_interval
 from reports.charts.mechanism import little_picture
@@ -29,6 +30,7 @@ from reports.questions import (
     Question,
     filters,
     kind_of,
+    named,
     tag_name,
 )
 from reports.ranking import Answer, SceneAnswer, answers
@@ -241,6 +243,14 @@ def _letters(label: str, answers: Sequence[SceneAnswer]) -> str:
     return "".join(letters[e.run.key] if e.run else _SIGNS[str(e.state)] for e in own)
 
 
+def _failed(series: Sequence[Series]) -> list[list[Any]]:
+    """A sentence on the runs on a scene that failed, if any did."""
+    runs = [r for s in series for r in s.records if r.status not in NOT_TRIED]
+    ends = Counter(r.status.replace("_", " ") for r in runs if r.status != "ok")
+    how = named(f"{count} {status}" for status, count in ends.most_common())
+    return [[f"Failed: {ends.total()} of {counted(len(runs), 'run')} ({how})."]] if ends else []
+
+
 def _wrong(report: Report, group: str, chosen: Filters) -> dict[str, Any]:
     """Sentences on runs that are wrong without warning, per filter and per scene."""
     wrong, ids = wrong_runs(report.stored, group), report.run_ids
@@ -263,5 +273,5 @@ def _wrong(report: Report, group: str, chosen: Filters) -> dict[str, Any]:
 
     return {
         "filters": {key: said(names) for key, (_, names) in chosen.items()},
-        "scenes": [said([name], name) for name in report.measured],
+        "scenes": [_failed(own) + said([name], name) for name, own in report.measured.items()],
     }

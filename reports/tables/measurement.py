@@ -34,7 +34,7 @@ def missing_data(stored: StoredRuns) -> list[str]:
             for (problem, t_end), title in stored.titles.items()
         },
         "No run reached the end: there are no errors, orders and times.": records and not ok,
-        f"{untimed} of {len(ok)} runs that reached the end have no timing samples.": untimed,
+        f"Without timing samples: {untimed} of {len(ok)} runs that reached the end.": untimed,
         "Some errors of runs that reached the end are not finite; they are not drawn.": not_finite,
     }
     return [sentence for sentence, holds in sentences.items() if holds]

@@ -31,7 +31,7 @@
   };
   stepbench.onChange((question) => {
     document.querySelector("main h1").textContent =
-      `Which integrator, for an error in ${data.group_names[question.group].replace(/ \S+$/, "")} of at most ${question.target}?`;
+      `Which integrator, for an error in the ${data.group_names[question.group].replace(/ \S+$/, "")} of at most ${question.target}?`;
     const open = card.querySelector("details")?.open, here = stepbench.answer();
     const line = (name, ...parts) => html("p", { class: name }, ...parts.map(part)), [wrong, ...which] = stepbench.wrong("filters", question.scenes);
     const beside = data.both.filter((cost) => data.both.includes(question.cost) && cost !== question.cost);

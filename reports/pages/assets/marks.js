@@ -96,7 +96,7 @@
   // The reason for which a question has no answer on a scene.
   const unjudged = (scene, { group, target }) => data.scenes[scene].groups.includes(group)
     ? `${target} cannot be judged on this scene: the reference's own error in ${data.group_names[group]} is ${ownError(scene, group)}, more than a hundredth of it.`
-    : `This scene has no ${data.group_names[group]}, or no run of it reached the end.`;
+    : data.scenes[scene].groups.length ? `This scene has no ${data.group_names[group]}.` : "No run of this scene reached the end.";
 
   Object.assign(stepbench, {
     to, head, part, wrong, columns, fill, shape, colour, badge, cut, room, tip,

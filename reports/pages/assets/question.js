@@ -143,19 +143,20 @@
   };
 
   // 'A is cheapest on 6 of 9 scenes; nobody reaches 2.': `headline` of reports/verdicts.py.
-  // With the leader by another cost, ``of``, its count is told where it does not lead: ' (B on 1)'.
+  // With the leader by another cost, ``of``, its count is told where it does not lead: '; B on 1'.
   stepbench.headline = (question, of) => {
     const scenes = judged(question), rows = stepbench.standings(question), count = scenes.length;
     const every = ["", "the scene", "both scenes"][count] ?? `all ${count} scenes`, missed = scenes.filter((scene) => !scene.reached).length;
     const [, one, two] = rows[0] || [0, 0, 0], most = one + two;
-    const lead = rows.filter(([, alone, tied]) => alone === one && alone + tied === most).map(([m]) => stepbench.methodRef(m));
-    const kind = !most ? missed < count ? "unpriced" : count ? "nobody" : "unjudged" : ["", "one", "two"][lead.length] ?? "many";
-    const but = one < most ? `, with ${two} ${two === 1 ? "tie" : "ties"}` : missed ? `; nobody reaches ${missed}` : "";
-    const values = { on: most && most < count ? `${most} of ${count} scenes` : every, but, count: lead.length, target: question.target, any: count === 1 ? "the scene" : `any of the ${count} scenes judged` };
-    const [before, after] = data.headlines[kind].replace(/\{(on|but|count|target|any)\}/g, (_, name) => values[name]).split("{who}");
+    const lead = rows.filter(([, alone, tied]) => alone + tied === most).map(([m]) => stepbench.methodRef(m));
+    const kind = !most ? missed < count ? "unpriced" : count ? "nobody" : "unjudged" : lead.length > 1 ? "several" : "one";
+    const but = !one || lead.length < 2 && one < most ? `, ${one || "none"} alone` : missed ? `; nobody reaches ${missed}` : "";
+    const values = { on: most && most < count ? `${most} of ${count} scenes` : every, but, target: question.target, any: count === 1 ? "the scene" : `any of the ${count} scenes judged` };
+    const [before, after] = data.headlines[kind].replace(/\{(on|but|target|any)\}/g, (_, name) => values[name]).split("{who}");
     const [leader] = of ? stepbench.standings(of) : [], own = leader && rows.find(([m]) => m === leader[0]);
-    const beside = most && own && own[1] + own[2] < most ? [` (${data.methods[own[0]].short} on ${own[1] + own[2] || "none"}).`] : [];
-    const end = after === undefined ? [before] : [...lead.flatMap((ref, k) => k ? [" and ", ref] : [ref]), after];
+    const beside = most && own && own[1] + own[2] < most ? [`; ${data.methods[own[0]].short} on ${own[1] + own[2] || "none"}.`] : [];
+    const who = lead.length > 3 ? [...lead.slice(0, 3), `${lead.length - 3} more`] : lead;
+    const end = after === undefined ? [before] : [...who.flatMap((ref, k) => k ? [k < who.length - 1 ? ", " : " and ", ref] : [ref]), after];
     return beside.length ? [...end.slice(0, -1), end.at(-1).slice(0, -1), ...beside] : end;
   };
 })();

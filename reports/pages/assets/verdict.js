@@ -33,7 +33,7 @@
     if (!own.first.length) {
       const near = nearest(data.runs_of[scene], question);
       if (own.reached) return ["It is reached, at costs that are not measured."];
-      return [`No method reaches ${question.target}`, ...(near ? ["; nearest: ", stepbench.methodRef(near.index), ` (${number(near.error)} at ${runsOf(scene, near.index).resolutions[near.k]}).`] : ["."])];
+      return [`No method reaches ${question.target} in ${quantity(question)}`, ...(near ? ["; nearest: ", stepbench.methodRef(near.index), ` (${number(near.error)} at ${runsOf(scene, near.index).resolutions[near.k]}).`] : ["."])];
     }
     const run = (m) => {
       const [, k, cost] = own.states[m], runs = runsOf(scene, m), off = columnOf(runs, "constraint")?.[k], said = [`${stepbench.costWithUnit(cost, question.cost)} at ${runs.resolutions[k]}`];
@@ -49,7 +49,7 @@
       ...(next !== null ? ["; next: ", stepbench.methodRef(next), `, ${stepbench.multiple(own.states[next][0])} times`] : own.votes ? [] : ["; none to compare"]), "."];
   };
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
-    const scene = Number(place.dataset.verdict), aim = stepbench.answer()[scene] ? [`To ${question.target} in ${quantity(question)}: `] : [];
+    const scene = Number(place.dataset.verdict), aim = stepbench.answer()[scene]?.reached ? [`To ${question.target} in ${quantity(question)}: `] : [];
     place.replaceChildren(html("p", {}, ...[...aim, ...stepbench.verdict(scene, question)].map(part)), ...stepbench.wrong("scenes", scene));
   });
 
@@ -70,9 +70,9 @@
     const ratio = columnOf(runs, cost)[k] / columnOf(other, cost)[j];
     const [a, b] = cost === "seconds" ? [runs.spread[k], other.spread[j]] : [], ends = a && b ? [a[0] / b[1], a[1] / b[0]] : [ratio, ratio];
     const tie = Math.max(ratio, 1 / ratio) <= data.apart[cost === "seconds" && !(a && b) ? "few" : cost] || ends[0] <= 1 && ends[1] >= 1;
-    return `${number(ratio)} ×${a && b ? ` (interval ${ends.map(number).join(" to ")})` : ""}${!tie ? "" : a && b ? ", intervals overlap" : ", not significant"}`;
+    return `${number(ratio)} ×${a && b ? ` (${ends.map(number).join(" to ")})` : ""}${tie ? ", not told apart" : ""}`;
   };
-  const heads = (question, mine) => [stepbench.costName(question), "multiple of the best", ...(mine ? [`multiple of ${data.methods[mine.index].short}`] : []), `error in ${quantity(question).split(" ").at(-1)}`];
+  const heads = (question, mine) => [stepbench.costName(question), "multiple of the best", ...(mine ? [`multiple of ${data.methods[mine.index].short}${question.cost === "seconds" ? " (interval)" : ""}`] : []), `error in ${quantity(question).split(" ").at(-1)}`];
   const aim = (question) => `with an error of at most ${question.target} in ${quantity(question)}, ${stepbench.norm()}`;
   // A row that begins with the cells ``lead``: what the accuracy costs a method on a scene, or why it has no cost.
   const row = (lead, scene, index, state, question, mine, held) => {
