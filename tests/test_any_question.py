@@ -277,7 +277,7 @@ def test_the_command_of_a_tie_repeats_the_run_whose_number_stands_first(browser,
 def test_a_highlighted_method_is_compared_with_each(browser, folder):
     """Times are 1e-6 s per residual, with seven samples up to 0.6 % longer."""
     for scene, cost, said in (
-        ("won", "seconds", "2.5 x (interval 2.49 to 2.51)"),
+        ("won", "seconds", "2.5 x (2.49 to 2.51)"),
         ("won", "residuals", "2.5 x"),
         ("near", "operations", "1.05 x, not told apart"),
         ("near", "residuals", "1.05 x"),
