@@ -3,25 +3,17 @@
 (() => {
   const { html } = stepbench;
   const options = { mode: "vega-lite", renderer: "svg", ast: true, actions: { export: true, source: false, compiled: false, editor: false } };
-  // Room for the labels of an axis beside a panel, and the narrowest panel that can be read.
-  const beside = 110, least = 230;
-  // Room for a legend beside panels.
-  const LEGEND = 260;
+  // Room for the labels of an axis beside a panel, the narrowest panel that can be read, and room for a legend.
+  const BESIDE = 110, LEAST = 230, LEGEND = 260;
   const fit = (chart, room) => {
-    if (chart.width && chart.width.step) return chart;
-    const panels = chart.concat || [chart.spec || chart], many = chart.concat || chart.spec;
-    const columns = Math.max(1, Math.min(chart.columns || 1, Math.floor(room / (panels[0].width + beside))));
-    if (many) chart.columns = columns;
+    if (!chart.concat) return chart;
+    const [{ width }] = chart.concat, columns = Math.max(1, Math.min(chart.columns, Math.floor(room / (width + BESIDE))));
     // The legend stands beside the lines where they leave it room.
-    const free = room - columns * (panels[0].width + beside);
+    const free = room - columns * (width + BESIDE);
     if (room < 600 || free > LEGEND) chart.config.legend.columns = 1;
     if (free > LEGEND) chart.config.legend.orient = "right";
-    const scale = Math.min(1, Math.max(least, room - beside) / panels[0].width);
-    for (const panel of panels) {
-      panel.width *= scale;
-      if (!many) panel.height *= scale;
-    }
-    return chart;
+    for (const panel of chart.concat) panel.width = Math.min(width, Math.max(LEAST, room - BESIDE));
+    return { ...chart, columns };
   };
   const link = (name, text) => html("a", { href: URL.createObjectURL(new Blob([text], { type: "text/csv" })), download: name }, name);
   // Rows of a table in CSV. Vega's own reader makes a program of the head, which the policy forbids.

@@ -16,7 +16,8 @@
       const method = data.methods[m], parts = [["reached", reached], ["tied", alone + tied], ["alone", alone]];
       const track = html("span", { class: "track", "aria-hidden": "true", style: `--own: ${stepbench.colour(method)}` },
         ...parts.map(([name, n]) => html("i", { class: name, style: `width: ${100 * n / Math.max(of, 1)}%` })));
-      return html("tr", { class: method.label === mine && "mine" }, stepbench.head(method), html("td", {}, track), html("td", {}, alone), html("td", {}, tied),
+      return html("tr", { class: method.label === mine && "mine" }, stepbench.head(method),
+        html("td", {}, track), html("td", {}, alone), html("td", {}, tied),
         html("td", { title: `reached on ${reached} of ${tried} scenes tried` }, `${reached}`, html("small", {}, ` of ${tried}`)));
     });
     const turn = () => {
@@ -27,20 +28,26 @@
       html("button", { type: "button", class: "more", click: turn }, folded ? `${rest} more` : "fewer"))));
     const heads = columns("method", "alone", "tied", "reached");
     heads.firstChild.after(html("td"));
-    fill(table, `Cheapest alone or tied, and reached, of ${of} ${of === 1 ? "scene" : "scenes"}${of < stepbench.chosen().length ? " that can be judged" : ""}`, [heads], lines);
+    const scenes = `${of} ${of === 1 ? "scene" : "scenes"}${of < stepbench.chosen().length ? " that can be judged" : ""}`;
+    fill(table, `Cheapest alone or tied, and reached, of ${scenes}`, [heads], lines);
   };
+  const sceneRef = ({ id, name, page }) => ({ kind: "scene", key: id, text: name, page });
   stepbench.onChange((question) => {
     document.querySelector("main h1").textContent =
       `Which integrator, for an error in the ${data.group_names[question.group].replace(/ \S+$/, "")} of at most ${question.target}?`;
     const open = card.querySelector("details")?.open, here = stepbench.answer();
     const line = (name, ...parts) => html("p", { class: name }, ...parts.map(part)), [wrong, ...which] = stepbench.wrong("filters", question.scenes);
+    const worst = stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make"
+      : "of the worst component, relative to its largest value in the reference";
     const beside = data.both.filter((cost) => data.both.includes(question.cost) && cost !== question.cost);
     card.replaceChildren(line("headline", ...stepbench.headline(question)),
-      ...beside.map((cost) => line("also", `${data.least[cost]}: `, ...stepbench.headline({ ...question, cost }, question))), ...(wrong ? [wrong] : []),
+      ...beside.map((cost) => line("also", `${data.least[cost]}: `, ...stepbench.headline({ ...question, cost }, question))),
+      ...(wrong ? [wrong] : []),
       html("details", { open: open && "" }, html("summary", {}, "costs, rivals, constraints, and where it fails"), ...which,
         line(null, `To ${question.target} in ${data.group_names[question.group]} (${stepbench.norm()}), scene by scene:`),
-        ...stepbench.chosen().map((k) => line(null, { kind: "scene", key: data.scenes[k].id, text: data.scenes[k].name, page: data.scenes[k].page }, ": ", ...stepbench.verdict(k, question))),
-        line("note", `Error: ${stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make" : "of the worst component, relative to its largest value in the reference"}, ${stepbench.norm()}. Tied: ${data.ties[question.cost]}, or the cheapest from a later start of the motion. Time is of this machine and of a method's language; operations are the same everywhere.`)));
+        ...stepbench.chosen().map((k) => line(null, sceneRef(data.scenes[k]), ": ", ...stepbench.verdict(k, question))),
+        line("note", `Error: ${worst}, ${stepbench.norm()}. Tied: ${data.ties[question.cost]}, or the cheapest from a later start of the motion. `,
+          "Time is of this machine and of a method's language; operations are the same everywhere.")));
     standings(stepbench.standings(question), stepbench.chosen().filter((k) => here[k]).length);
   });
 
@@ -51,9 +58,12 @@
     ...lines.map((line) => svg("path", { d: "M" + line.map((p) => p.join(" ")).join("L") })));
   const cards = data.scenes.map((scene, index) => {
     const own = { index, place: html("div", { class: "chart" }) };
-    own.button = button({ class: "enlarge", "aria-expanded": "false", "aria-label": `large chart: ${scene.name}`, title: "large chart; Escape closes it", click: () => enlarge(own === large ? null : own) }, "⤢");
-    own.card = html("article", { class: "panel" }, html("header", {}, picture(scene.picture), html("div", {},
-      html("h3", { title: scene.id }, stepbench.to(scene.page, {}, scene.name)), html("p", { title: scene.about }, scene.about || "\u00a0")), own.button), own.place);
+    own.button = button({
+      class: "enlarge", "aria-expanded": "false", "aria-label": `large chart: ${scene.name}`, title: "large chart; Escape closes it",
+      click: () => enlarge(own === large ? null : own),
+    }, "⤢");
+    const words = html("div", {}, html("h3", { title: scene.id }, stepbench.to(scene.page, {}, scene.name)), html("p", { title: scene.about }, scene.about || "\u00a0"));
+    own.card = html("article", { class: "panel" }, html("header", {}, picture(scene.picture), words, own.button), own.place);
     return own;
   });
   const choose = () => {
@@ -82,14 +92,14 @@
   const families = Map.groupBy(data.methods.keys(), (m) => data.methods[m].family);
   const entry = (places, title, ...content) => button({ class: "switch", "aria-pressed": "true", "data-method": places.join(" "), title }, ...content);
   panels.after(html("div", { class: "chooser", role: "group", "aria-label": "Methods in the charts" }, entry([...data.methods.keys()], null, "all methods"),
-    ...[...families].sort(([, one], [, two]) => two.length - one.length).map(([family, own]) => html("span", {}, ...(own.length > 1 ? [entry(own, null, `${family}:`)] : []),
+    ...[...families].sort(([, one], [, two]) => two.length - one.length).map(([family, own]) => html("span", {},
+      ...(own.length > 1 ? [entry(own, null, `${family}:`)] : []),
       ...own.map((m) => entry([m], family, stepbench.badge(data.methods[m]), data.methods[m].short))))));
   stepbench.onChange(choose);
   for (const own of cards) stepbench.onChange(() => draw(own));
 
   // ---- heat table: cost as a multiple of the cheapest, methods by rank and scenes by kind ----
   const STATES = {
-    reached: ["", "the accuracy is reached"],
     far: ["–", "runs reached the end, none reached the accuracy"],
     failed: ["✕", "no run reached the end"],
     unknown: ["?", "the accuracy is reached at a cost that was not measured"],
@@ -116,22 +126,25 @@
       stepbench.tip.show(lines, box.right - 10, box.top);
     };
     const looks = `${state}${reached && own.first.includes(m) ? " first" : ""}${starts ? " start" : ""}`;
+    const { hide } = stepbench.tip, hints = { "aria-label": lines.join(": "), pointerenter: show, focus: show, pointerleave: hide, blur: hide };
     return html("td", { class: looks, style: reached && `--near: ${Math.round(8 + 92 * near)}%` },
-      stepbench.to(scene.page, { "aria-label": lines.join(": "), pointerenter: show, focus: show, pointerleave: stepbench.tip.hide, blur: stepbench.tip.hide },
-        reached ? stepbench.times(ratio) : STATES[state][0]));
+      stepbench.to(scene.page, hints, reached ? stepbench.times(ratio) : STATES[state][0]));
   };
   stepbench.onChange((question) => {
     const groups = grouped(stepbench.chosen()), ranked = stepbench.standings(question).map(([m]) => m);
     const each = (make) => groups.flatMap(([, own]) => own.map((k, n) => make(k, !n)));
     const names = each((k, starts) => html("th", { scope: "col", class: starts ? "start" : "" },
       html("span", {}, stepbench.to(data.scenes[k].page, { title: data.scenes[k].id }, data.scenes[k].name))));
-    fill(document.getElementById("heat"), `Cost in ${stepbench.costName(question)} to an error of ${question.target} in ${data.group_names[question.group]} (${stepbench.norm()}), as a multiple of the cheapest on the scene`,
-      [html("tr", {}, html("td"), ...groups.map(([name, own]) => html("th", { colspan: own.length, scope: "colgroup" }, name))), html("tr", {}, html("th", { scope: "col" }, "method"), ...names)],
+    const kinds = groups.map(([name, own]) => html("th", { colspan: own.length, scope: "colgroup" }, name));
+    const error = `an error of ${question.target} in ${data.group_names[question.group]} (${stepbench.norm()})`;
+    fill(document.getElementById("heat"), `Cost in ${stepbench.costName(question)} to ${error}, as a multiple of the cheapest on the scene`,
+      [html("tr", {}, html("td"), ...kinds), html("tr", {}, html("th", { scope: "col" }, "method"), ...names)],
       (ranked.length ? ranked : [...data.methods.keys()]).map((m) => html("tr", { class: data.methods[m].label === question.highlight && "mine" },
         stepbench.head(data.methods[m]), ...each((k, starts) => cell(m, k, starts, question)))));
   });
-  document.getElementById("heat-legend").append(...Object.entries(STATES).map(([state, [sign, meaning]]) => html("span", {},
-    html("i", { class: state, "aria-hidden": "true", style: "--near: 100%" }, state === "reached" ? "1.0" : sign), state === "reached" ? "multiple of the cheapest: the more colour, the cheaper" : meaning)));
+  const samples = { reached: ["1.0", "multiple of the cheapest: the more colour, the cheaper"], ...STATES };
+  document.getElementById("heat-legend").append(...Object.entries(samples).map(([state, [sign, meaning]]) => html("span", {},
+    html("i", { class: state, "aria-hidden": "true", style: "--near: 100%" }, sign), meaning)));
 
   // ---- profile: part of all pairs of a scene and an accuracy solved within a multiple of the best ----
   const menu = document.getElementById("profile-of"), multiples = Array.from({ length: 31 }, (_, k) => 10 ** (k / 10)), widest = multiples.at(-1);
@@ -149,7 +162,8 @@
     }
     const lines = [...own].sort(([one], [two]) => one - two || 0).map(([key, ratios]) => {
       const places = menu.value === "families" ? null : key, method = data.methods[places ?? families.get(key)[0]];
-      return { name: places === null ? key : method.short, method, places, parts: multiples.map((most) => ratios.filter((ratio) => ratio <= most * 1.00005).length / pairs) };
+      const parts = multiples.map((most) => ratios.filter((ratio) => ratio <= most * 1.00005).length / pairs);
+      return { name: places === null ? key : method.short, method, places, parts };
     });
     return { pairs, lines };
   };
@@ -161,12 +175,16 @@
     }
     lines.sort((a, b) => b.parts.at(-1) - a.parts.at(-1) || b.parts[0] - a.parts[0]);
     const inside = { x0: 52, x1: room - (narrow ? 12 : 26 + stepbench.room(lines.map((line) => line.name))), y0: 12, y1: high - 44, low: high - 6 };
-    const onX = (m) => inside.x0 + Math.log(m) / Math.log(widest) * (inside.x1 - inside.x0), onY = (share) => inside.y1 - share * (inside.y1 - inside.y0);
+    const onX = (m) => inside.x0 + Math.log(m) / Math.log(widest) * (inside.x1 - inside.x0);
+    const onY = (share) => inside.y1 - share * (inside.y1 - inside.y0);
     const best = lines[0], first = [...lines].sort((a, b) => b.parts[0] - a.parts[0])[0], percent = (share) => `${Math.round(100 * share)} %`;
-    const said = `Cheapest most often: ${first.name} ${percent(first.parts[0])}; reaches most within ${widest} times the least cost: ${best.name} ${percent(best.parts.at(-1))}.`;
-    const chart = stepbench.frame(room, high, " profile", lines.length, { role: "img", "aria-label": `Performance profile over ${pairs} pairs of scene and target. ${said}` });
-    chart.append(...stepbench.axes(inside, [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].filter((_, k) => !narrow || k % 3 === 0).map((m) => [onX(m), `${m}×`]),
-      [0, .25, .5, .75, 1].map((share) => [onY(share), percent(share)]), narrow ? `multiple of the least ${data.cost_words[question.cost]} (${pairs} pairs)`
+    const said = `Cheapest most often: ${first.name} ${percent(first.parts[0])}; reaches most within ${widest} times the least cost: ` +
+      `${best.name} ${percent(best.parts.at(-1))}.`;
+    const spoken = `Performance profile over ${pairs} pairs of scene and target. ${said}`;
+    const chart = stepbench.frame(room, high, " profile", lines.length, { role: "img", "aria-label": spoken });
+    const ticks = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].filter((_, k) => !narrow || k % 3 === 0);
+    chart.append(...stepbench.axes(inside, ticks.map((m) => [onX(m), `${m}×`]), [0, .25, .5, .75, 1].map((share) => [onY(share), percent(share)]),
+      narrow ? `multiple of the least ${data.cost_words[question.cost]} (${pairs} pairs)`
         : `at most so many times the least ${stepbench.costName(question)} (${pairs} pairs of scene and accuracy)`));
     lines.forEach((line, rank) => {
       const points = line.parts.map((share, k) => ({ x: onX(multiples[k]), y: onY(share) }));

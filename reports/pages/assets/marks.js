@@ -49,7 +49,8 @@
     if (rounded >= 1e-4 && value < 1e6) return rounded >= 100 ? rounded.toFixed(0) : String(rounded);
     return rounded.toExponential().replace("e+", "e");
   };
-  const TICKS = [[1e12, "\u202fT"], [1e9, "\u202fG"], [1e6, "\u202fM"], [1e3, "\u202fk"], [1, ""]], TIMES = [[1, " s"], [1e-3, " ms"], [1e-6, " µs"]];
+  const TICKS = [[1e12, "\u202fT"], [1e9, "\u202fG"], [1e6, "\u202fM"], [1e3, "\u202fk"], [1, ""]];
+  const TIMES = [[1, " s"], [1e-3, " ms"], [1e-6, " µs"]];
   // A cost at a tick of an axis, in few characters with its unit.
   const costTick = (value, cost) => {
     const units = cost === "seconds" ? TIMES : TICKS, [size, unit] = units.find(([least]) => value >= least * .9995) || units.at(-1);
@@ -95,7 +96,8 @@
   const ownError = (scene, group) => number(stepbench.floor(scene, { ...stepbench.question, group }) / data.trust);
   // The reason for which a question has no answer on a scene.
   const unjudged = (scene, { group, target }) => data.scenes[scene].groups.includes(group)
-    ? `${target} cannot be judged on this scene: the reference's own error in ${data.group_names[group]} is ${ownError(scene, group)}, more than a hundredth of it.`
+    ? `${target} cannot be judged on this scene: the reference's own error in ${data.group_names[group]} is ` +
+      `${ownError(scene, group)}, more than a hundredth of it.`
     : data.scenes[scene].groups.length ? `This scene has no ${data.group_names[group]}.` : "No run of this scene reached the end.";
 
   Object.assign(stepbench, {

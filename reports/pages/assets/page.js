@@ -6,7 +6,9 @@
   const reveals = [];  // each shows a place that it has; null: everything
   const button = (looks, ...content) => html("button", { type: "button", ...looks }, ...content);
   // A field that tells what is typed in it, and how that is to be compared.
-  const search = (looks, tell) => html("input", { type: "search", class: "filter", ...looks, input: ({ target }) => tell(target.value.trim(), target.value.trim().toLowerCase()) });
+  const search = (looks, tell) => html("input", {
+    type: "search", class: "filter", ...looks, input: ({ target: { value } }) => tell(value.trim(), value.trim().toLowerCase()),
+  });
   const has = (node, wanted) => node.textContent.toLowerCase().includes(wanted);
 
   // What a cell is sorted by: its number, or its text. Cells without a value come last.
@@ -61,7 +63,8 @@
         buttons[i].tabIndex = i === k ? 0 : -1;
       });
     };
-    const buttons = sections.map((section, k) => button({ id: `${section.id}-tab`, role: "tab", "aria-controls": section.id, click: () => show(k) }, section.dataset.title));
+    const buttons = sections.map((section, k) => button(
+      { id: `${section.id}-tab`, role: "tab", "aria-controls": section.id, click: () => show(k) }, section.dataset.title));
     for (const section of sections) {
       section.setAttribute("role", "tabpanel");
       section.setAttribute("aria-labelledby", `${section.id}-tab`);
@@ -108,9 +111,11 @@
     side.firstElementChild.after(menu);
     side.classList.add("folds");
     const links = [...side.querySelectorAll("li")], none = html("p", { class: "about", role: "status" });
-    if (links.length > FEW) side.querySelector(".about").after(search({ placeholder: "find …", title: "a scene, a method or a word", "aria-label": "filter the contents" }, (typed, wanted) => {
+    const looks = { placeholder: "find …", title: "a scene, a method or a word", "aria-label": "filter the contents" };
+    if (links.length > FEW) side.querySelector(".about").after(search(looks, (typed, wanted) => {
       for (const link of links) link.hidden = !has(link, wanted);
-      for (const part of side.querySelectorAll("div")) part.hidden = part.dataset.searched !== undefined && !wanted || !part.querySelector("li:not([hidden])");
+      for (const part of side.querySelectorAll("div"))
+        part.hidden = "searched" in part.dataset && !wanted || !part.querySelector("li:not([hidden])");
       none.textContent = links.every((link) => link.hidden) ? `Nothing is called “${typed}”.` : "";
     }), none);
   }

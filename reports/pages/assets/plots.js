@@ -13,22 +13,22 @@
 
   // Methods that the reader has hidden, while the page is open. Nodes of a method, in charts and
   // legends, have its place as data-method; the switch of several methods has all places.
-  const off = new Set();
+  const hidden = new Set();
   const placesOf = (node) => node.dataset.method.split(" ").map(Number);
   stepbench.hide = (root) => {
     for (const node of root.querySelectorAll("[data-method]")) {
-      const hidden = placesOf(node).every((m) => off.has(m));
-      node.classList.toggle("off", hidden);
-      if (node.matches(".switch")) node.setAttribute("aria-pressed", !hidden);
+      const off = placesOf(node).every((m) => hidden.has(m));
+      node.classList.toggle("off", off);
+      if (node.matches(".switch")) node.setAttribute("aria-pressed", !off);
     }
   };
   // A click hides or shows; a second one at once, or one with Shift, shows these alone.
   document.addEventListener("click", (event) => {
     const node = event.target.closest(".switch");
     if (!node) return;
-    const own = placesOf(node), alone = event.detail > 1 || event.shiftKey, show = alone || own.some((m) => off.has(m));
-    if (alone) data.methods.forEach((_, m) => off.add(m));
-    for (const m of own) off[show ? "delete" : "add"](m);
+    const own = placesOf(node), alone = event.detail > 1 || event.shiftKey, show = alone || own.some((m) => hidden.has(m));
+    if (alone) data.methods.forEach((_, m) => hidden.add(m));
+    for (const m of own) hidden[show ? "delete" : "add"](m);
     stepbench.hide(document);
   });
 
@@ -57,7 +57,8 @@
   };
   const kindOf = (method, first) => method.label === stepbench.question.highlight ? "mine" : first ? "first" : "other";
   const marks = (method, points, r) => points.map(({ x, y }) => `M${x.toFixed(1)} ${y.toFixed(1)}${stepbench.shape(method, r)}`).join("");
-  const curve = ({ method, kind, places }, d, ...more) => svg("g", { class: `curve ${kind}`, "data-method": places, style: `--own: ${stepbench.colour(method)}` },
+  const curve = ({ method, kind, places }, d, ...more) => svg("g",
+    { class: `curve ${kind}`, "data-method": places, style: `--own: ${stepbench.colour(method)}` },
     svg("path", { class: "line", d, "stroke-dasharray": method.dash[1] > 0 && method.dash.join(" ") }), ...more);
   const label = (method, said, x, y, more) => text(x, y, said, { class: "name", style: `fill: ${stepbench.colour(method)}`, ...more });
   // Names at the right edge, at the ends of their curves and moved apart; they may be a legend for keys.
@@ -70,21 +71,22 @@
     for (const item of shown) next = (item.at = Math.max(next, item.end.y)) + step;
     for (const item of [...shown].reverse()) least = (item.at = Math.min(item.at, least)) - step;
     const entry = (item) => {
-      const light = (on) => {
-        on &&= !off.has(item.places);
-        group.parentNode.classList.toggle("one", on);
-        item.node.classList.toggle("lit", on);
+      const light = (lit) => {
+        group.parentNode.classList.toggle("one", lit);
+        item.node.classList.toggle("lit", lit);
       };
+      const on = () => light(!hidden.has(item.places)), off = () => light(false);
       return svg("g", switches ? {
         class: "entry switch", tabindex: 0, role: "button", "aria-label": `show ${item.method.short}`, "data-method": item.places,
-        pointerenter: () => light(true), pointerleave: () => light(false), focus: () => light(true), blur: () => light(false), click: () => light(false),
+        pointerenter: on, pointerleave: off, focus: on, blur: off, click: off,
         keydown(event) {
           if (!["Enter", " "].includes(event.key)) return;
           event.preventDefault();
           event.target.dispatchEvent(new MouseEvent("click", { bubbles: true, shiftKey: event.shiftKey }));
         },
       } : { "data-method": item.places },
-      svg("path", { class: "leader", d: `M${item.end.x + 4} ${item.end.y}L${x - 4} ${item.at}` }), label(item.method, stepbench.cut(item.name), x, item.at + 4),
+      svg("path", { class: "leader", d: `M${item.end.x + 4} ${item.end.y}L${x - 4} ${item.at}` }),
+      label(item.method, stepbench.cut(item.name), x, item.at + 4),
       svg("title", {}, switches ? `${item.method.label}: a click hides or shows it, a double click shows it alone` : item.name));
     };
     const group = svg("g", { class: "legend" }, ...shown.map(entry));
@@ -99,7 +101,7 @@
     const errors = stepbench.columnOf(runs, group), costs = stepbench.columnOf(runs, cost);
     const points = runs.resolutions.map((resolution, k) => {
       const ending = runs.endings?.[k] ?? "ok";
-      return { resolution, ending, failed: ending !== "ok", index: runs.method, error: errors ? errors[k] : NaN, cost: costs ? costs[k] : NaN };
+      return { resolution, ending, failed: ending !== "ok", index: runs.method, error: errors?.[k] ?? NaN, cost: costs?.[k] ?? NaN };
     }).filter(({ ending }) => !data.not_tried.includes(ending));
     return { method: data.methods[runs.method], places: runs.method, points };
   }).filter((own) => own.points.length);
@@ -178,7 +180,7 @@
   // Pointer and keys find runs; a click opens the scene's page.
   const listen = (chart, points, question, size, address) => {
     const ring = svg("circle", { class: "found", r: size.mark + 4, visibility: "hidden" }), box = () => chart.getBoundingClientRect();
-    const scale = () => box().width / chart.viewBox.baseVal.width, seen = () => points.filter((p) => !off.has(p.index));
+    const scale = () => box().width / chart.viewBox.baseVal.width, seen = () => points.filter((p) => !hidden.has(p.index));
     let now = null;
     const hide = () => {
       ring.setAttribute("visibility", "hidden");
@@ -232,7 +234,8 @@
       return;
     }
     const answer = stepbench.answer()[index], floor = stepbench.floor(index), rank = { other: 0, first: 1, mine: 2 };
-    const curves = pointsOf(index, question).map((own) => ({ ...own, name: own.method.short, kind: kindOf(own.method, answer?.first.includes(own.places)) }));
+    const curves = pointsOf(index, question).map((own) =>
+      ({ ...own, name: own.method.short, kind: kindOf(own.method, answer?.first.includes(own.places)) }));
     const wide = Math.max(260, Math.round(known || place.clientWidth || (large ? 900 : 360)));
     const narrow = large && wide < 560, names = large && !narrow, size = large ? { ...LARGE } : SMALL;
     if (narrow) Object.assign(size, { right: 14, left: 50, high: 380 });
@@ -242,7 +245,8 @@
       { role: names ? "group" : "img", tabindex: 0, "aria-label": words(scene, curves, question, answer) });
     if (at.floor !== null && at.floor < inside.y1) {
       chart.append(svg("rect", { class: "floor", x: inside.x0, y: at.floor, width: inside.x1 - inside.x0, height: inside.y1 - at.floor }));
-      if (large) chart.append(text(inside.x0 + 6, at.floor + 14, `below: within ${data.trust} times ${stepbench.violation(question) ? "rounding" : "the reference's own error"}, ${stepbench.ownError(index, question.group)}`, { class: "floor-name" }));
+      const own = `${stepbench.violation(question) ? "rounding" : "the reference's own error"}, ${stepbench.ownError(index, question.group)}`;
+      if (large) chart.append(text(inside.x0 + 6, at.floor + 14, `below: within ${data.trust} times ${own}`, { class: "floor-name" }));
     }
     at.bands.forEach((name, k) => chart.append(
       svg("rect", { class: "band", x: inside.x0, y: size.top + BAND * k + 1, width: inside.x1 - inside.x0, height: BAND - 2 }),
@@ -256,8 +260,9 @@
     for (const item of drawn) {
       const shown = item.points.filter((p) => p.shown), line = shown.filter((p) => !p.banded), mark = size.mark * (item.kind === "first" ? 1.35 : 1);
       item.end = line.at(-1);
+      const marked = (looks, failed) => svg("path", { class: looks, d: marks(item.method, shown.filter((p) => p.failed === failed), mark) });
       item.node = curve(item, line.map((p, k) => `${k ? "L" : "M"}${p.x.toFixed(1)} ${p.y.toFixed(1)}`).join(""),
-        ...[["marks", false], ["marks open", true]].map(([looks, failed]) => svg("path", { class: looks, d: marks(item.method, shown.filter((p) => p.failed === failed), mark) })));
+        marked("marks", false), marked("marks open", true));
       chart.append(item.node);
     }
     const all = curves.flatMap((own) => own.points.filter((p) => p.shown));
@@ -279,9 +284,10 @@
       if (spot) own.append(label(item.method, item.name, spot.left, spot.top + 12));
     }
     if (names) chart.append(legend(drawn, inside, true));
-    if (large) chart.append(text(beside ? inside.x1 - 4 : inside.x0 + 6, y - 5, `asked: ${question.target}`, { class: "asked-name", "text-anchor": beside ? "end" : "start" }));
-    if (all.every((p) => p.failed)) chart.append(text(wide / 2, size.high / 2, !curves.length ? "not run"
-      : curves.some((own) => own.points.some((p) => !p.failed)) ? `no ${data.cost_words[question.cost]} known` : "no run reached the end", { class: "nothing", "text-anchor": "middle" }));
+    const looks = { class: "asked-name", "text-anchor": beside ? "end" : "start" };
+    if (large) chart.append(text(beside ? inside.x1 - 4 : inside.x0 + 6, y - 5, `asked: ${question.target}`, looks));
+    const why = !curves.length ? "not run" : curves.every((own) => own.points.every((p) => p.failed)) ? "no run reached the end" : `no ${data.cost_words[question.cost]} known`;
+    if (all.every((p) => p.failed)) chart.append(text(wide / 2, size.high / 2, why, { class: "nothing", "text-anchor": "middle" }));
     listen(chart, all, question, size, large ? null : stepbench.page(scene.page));
     stepbench.hide(chart);
     place.replaceChildren(chart);

@@ -61,9 +61,14 @@
     // The runs of a method on a scene, by their places.
     runsOf: (scene, index) => data.runs_of[scene].find((own) => own.method === index),
     // The error up to which the reference cannot judge.
-    floor: (scene, { group, norm } = stepbench.question) => data.scenes[scene].floor[norm === data.first.norm ? group : `${group}|${norm}`],
+    floor: (scene, { group, norm } = stepbench.question) =>
+      data.scenes[scene].floor[norm === data.first.norm ? group : `${group}|${norm}`],
     // The address of a page; one file that holds all pages has anchors instead.
-    page: (file) => single ? "#" + encodeURI(file.split("#")[1] || file.replace(/\.html$/, "")) : root + encodeURI(file) + (file.includes("#") ? "" : address()),
+    page: (file) => single ? "#" + encodeURI(file.split("#")[1] || file.replace(/\.html$/, ""))
+      : root + encodeURI(file) + (file.includes("#") ? "" : address()),
+    // 'A, B, C and 2 more' of parts of sentences.
+    listed: (all, most = 3) => [...all.slice(0, most), ...(all.length > most ? [[`${all.length - most} more`]] : [])]
+      .flatMap((item, k, shown) => [...(k ? [k < shown.length - 1 ? ", " : " and "] : []), ...item]),
     methodRef: (index) => ({ kind: "method", key: data.methods[index].label, text: data.methods[index].short, page: data.methods[index].page }),
   });
 
@@ -148,15 +153,15 @@
     const scenes = judged(question), rows = stepbench.standings(question), count = scenes.length;
     const every = ["", "the scene", "both scenes"][count] ?? `all ${count} scenes`, missed = scenes.filter((scene) => !scene.reached).length;
     const [, one, two] = rows[0] || [0, 0, 0], most = one + two;
-    const lead = rows.filter(([, alone, tied]) => alone + tied === most).map(([m]) => stepbench.methodRef(m));
+    const lead = rows.filter(([, alone, tied]) => alone + tied === most).map(([m]) => [stepbench.methodRef(m)]);
     const kind = !most ? missed < count ? "unpriced" : count ? "nobody" : "unjudged" : lead.length > 1 ? "several" : "one";
     const but = !one || lead.length < 2 && one < most ? `, ${one || "none"} alone` : missed ? `; nobody reaches ${missed}` : "";
-    const values = { on: most && most < count ? `${most} of ${count} scenes` : every, but, target: question.target, any: count === 1 ? "the scene" : `any of the ${count} scenes judged` };
+    const any = count === 1 ? "the scene" : `any of the ${count} scenes judged`, on = most && most < count ? `${most} of ${count} scenes` : every;
+    const values = { on, but, target: question.target, any };
     const [before, after] = data.headlines[kind].replace(/\{(on|but|target|any)\}/g, (_, name) => values[name]).split("{who}");
     const [leader] = of ? stepbench.standings(of) : [], own = leader && rows.find(([m]) => m === leader[0]);
     const beside = most && own && own[1] + own[2] < most ? [`; ${data.methods[own[0]].short} on ${own[1] + own[2] || "none"}.`] : [];
-    const who = lead.length > 3 ? [...lead.slice(0, 3), `${lead.length - 3} more`] : lead;
-    const end = after === undefined ? [before] : [...who.flatMap((ref, k) => k ? [k < who.length - 1 ? ", " : " and ", ref] : [ref]), after];
+    const end = after === undefined ? [before] : [...stepbench.listed(lead), after];
     return beside.length ? [...end.slice(0, -1), end.at(-1).slice(0, -1), ...beside] : end;
   };
 })();

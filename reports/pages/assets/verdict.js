@@ -6,9 +6,6 @@
   const STATES = {
     far: "not reached", failed: "no run reached the end", unknown: "reached, cost not measured", refused: "the method does not take the scene",
   };
-  // So many winners are named.
-  const MOST = 3;
-
   // The run of the least error of some methods on a scene: its method, place and error.
   const nearest = (all, { group }) => {
     let best = null;
@@ -22,7 +19,6 @@
     const state = stepbench.answer()[scene]?.states[index];
     return Array.isArray(state) ? { index, k: state[1] } : null;
   };
-  const joined = (items) => items.flatMap((item, k) => [...(k ? [k < items.length - 1 ? ", " : " and "] : []), ...item]);
   // A violation that is larger than the accuracy is told to be.
   const times = (off, { target }) => off > Number(target) ? `: ${number(off / target)} times the accuracy` : "";
   const quantity = ({ group }) => data.group_names[group];
@@ -33,20 +29,23 @@
     if (!own.first.length) {
       const near = nearest(data.runs_of[scene], question);
       if (own.reached) return ["It is reached, at costs that are not measured."];
-      return [`No method reaches ${question.target} in ${quantity(question)}`, ...(near ? ["; nearest: ", stepbench.methodRef(near.index), ` (${number(near.error)} at ${runsOf(scene, near.index).resolutions[near.k]}).`] : ["."])];
+      const at = near && ` (${number(near.error)} at ${runsOf(scene, near.index).resolutions[near.k]}).`;
+      return [`No method reaches ${question.target} in ${quantity(question)}`, ...(near ? ["; nearest: ", stepbench.methodRef(near.index), at] : ["."])];
     }
     const run = (m) => {
-      const [, k, cost] = own.states[m], runs = runsOf(scene, m), off = columnOf(runs, "constraint")?.[k], said = [`${stepbench.costWithUnit(cost, question.cost)} at ${runs.resolutions[k]}`];
+      const [, k, cost] = own.states[m], runs = runsOf(scene, m), off = columnOf(runs, "constraint")?.[k];
+      const said = [`${stepbench.costWithUnit(cost, question.cost)} at ${runs.resolutions[k]}`];
       if (off > 0) said.push(`violation of Φ ${runs.phi[k]}${runs.phi[k] ? ", " : ""}relative ${number(off)}${times(off, question)}`);
       // It ties from a later start alone, or its accelerations are wrong.
       if (own.later.includes(m)) said.push(data.later);
       if (question.group !== "a" && data.scenes[scene].wrong_a.includes(m)) said.push(data.wrong_a);
       return [stepbench.methodRef(m), ` (${said.join("; ")})`];
     };
-    const shown = own.first.slice(0, MOST).map(run), more = own.first.length - shown.length, next = own.second;
-    return [...joined([...shown, ...(more ? [[`${more} more`]] : [])]),
-      own.first.length > 1 ? " tie" : own.votes && next === null ? " alone reaches it" : " is cheapest",
-      ...(next !== null ? ["; next: ", stepbench.methodRef(next), `, ${stepbench.multiple(own.states[next][0])} times`] : own.votes ? [] : ["; none to compare"]), "."];
+    const next = own.second;
+    const rest = next !== null ? ["; next: ", stepbench.methodRef(next), `, ${stepbench.multiple(own.states[next][0])} times.`]
+      : [own.votes ? "." : "; none to compare."];
+    return [...stepbench.listed(own.first.map(run)),
+      own.first.length > 1 ? " tie" : own.votes && next === null ? " alone reaches it" : " is cheapest", ...rest];
   };
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
     const scene = Number(place.dataset.verdict), aim = stepbench.answer()[scene]?.reached ? [`To ${question.target} in ${quantity(question)}: `] : [];
@@ -59,7 +58,8 @@
     const run = best || nearest(data.runs_of[scene], question), method = data.methods[run?.index], card = place.closest("section");
     card.hidden = !method?.command;
     if (card.hidden) return;
-    place.textContent = `stepbench solve ${data.scenes[scene].command} ${method.command} ${runsOf(scene, run.index).options[run.k]} --t-end ${place.dataset.end}${method.plugins}`;
+    place.textContent = ["stepbench solve", data.scenes[scene].command, method.command, runsOf(scene, run.index).options[run.k],
+      "--t-end", `${place.dataset.end}${method.plugins}`].join(" ");
     const why = !own ? "The reference cannot judge" : own.reached && own.states.includes("unknown") ? "No cost is known at" : "No method reaches";
     card.querySelector(".note").textContent = best ? `It repeats the run of ${method.short} in the verdict.`
       : `${why} ${question.target} in ${quantity(question)}; this run came nearest, with ${number(run.error)}.`;
@@ -68,11 +68,13 @@
   // The cost of a run over that of another one, with the interval of times, and whether they are told apart.
   const against = (runs, k, other, j, cost) => {
     const ratio = columnOf(runs, cost)[k] / columnOf(other, cost)[j];
-    const [a, b] = cost === "seconds" ? [runs.spread[k], other.spread[j]] : [], ends = a && b ? [a[0] / b[1], a[1] / b[0]] : [ratio, ratio];
-    const tie = Math.max(ratio, 1 / ratio) <= data.apart[cost === "seconds" && !(a && b) ? "few" : cost] || ends[0] <= 1 && ends[1] >= 1;
-    return `${number(ratio)} ×${a && b ? ` (${ends.map(number).join(" to ")})` : ""}${tie ? ", not told apart" : ""}`;
+    const [a, b] = cost === "seconds" ? [runs.spread[k], other.spread[j]] : [], known = a && b, ends = known ? [a[0] / b[1], a[1] / b[0]] : [ratio, ratio];
+    const tie = Math.max(ratio, 1 / ratio) <= data.apart[cost === "seconds" && !known ? "few" : cost] || ends[0] <= 1 && ends[1] >= 1;
+    return `${number(ratio)} ×${known ? ` (${ends.map(number).join(" to ")})` : ""}${tie ? ", not told apart" : ""}`;
   };
-  const heads = (question, mine) => [stepbench.costName(question), "multiple of the best", ...(mine ? [`multiple of ${data.methods[mine.index].short}${question.cost === "seconds" ? " (interval)" : ""}`] : []), `error in ${quantity(question).split(" ").at(-1)}`];
+  const heads = (question, mine) => [stepbench.costName(question), "multiple of the best",
+    ...(mine ? [`multiple of ${data.methods[mine.index].short}${question.cost === "seconds" ? " (interval)" : ""}`] : []),
+    `error in ${quantity(question).split(" ").at(-1)}`];
   const aim = (question) => `with an error of at most ${question.target} in ${quantity(question)}, ${stepbench.norm()}`;
   // A row that begins with the cells ``lead``: what the accuracy costs a method on a scene, or why it has no cost.
   const row = (lead, scene, index, state, question, mine, held) => {
@@ -82,36 +84,45 @@
         far: near ? ` down to ${runs.resolutions.at(-1)}; least error: ${number(near.error)}` : "",
         failed: `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}`, refused: `: ${runs.refused}`,
       };
-      return html("tr", { class: "out" }, ...lead, html("td", { colspan: 3 + 2 * held + Boolean(mine) }, state ? STATES[state] + (told[state] ?? "") : "cannot be judged"));
+      const text = state ? STATES[state] + (told[state] ?? "") : "cannot be judged";
+      return html("tr", { class: "out" }, ...lead, html("td", { colspan: 3 + 2 * held + Boolean(mine) }, text));
     }
     const [multiple, k, cost] = state, off = held ? columnOf(runs, "constraint")[k] : NaN;
     const beside = mine?.k === undefined || index === mine.index ? "" : against(runs, k, runsOf(scene, mine.index), mine.k, question.cost);
-    const cells = [[stepbench.costText(cost, question.cost)], [`${stepbench.multiple(multiple)} ×`], ...(mine ? [[beside]] : []), [number(columnOf(runs, question.group)[k])],
-      ...(held ? [[runs.phi[k]], [number(off), times(off, question)]] : [])];
+    const cells = [[stepbench.costText(cost, question.cost)], [`${stepbench.multiple(multiple)} ×`], ...(mine ? [[beside]] : []),
+      [number(columnOf(runs, question.group)[k])], ...(held ? [[runs.phi[k]], [number(off), times(off, question)]] : [])];
     return html("tr", { class: data.methods[index].label === question.highlight && "mine" }, ...lead, ...cells.map((cell) => html("td", {}, ...cell)));
   };
   const refused = (runs) => runs.refused !== undefined && "refused";
   const placeOf = (label) => data.methods.findIndex((method) => method.label === label);
   for (const table of document.querySelectorAll("[data-methods]")) stepbench.onChange((question) => {
-    const scene = Number(table.dataset.methods), states = stepbench.answer()[scene]?.states, multiple = ([, state]) => Array.isArray(state) ? state[0] : Infinity;
+    const scene = Number(table.dataset.methods), states = stepbench.answer()[scene]?.states;
+    const multiple = ([, state]) => Array.isArray(state) ? state[0] : Infinity;
     const others = states ? data.runs_of[scene].filter(refused).map((runs) => [runs.method, "refused"]) : [];
     const found = [...(states || []).entries(), ...others].filter(([, state]) => state !== null).sort((one, two) => multiple(one) - multiple(two) || 0);
     table.closest("section").hidden = !found.length;
     const held = data.scenes[scene].groups.includes("constraint"), own = placeOf(question.highlight), mine = reaching(scene, own);
     const why = mine ? "" : own < 0 ? "; highlight a method to compare all with it" : `; ${data.methods[own].short} does not reach it`;
-    fill(table, `Cheapest run of each ${aim(question)}${why}`, [columns("method", ...(held ? ["form"] : []), ...heads(question, mine), ...(held ? ["violation of Φ", "relative"] : []))],
-      found.map(([index, state]) => row([stepbench.head(data.methods[index]), ...(held ? [html("td", {}, data.methods[index].form)] : [])], scene, index, state, question, mine, held)));
+    const names = ["method", ...(held ? ["form"] : []), ...heads(question, mine), ...(held ? ["violation of Φ", "relative"] : [])];
+    fill(table, `Cheapest run of each ${aim(question)}${why}`, [columns(...names)], found.map(([index, state]) => {
+      const method = data.methods[index], form = held ? [html("td", {}, method.form)] : [];
+      return row([stepbench.head(method), ...form], scene, index, state, question, mine, held);
+    }));
   });
   // All scenes of one method, and how it stands there.
   for (const table of document.querySelectorAll("[data-scenes]")) stepbench.onChange((question) => {
     const index = placeOf(table.dataset.scenes), other = placeOf(question.highlight), mine = other >= 0 && other !== index ? { index: other } : null;
     const own = stepbench.answer().map((found, k) => ({ scene: data.scenes[k], k, runs: runsOf(k, index), found })).filter(({ runs }) => runs);
     const count = (is) => own.filter(({ found }) => found && is(found)).length, wins = (found) => found.votes && found.first.includes(index);
-    document.querySelector(`[data-standing="${table.id}"]`).textContent = `Reaches ${question.target} in ${quantity(question)} (${stepbench.norm()}) on ${count((found) => stepbench.reaches(found.states[index]))} of ${count((found) => found.states[index])} scenes tried; at the least ${data.cost_words[question.cost]} alone on ${count((found) => wins(found) && found.alone)}, tied on ${count((found) => wins(found) && !found.alone)}.`;
-    fill(table, `Its cheapest run ${aim(question)}, on each scene`, [columns("scene", ...heads(question, mine), "cheapest")], own.map(({ scene, k, runs, found }) => {
+    const reached = count((found) => stepbench.reaches(found.states[index])), tried = count((found) => found.states[index]);
+    document.querySelector(`[data-standing="${table.id}"]`).textContent =
+      `Reaches ${question.target} in ${quantity(question)} (${stepbench.norm()}) on ${reached} of ${tried} scenes tried; ` +
+      `at the least ${data.cost_words[question.cost]} alone on ${count((found) => wins(found) && found.alone)}, tied on ${count((found) => wins(found) && !found.alone)}.`;
+    const names = ["scene", ...heads(question, mine), "cheapest"];
+    fill(table, `Its cheapest run ${aim(question)}, on each scene`, [columns(...names)], own.map(({ scene, k, runs, found }) => {
       const lead = html("th", { scope: "row" }, stepbench.to(scene.page, { title: scene.id }, scene.name));
       const line = row([lead], k, index, refused(runs) || found?.states[index], question, mine && { ...mine, ...reaching(k, other) }, false);
-      line.append(html("td", {}, ...joined((found?.first || []).slice(0, MOST).map((m) => [part(stepbench.methodRef(m))]))));
+      line.append(html("td", {}, ...stepbench.listed((found?.first || []).map((m) => [part(stepbench.methodRef(m))]))));
       return line;
     }));
   });
