@@ -232,9 +232,9 @@ def _ladder(runs: Sequence[Record], cost: str, group: str, norm: str, start: int
     cheapest: list[_Cheapest | None] = []
     best: _Cheapest | None = None
     for _, r in judged:
-        # Of two runs at the same cost the coarser one counts.
+        # Of two runs at the same cost the more accurate one counts.
         value = r.cost(cost)
-        if value is not None and (best is None or value <= best[0]):
+        if value is not None and (best is None or value < best[0]):
             best = value, r
         cheapest.append(best)
     return [error for error, _ in judged], cheapest

@@ -35,7 +35,7 @@ Atlas = Mapping[str, ExperimentResult]
 #: The pairs of a method and a scene by their wrong runs, with captions of their tables.
 _KINDS = {
     "every": "Wrong at every resolution",
-    "some": "Wrong at several resolutions",
+    "some": "Wrong at some resolutions",
     "coarsest": "Wrong at the coarsest resolution alone",
 }
 

@@ -95,7 +95,7 @@ def norms_apart():
     records = odd_runs()
     records += [run("edge", f"m{k}", 100 - k, 1e-4 * (1 + 1e-7 * k)) for k in (-1, 0, 1)]
     records += [run("free", name, cost) for name, cost in (("one", 0), ("two", 7), ("three", 0))]
-    # Two runs at one cost, of which the coarser counts; two with a time each, which tell nothing.
+    # Two runs at one cost, of which the more accurate counts; two that were timed but once.
     records += [
         run("same", "one", 50, 1e-6, h=0.005),
         run("same", "one", 50),

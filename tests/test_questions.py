@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from decimal import ROUND_HALF_UP, Decimal
 from itertools import pairwise
 
 import pytest
@@ -12,6 +13,7 @@ from planted import everything, planted
 from test_ranking import worded
 
 from bench.results.records import UNSUPPORTED
+from reports.pages.site_data import _short
 from reports.questions import ALL, FIRST, GRID, TARGETS, Question, filters, kind_of, plain
 from reports.ranking import answer, answers, by_cost
 from reports.series import series_of
@@ -188,6 +190,14 @@ def test_all_questions_have_answers_for_the_groups_of_the_scenes():
         for sentence in said:
             assert re.fullmatch(r"[A-Za-z0-9][^\n]*\.", sentence)
             assert not re.search(r"None|nan|  | ,|\[\]", sentence), sentence
+
+
+@given(st.floats(1e-9, 1e9), st.integers(100, 999), st.integers(-2, 6), st.sampled_from([5, 7]))
+def test_scripts_show_the_three_digits_that_python_does(value, digits, power, kept):
+    for number in (value, 10.0**power * (10 * digits + 5) / 10):  # and halves between three digits
+        shown = Decimal(_short(number, kept))  # a script rounds halves up
+        place = Decimal(1).scaleb(shown.adjusted() - 2)
+        assert float(shown.quantize(place, ROUND_HALF_UP)) == float(f"{number:.3g}")
 
 
 def test_other_winners_by_time_are_explained_by_the_time_of_an_operation():

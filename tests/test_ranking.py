@@ -173,11 +173,11 @@ def test_a_verdict_in_words():
     assert not by["seconds"].votes
 
 
-def test_the_coarser_of_two_runs_at_one_cost_counts_and_the_norm_that_is_asked():
+def test_the_more_accurate_of_two_runs_at_one_cost_counts_and_the_norm_that_is_asked():
     fine, coarse = run("one", "quick", 0.005, None, 90), run("one", "quick", 0.01, None, 90)
     for records in ((fine, coarse), (coarse, fine)):
         runs = [e.run for own in judged(*records).values() for e in own.entries.values()]
-        assert {run.h for run in runs if run} == {0.01}
+        assert {run.h for run in runs if run} == {0.005}
     early = run("one", "quick", 0.01, 1e-3, 1)
     early.errors["a"] |= {"max": 1e-2, "end": 1e-9}
     assert judged(early, run("one", "lean", 0.01, 1e-3, 9))["residuals"].tied == ["lean"]

@@ -176,19 +176,25 @@ def _spread(record: Record) -> list[float] | None:
 
 def _value(record: Record, name: str) -> float | None:
     """A cost, or an error of a run that reached the end; None for none that an axis can show."""
+    digits = 5
     if name in RANKED_COSTS:
-        value = record.cost(name)
+        value, digits = record.cost(name), 7  # of which a script shows quotients
     else:
         group, _, norm = name.partition("|")
         value = record.error(group, norm or NORM) if record.status == "ok" else None
     # A zero has no logarithm; it is drawn at the edge of the chart.
-    return None if value is None else _short(min(max(value, _LEAST), 1 / _LEAST))
+    return None if value is None else _short(min(max(value, _LEAST), 1 / _LEAST), digits)
 
 
 def _short(value: float, digits: int = 5) -> float:
-    """A number as short as a chart needs it; it stays on its side of the nearest power of ten."""
+    """A number as short as a chart needs it; it stays on its side of the nearest power of ten, and
+    a script shows the three digits of it that Python does."""
     short, power = float(f"{value:.{digits}g}"), 10.0 ** round(math.log10(value))
-    return value if (short > power) != (value > power) else short
+    if (short > power) != (value > power) or f"{short:.3g}" != f"{value:.3g}":
+        short = value
+    # Halves between three digits are rounded up by a script, by Python to an even digit.
+    half = short == float(f"{short:.4g}") and f"{short:.3e}"[4] == "5"
+    return math.nextafter(short, 0.0) if half and float(f"{short:.3g}") < short else short
 
 
 # ---- answers -----------------------------------------------------------------------------

@@ -38,7 +38,7 @@
     const open = card.querySelector("details")?.open, here = stepbench.answer();
     const line = (name, ...parts) => html("p", { class: name }, ...parts.map(part)), [wrong, ...which] = stepbench.wrong("filters", question.scenes);
     const worst = stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make"
-      : "of the worst component, relative to its largest value in the reference";
+      : "of the worst component, relative to its natural size, or else to its largest value in the reference";
     const beside = data.both.filter((cost) => data.both.includes(question.cost) && cost !== question.cost);
     card.replaceChildren(line("headline", ...stepbench.headline(question)),
       ...beside.map((cost) => line("also", `${data.least[cost]}: `, ...stepbench.headline({ ...question, cost }, question))),

@@ -81,7 +81,7 @@
     const runs = runsOf(scene, index);
     if (!Array.isArray(state)) {
       const near = state === "far" && nearest([runs], question), told = {
-        far: near ? ` down to ${runs.resolutions.at(-1)}; least error: ${number(near.error)}` : "",
+        far: near ? ` down to ${runs.resolutions.at(runs.endings?.lastIndexOf("ok") ?? -1)}; least error: ${number(near.error)}` : "",
         failed: `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}`, refused: `: ${runs.refused}`,
       };
       const text = state ? STATES[state] + (told[state] ?? "") : "cannot be judged";
