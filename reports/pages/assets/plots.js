@@ -90,7 +90,7 @@
       svg("title", {}, switches ? `${item.method.label}: a click hides or shows it, a double click shows it alone` : item.name));
     };
     const group = svg("g", { class: "legend" }, ...shown.map(entry));
-    if (rest) group.append(text(x, y1 + 16, `and ${own.length - shown.length} more`, { class: "more" }));
+    if (rest) group.append(text(x + 10, y1 + 16, `and ${own.length - shown.length} more`, { class: "more" }));
     return group;
   };
   Object.assign(stepbench, { curve, marks, kindOf, legend });
