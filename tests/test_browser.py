@@ -270,6 +270,8 @@ def test_contents_are_filtered(browser, site):
         ("spared", ["Hit (spared)"]),
         ("the pendulum scene", ["pendulum"]),
         ("a word.", ["A word."]),
+        ("λ", ["Multiplier"]),
+        ("trust", ["How it was measured"]),
         ("zzz", []),
     ):
         field.send_keys(asked)  # scenes, methods by name, sections, words of the glossary

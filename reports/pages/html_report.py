@@ -75,7 +75,8 @@ class Site:
                 if s.anchor:
                     sections.append(Link(root + self.address(s.anchor, ""), s.title))
         place = (root + self.link(self.glossary)).partition("#")[0]
-        words += [Link(f"{place}#{term.anchor}", term.title) for term in TERMS]
+        signs = {"Multiplier": "λ lambda"}
+        words += [Link(f"{place}#{t.anchor}", t.title, words=signs.get(t.name, "")) for t in TERMS]
         return [(heading, links) for heading, links in below.items() if links]
 
     def link(self, page: Page) -> str:

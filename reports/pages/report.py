@@ -149,7 +149,8 @@ class Report:
         ]
         learn = "What the times, counts and errors mean, how far they can be trusted, and on which "
         learn += "machine they were taken."
-        return Page("measured.html", "How it was measured", learn, sections)
+        words = {"words": "trust believe reliable seconds operations ties"}
+        return Page("measured.html", "How it was measured", learn, sections, values=words)
 
     @property
     def overview(self) -> Figure:

@@ -145,7 +145,9 @@ def scene_page(
         "key": name,
         "anchor": anchor,
         "title": scene.title.rstrip(".") if scene else "",
-        "words": " ".join([scene.title, *map(tag_name, scene.tags)]) if scene else "",
+        "words": " ".join((scene.title, *map(tag_name, scene.tags), *scene.difficulties))
+        if scene
+        else "",
         "about": paragraphs(scene.description) if scene else [],
         "facts": scene_facts(scene) if scene else {},
         "beside": [
