@@ -245,7 +245,7 @@ def test_the_policy_allows_no_script_but_the_page_s_own(site):
 
 def test_a_column_keeps_its_numbers_and_those_that_are_missing():
     for cost, shown in [
-        *((None, None), (0.0, 1e-40), (1e-50, 1e-40), (1e300, 1e40), (12345.678, 12346.0)),
+        *((None, None), (0.0, 1e-40), (1e-50, 1e-40), (1e300, 1e40), (12345.6789, 12345.68)),
         *((1e-5, 1e-5), (x := 1e-5 * (1 + 1e-9), x)),  # an accuracy, and beside it
     ]:
         run = planted("p", "i", {}, h=0.1, work={"residuals": cost}, operations={})
