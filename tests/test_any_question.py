@@ -274,6 +274,19 @@ def test_the_command_of_a_tie_repeats_the_run_whose_number_stands_first(browser,
     assert command.startswith("stepbench solve behind one --step 0.01")
 
 
+def test_a_scene_tells_whom_to_avoid(browser, folder):
+    for scene, cost, said in (
+        ("free", "residuals", "Dear: two (∞ \N{MULTIPLICATION SIGN})."),
+        ("broken", "operations", "Not reached by two"),
+        ("near", "operations", ""),
+    ):
+        fragment = f"#group=a&target=1e-4&cost={cost}"
+        visit(browser, folder / "report" / f"scene-{scene}.html", fragment)
+        (_, *more) = each(browser, "[data-verdict] > p", "node.innerText")
+        assert " ".join(more).startswith(said), more
+        assert ("Dear" in " ".join(more)) == (scene == "free")
+
+
 def test_a_highlighted_method_is_compared_with_each(browser, folder):
     """Times are 1e-6 s per residual, with seven samples up to 0.6 % longer."""
     for scene, cost, said in (

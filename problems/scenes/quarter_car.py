@@ -179,7 +179,7 @@ class QuarterCar(SemiActiveDamper, _BodyAndWheel):
     nominal_step = 5e-3
     tags = ("mechatronic", "smooth", "stiff controller states", "vehicle")
     difficulties = (
-        "the acceleration is fed back in the step",
+        "acceleration feedback: the controller reads a within the step",
         "chamber pressures have poles of hundreds to thousands of 1/s: explicit methods crawl",
         "currents run from limit to limit: the asymptotic range begins at small steps",
     )

@@ -157,8 +157,7 @@
     const kind = !most ? missed < count ? "unpriced" : count ? "nobody" : "unjudged" : lead.length > 1 ? "several" : "one";
     const but = !one || lead.length < 2 && one < most ? `, ${one || "none"} alone` : missed ? `; nobody reaches ${missed}` : "";
     const any = count === 1 ? "the scene" : `any of the ${count} scenes judged`, on = most && most < count ? `${most} of ${count} scenes` : every;
-    const values = { on, but, target: question.target, any };
-    const [before, after] = data.headlines[kind].replace(/\{(on|but|target|any)\}/g, (_, name) => values[name]).split("{who}");
+    const [before, after] = data.headlines[kind].replace(/\{(on|but|target|any)\}/g, (_, name) => ({ on, but, target: question.target, any })[name]).split("{who}");
     const [leader] = of ? stepbench.standings(of) : [], own = leader && rows.find(([m]) => m === leader[0]);
     const beside = most && own && own[1] + own[2] < most ? [`; ${data.methods[own[0]].short} on ${own[1] + own[2] || "none"}.`] : [];
     const end = after === undefined ? [before] : [...stepbench.listed(lead), after];

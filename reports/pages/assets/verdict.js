@@ -47,9 +47,17 @@
     return [...stepbench.listed(own.first.map(run)),
       own.first.length > 1 ? " tie" : own.votes && next === null ? " alone reaches it" : " is cheapest", ...rest];
   };
+  // Whom to avoid on a scene: those that cost ten times the least or more, and those that do not reach the accuracy.
+  const avoided = ({ first, states }) => {
+    const of = (is) => [...states.entries()].filter(([, state]) => state !== null && is(state)), { listed, methodRef, multiple } = stepbench;
+    const dear = of(([ratio]) => ratio >= 10).sort(([, [one]], [, [two]]) => two - one).map(([m, [ratio]]) => [methodRef(m), ` (${multiple(ratio)} ×)`]);
+    const far = of((state) => state === "far" || state === "failed").map(([m]) => [methodRef(m)]);
+    return first.length ? [...(dear.length ? ["Dear: ", ...listed(dear), ". "] : []), ...(far.length ? ["Not reached by ", ...listed(far), "."] : [])] : [];
+  };
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
-    const scene = Number(place.dataset.verdict), aim = stepbench.answer()[scene]?.reached ? [`To ${question.target} in ${quantity(question)}: `] : [];
-    place.replaceChildren(html("p", {}, ...[...aim, ...stepbench.verdict(scene, question)].map(part)), ...stepbench.wrong("scenes", scene));
+    const scene = Number(place.dataset.verdict), own = stepbench.answer()[scene], aim = own?.reached ? [`To ${question.target} in ${quantity(question)}: `] : [];
+    place.replaceChildren(...[[...aim, ...stepbench.verdict(scene, question)], own ? avoided(own) : []].filter((parts) => parts.length)
+      .map((parts) => html("p", {}, ...parts.map(part))), ...stepbench.wrong("scenes", scene));
   });
 
   // A command that repeats the run of the verdict, or else the one that came nearest.
