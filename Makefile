@@ -8,7 +8,7 @@ export PYTHONPYCACHEPREFIX :=
 
 TESTS := $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: run test types test-long survey attack bench pictures clean
+.PHONY: run test types test-long survey attack bench pictures digits clean
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "stepbench needs Python 3.11 or newer; set PYTHON=...")'
@@ -48,6 +48,9 @@ bench: .venv/tested  ## our time loop against C, exudyn and other solvers; micro
 
 pictures: .venv/tested  ## the gallery, README's picture and times of docs/iftomm.md; half an hour, in Chromium
 	$(BIN)/python tests/pictures.py
+
+digits: .venv/tested  ## certain digits of all scenes, problems/truth/digits.json; a quarter of an hour
+	$(BIN)/python tests/digits.py
 
 clean:
 	rm -rf .venv .cache build *.egg-info stepbench-*

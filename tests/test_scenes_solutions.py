@@ -43,24 +43,38 @@ def energies(scene, z):
 
 
 # ---- published digits ------------------------------------------------------------------
+#: Test Set for IVP Solvers, problem caraxis, t = 3, in 21 digits; a from its equations.
+CAR_AXIS = {
+    "q": [0.0493455784275402809122, 0.496989460230171153861,
+          1.04174252488542151681, 0.373911027265361256927],
+    "v": [-0.0770583684040972357970, 0.00744686658723778553466,
+          0.0175568157537232222276, 0.770341043779251976443],
+    "a": [-4.930286874874, 0.520265802413, 0.522011199926, 49.284321166953],
+    "lam": [-0.00473688659084893324729, -0.00110468033125734368808],
+}  # fmt: skip
+#: The same, problem crank, t = 0.1.
+CRANK = {
+    "q": [0.1500000000000104e2, -0.3311734988256260, 0.1697373328427860, 0.1893192899613509e-3,
+          0.2375751249879174e-4, -0.5323896770569702e-5, -0.8363313279112129e-5],
+    "v": [0.15e3, 0.6025346755138369e2, -0.8753116326670527e1, -0.3005541400289738e-1,
+          -0.5500431812571696e-2, 0.4974111734266989e-3, 0.1105560003626645e-2],
+    "a": [0.0, 0.6488737541276957e4, 0.2167938629509884e4, 0.3391137060286523e2,
+          0.1715134772216488, -0.1422449408912512e1, 0.1003946428124810e1],
+    "lam": [-0.6232935833287916e2, -0.1637920993367306e3, 0.2529857947066878e2],
+}  # fmt: skip
+
+
 @pytest.mark.long
 def test_the_car_axis_reference_has_the_published_digits():
-    # Test Set for IVP Solvers, problem caraxis, t = 3, in 21 digits; a from its equations.
     scene = CarAxis()
     t = np.array([0.0, 3.0])
     z = Reference(scene, 3.0)(t)
     assert z["a"][0] == pytest.approx([0, -1, 0, -1], abs=1e-12)
     assert z["lam"][0] == pytest.approx([0, 0], abs=1e-15)
-    q = [0.0493455784275402809122, 0.496989460230171153861,
-         1.04174252488542151681, 0.373911027265361256927]  # fmt: skip
-    v = [-0.0770583684040972357970, 0.00744686658723778553466,
-         0.0175568157537232222276, 0.770341043779251976443]  # fmt: skip
-    assert z["q"][1] == pytest.approx(q, abs=1e-11)
-    assert z["v"][1] == pytest.approx(v, abs=1e-11)
-    a = [-4.930286874874, 0.520265802413, 0.522011199926, 49.284321166953]
-    assert z["a"][1] == pytest.approx(a, rel=1e-9)
-    lam = [-0.00473688659084893324729, -0.00110468033125734368808]
-    assert z["lam"][1] == pytest.approx(lam, rel=1e-9)
+    assert z["q"][1] == pytest.approx(CAR_AXIS["q"], abs=1e-11)
+    assert z["v"][1] == pytest.approx(CAR_AXIS["v"], abs=1e-11)
+    assert z["a"][1] == pytest.approx(CAR_AXIS["a"], rel=1e-9)
+    assert z["lam"][1] == pytest.approx(CAR_AXIS["lam"], rel=1e-9)
     assert max(drift(scene, z, t)) < 1e-11
 
 
@@ -80,8 +94,8 @@ def test_the_squeezing_mechanism_has_the_forces_of_its_energies():
 
 @pytest.mark.long
 def test_the_flexible_slider_crank_has_the_published_digits_as_far_as_they_go():
-    # Test Set for IVP Solvers, problem crank, t = 0.1. Its initial values satisfy the constraints
-    # to 1e-8 only, and ours exactly: the solutions differ by the excited vibration.
+    # The initial values of the source satisfy the constraints to 1e-8 only, and ours exactly: the
+    # solutions differ by the excited vibration.
     scene = SliderCrankFlexible()
     t = np.array([0.0, 0.1])
     z = Reference(scene, 0.1)(t)
@@ -91,17 +105,10 @@ def test_the_flexible_slider_crank_has_the_published_digits_as_far_as_they_go():
          1.449382650173157e-8, -4.268463211410861, 2.098334687947376e-1]  # fmt: skip
     assert z["a"][0] == pytest.approx(a, abs=1e-6, rel=1e-8)
     assert z["lam"][0, 1] == pytest.approx(3.824589508329281e2, rel=1e-8)
-    q = [0.1500000000000104e2, -0.3311734988256260, 0.1697373328427860, 0.1893192899613509e-3,
-         0.2375751249879174e-4, -0.5323896770569702e-5, -0.8363313279112129e-5]  # fmt: skip
-    v = [0.15e3, 0.6025346755138369e2, -0.8753116326670527e1, -0.3005541400289738e-1,
-         -0.5500431812571696e-2, 0.4974111734266989e-3, 0.1105560003626645e-2]  # fmt: skip
-    a = [0.0, 0.6488737541276957e4, 0.2167938629509884e4, 0.3391137060286523e2,
-         0.1715134772216488, -0.1422449408912512e1, 0.1003946428124810e1]  # fmt: skip
-    lam = [-0.6232935833287916e2, -0.1637920993367306e3, 0.2529857947066878e2]
-    assert z["q"][1] == pytest.approx(q, rel=1e-6)
-    assert z["v"][1] == pytest.approx(v, abs=1e-6)
-    assert z["a"][1] == pytest.approx(a, abs=1e-3)
-    assert z["lam"][1] == pytest.approx(lam, rel=2e-7)
+    assert z["q"][1] == pytest.approx(CRANK["q"], rel=1e-6)
+    assert z["v"][1] == pytest.approx(CRANK["v"], abs=1e-6)
+    assert z["a"][1] == pytest.approx(CRANK["a"], abs=1e-3)
+    assert z["lam"][1] == pytest.approx(CRANK["lam"], rel=2e-7)
     assert max(drift(scene, z, t)) < 1e-11
 
 

@@ -172,6 +172,8 @@ _OPTIONS = {
     "template": ("--template", "Write an empty file of rows: head, facts, and the scene's start.",
                  _is(_FILE)),
     "count": ("--steps", "Number of steps.", _is(click.IntRange(2, 10**9), default=100_000)),
+    "every": ("--every", "Time in s from one instant to the next; a tenth of the interval if not "
+              "given.", _REAL),
     "rate": ("--rate", "Steps per second.", _is(click.FloatRange(0, min_open=True), required=True)),
     "iterations": ("--iterations", "Limit of iterations in each call of Newton's method; "
                    "both 1 and unlimited if not given.", _is(click.IntRange(1, 1000))),

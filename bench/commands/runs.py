@@ -1,4 +1,4 @@
-"""The commands of single runs: `solve`, also of ensembles, `map`, and `judge`."""
+"""The commands of single runs: `solve`, also of ensembles, `map`, `judge`, and `truth`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.commands import options
 from bench.commands.options import MOST_MEMBERS, Given
-from bench.results.flat_rows import published_table
+from bench.results.flat_rows import csv_text, published_table
 from bench.results.quantities import ASKED, ERROR_NAMES, NORM, NORMS
 from bench.results.records import Record, Rows
 from bench.results.table import NO_VALUE, Table, formatted
@@ -355,3 +355,47 @@ def _judged(series: Series) -> Table:
     note = "Points: by the rule of the IFToMM library. " * len(points) + note
     heads = [ERROR_NAMES[g].split()[-1] for g in groups]
     return Table(title, ["run", *heads, *points, "seconds"], rows, note=note)
+
+
+# ---- certain digits ----------------------------------------------------------------------
+@options.command(
+    "truth", "problem every at settings budget plugins as_json as_csv",
+    at={"help": "These instants in s.", "metavar": "T1,..."},
+    as_csv={"help": "Print comma-separated rows, as `judge` reads them."},
+)  # fmt: skip
+def truth(o: Given) -> None:
+    """Print the certain digits of a scene.
+
+    A number is printed as far as independent ways agree: a closed form or Gauss collocation, and
+    Radau IIA, also with changed data. It is off by at most one unit of its last digit.
+
+    \b
+    Examples:
+      stepbench truth slider_crank --at 0,0.5,1 --json
+      stepbench truth duffing --every 0.5 --csv > duffing.csv
+    """
+    from bench.commands.terminal import show
+    from bench.running.truth import truth_job
+
+    if o.every is not None:
+        options.refuse("does not go with --every; give one of them.", "at")
+    if o.as_json:
+        options.refuse("does not go with --json; give one of them.", "as_csv")
+    scene = options.usable_registry(o.plugins).problem(o.problem, **o.settings)
+    task = scene.sources, o.budget, scene.spec, o.every, o.at
+    found = options.guarded(o.problem, truth_job, *task)
+    rows, named = found["rows"], found["components"]
+    places = [(g, i, name) for g, names in named.items() for i, name in enumerate(names)]
+    if o.as_json:
+        options.print_json(found)
+    elif o.as_csv:
+        table = [{"t": r["t"], **{f"{g}{i + 1}": r[g][i] for g, i, _ in places}} for r in rows]
+        click.echo(csv_text(table), nl=False)
+    else:
+        values = [[f"{g} {n}", f"{r['t']:g}", r[g][i]] for g, i, n in places for r in rows]
+        digits = [[f"{r['t']:g}", *(str(r["digits"][g]) for g in named)] for r in rows]
+        show(
+            Table(f"{found['scene']}: certain digits", ["component", "t [s]", "value"], values),
+            Table("Number of certain digits", ["t [s]", *named], digits),
+            *(f"How: {found['how']}.", *found["remarks"]),
+        )

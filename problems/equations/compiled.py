@@ -16,6 +16,7 @@ from problems.equations.constraints import (
     projected_state,
 )
 from problems.equations.formulations import (
+    Baumgarte,
     Start,
     algebraic_iterations,
     complete,
@@ -49,6 +50,8 @@ class Compiled:
     ``rates(values, t, s)``
         the same at k times, arrays of shape ``(k,)`` and ``(k, n)``, with all parameters in one
         array, in the order of p: a call costs a microsecond for every array that it is given
+    ``pulled(values, t, s, rate)``
+        the same with Baumgarte's terms of a rate in 1/s
     ``complete(p, q, v, x, t)``
         `formulations.complete` at k times; arrays of shape ``(k, n)``, t of shape ``(k,)``, as may
         be the values of p here and below, where they jump
@@ -79,8 +82,9 @@ class Compiled:
             changes = jnp.eye(states if states <= MOST_STATES else 0, states)
             return linearised(at(p), q, v, x, t, changes)
 
-        def rate(values: Array, t: Array, s: Array) -> Array:
-            return ode_rate(at(dict(zip(names, values, strict=True))), t, s)
+        def rate(values: Array, t: Array, s: Array, pull: Array | None = None) -> Array:
+            terms = None if pull is None else Baumgarte(pull, pull)
+            return ode_rate(at(dict(zip(names, values, strict=True))), t, s, terms)
 
         def levels(p: Mapping, q: Array, v: Array, a: Array, t: Array) -> tuple[Array, ...]:
             s = at(p)
@@ -97,6 +101,7 @@ class Compiled:
         self.starts = _over_rows(lambda p, *state: with_rates(at(p), *state))
         self.ode = jax.jit(lambda p, t, s: ode_rate(at(p), t, s))
         self.rates = jax.jit(jax.vmap(rate, (None, 0, 0)))
+        self.pulled = jax.jit(jax.vmap(rate, (None, 0, 0, None)))
         self.complete = _over_rows(lambda p, *state: complete(at(p), *state))
         self.levels = _over_rows(levels)
         self.invariants = {block: invariant(block) for block in INVARIANTS}

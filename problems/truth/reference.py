@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from problems.equations.layouts import state_layout
 from problems.hybrid.phases import Cut, EndlessEvents, crossing, falls, march
 from problems.system import MechatronicSystem
 from problems.truth.collocation import Motion, TooSmallStep, gauss, integrate, radau, terms
-from problems.variables import GROUPS, VARIABLES, Variables
+from problems.variables import GROUPS, VARIABLES, State, Variables
 
 _TOLERANCE = 3e-14
 #: Longest steps of the two integrations, in nominal steps: no event lasts so short that it falls
@@ -37,6 +37,9 @@ _WATCHED = 25
 #: A scene with more coordinates and multipliers has no reference: each of its many evaluations is
 #: a dense solve.
 _MOST_UNKNOWNS = 300
+#: Standard deviation of the changes of data in `Reference.another`, in roundings; and the rate of
+#: its Baumgarte's terms, in one over the length of the interval.
+_CHANGED, _PULLED = 2 * np.finfo(float).eps, 10.0
 
 
 FileOf = Callable[[MechatronicSystem, float], Path | None]
@@ -64,10 +67,13 @@ class Reference:
         The scene; the solution begins at ``scene.interval[0]``.
     t_end
         Last time in s.
+    pull
+        Rate in 1/s of Baumgarte's terms in the integrations, which no solution needs.
     """
 
     scene: MechatronicSystem
     t_end: float
+    pull: float = 0.0
 
     @property
     def method(self) -> str:
@@ -130,6 +136,32 @@ class Reference:
         if self.scene.has_closed_form:
             return self._closed_form(t)
         return self._evaluate(self._known.phases, t, phase)
+
+    @property
+    def touches(self) -> bool:
+        """Whether bodies touch at the start, which they may not with data that are changed."""
+        scene: Any = self.scene
+        return scene.has("gaps") and not np.all(scene.gaps(scene.start().q, scene.interval[0]) > 0)
+
+    def another(
+        self, t: Float[np.ndarray, " k"], changed: bool
+    ) -> dict[str, Float[np.ndarray, "k n"]]:
+        """Compute the solution by Radau IIA in the phases of this one; it is not kept.
+
+        If it is ``changed``, constraints are pulled back, and each parameter and each number of the
+        start is changed by some roundings, unless it `touches`. Else it is as a call.
+        """
+        scene, other = self.scene, self
+        if changed:
+            random, kept = np.random.default_rng(0), {"sample_time", *scene.held_values()}
+            p, t0 = scene.parameters(), scene.interval[0]
+            size = 0.0 if self.touches else _CHANGED
+            p |= {n: p[n] * (1 + size * random.standard_normal()) for n in p if n not in kept}
+            parts = [s * (1 + size * random.standard_normal(len(s))) for s in scene.start()]
+            pull = _PULLED / (self.t_end - t0) if scene.sizes.nl else 0.0
+            other = Reference(scene.with_parameters(p).later(t0, State(*parts)), self.t_end, pull)
+        phase = None if scene.has_closed_form else self._known.phases.phase_at(t)
+        return other._evaluate(other._integrate(1), t, phase)
 
     @property
     def events(self) -> Float[np.ndarray, "n 2"]:
@@ -246,7 +278,8 @@ class Reference:
         p = np.array(list(names.values()))
 
         def rates(*args: np.ndarray) -> np.ndarray:
-            return np.asarray(functions.rates(*args))
+            pull = self.pull
+            return np.asarray(functions.pulled(*args, pull) if pull else functions.rates(*args))
 
         def watched(step: Motion, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             return functions.events(names, *at.split(step(t)), t)

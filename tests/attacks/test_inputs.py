@@ -29,6 +29,7 @@ RIGHT = {
     "stability": "newmark", "drift": "pendulum newmark", "atlas": "undamped_index3",
     "map": "pendulum generalized_alpha", "realtime": "pendulum newmark", "recommend": "pendulum",
     "recommend methods": "pendulum newmark", "judge": "pendulum {odd}/rows.csv",
+    "truth": "pendulum",
     # Parameters that only other arguments take:
     **{f"solve {name}": "pendulum ida" for name in ("rtol", "atol")},
     **{f"map {name}": "pendulum generalized_alpha_adaptive" for name in ("rtol", "atol")},
@@ -162,7 +163,7 @@ def assert_refused(result: Result) -> str:
 
 
 #: Commands that start a process for most of their values.
-COSTLY = ("map", "solve", "stability", "judge")
+COSTLY = ("map", "solve", "stability", "judge", "truth")
 
 
 @pytest.mark.parametrize("all_of_them", [False, pytest.param(True, marks=pytest.mark.attack)])
