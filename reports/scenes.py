@@ -78,7 +78,8 @@ class StoredRuns:
         """Counts of runs: planned, measured, ended well."""
         records = self.records
         of_plan = f" of {len(self.planned | {*records})} planned" if self.planned else ""
-        return f"{len(records)}{of_plan} runs measured: {endings([*records.values()])}."
+        ends = endings([*records.values()]).replace(" ok", " reached the end")
+        return f"{len(records)}{of_plan} runs measured: {ends}."
 
     def studies(self, title: str) -> list[Study]:
         """The studies of a scene; all of its runs as one if the plan has none of it."""

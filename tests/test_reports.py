@@ -101,7 +101,7 @@ def test_runs_that_a_method_does_not_support_are_no_failures(tmp_path: Path) -> 
     report = read_report(plant(tmp_path, [good, *refused]))
     (chapter,) = [c for c in report.chapters if c.file == "failures.html"]
     failed, unsupported = chapter.sections
-    assert "1 ok, 2 not supported, 0 failed with a reason." in report.stored.state
+    assert "1 reached the end, 2 not supported, 0 failed with a reason." in report.stored.state
     _, summary, *_ = report.scenes[0].values["tabs"][0].parts
     assert {row[0]: row[-2] for row in summary.rows}["odd"] == "refused: It takes no rods."
     assert (report.failed, failed.parts[0].words) == (

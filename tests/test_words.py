@@ -57,7 +57,7 @@ def test_a_part_of_a_suite_is_titled_by_what_was_run(tmp_path):
         store.keep(part)
     report = read_report(folder)
     assert report.title == "quick: 1 scene, 2 integrators"
-    assert "3 ok, 0 failed with a reason" in report.stored.state
+    assert "3 reached the end, 0 failed with a reason" in report.stored.state
 
 
 def test_a_method_of_one_s_own_comes_beside_the_suite():
