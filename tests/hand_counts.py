@@ -97,30 +97,3 @@ class AlphaByHand(PendulumByHand):
         return (
             work.steps * cls.step + work.newton * (each + cls.by_inverse) + work.jacobians * again
         )
-
-
-def semi_implicit_euler_by_hand(work: Any, scene: MechatronicSystem) -> float:
-    """One linear system, with d/dt Phi + erp/h Phi at v + h a; its energy is tested."""
-    p, alpha = PendulumByHand, AlphaByHand
-    residual = p.dynamics + (4 + p.velocity + 1) + (1 + p.constraint + 1) + 1
-    column = p.product + p.pull + 2 + (2 + p.velocity - 1 + 1)
-    energy = p.product + 3 + 3 + 2 + 1 + 1
-    end = 3 + 4 + 4 + CLOCK
-    algebra = alpha.factorisation + alpha.solve
-    return work.steps * (residual + 3 * column + algebra + energy + end)
-
-
-def phem56_by_hand(work: Any, scene: MechatronicSystem) -> float:
-    """Six stages, each with linear equations for a and lam; Dormand & Prince's row 7 is the end."""
-    p, alpha = PendulumByHand, AlphaByHand
-
-    # h sum w r + q and v, four entries: a product and a sum for each w but zeros, begun at 0 r.
-    of_places = 4 * (2 * (1 + 2 + 3 + 4 + 5 + 5) + 6 * 3)
-    of_points = 4 * (2 * (2 + 3 + 4 + 5 + 5 + 7) + 6 * 3)
-    # All stages are turns of a loop; v + A h a is in the rate of Phi, per A h.
-    residual = p.dynamics + 4 + p.velocity + 1
-    # M a, the pull of a unit, which needs no half, their sum, A h a, and the rate of Phi.
-    column = p.product + (2 + 2) + 2 + 2 + p.velocity + 1
-    clock = 2 + 1  # the place, and A h
-    stage = clock + residual + 3 * column + alpha.factorisation + alpha.solve + 3
-    return work.steps * (CLOCK + of_places + of_points + 6 * stage)

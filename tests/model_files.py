@@ -1,11 +1,7 @@
-"""Files of models as people have them: arms, hands, legs, pendulums, closed loops, URDF, flags.
-
-Each is made of a few snippets. Nothing here is a copy of a file that exists.
-"""
+"""Files of models as people have them, made of snippets; none is a copy of one that exists."""
 
 from __future__ import annotations
 
-from itertools import product
 from typing import NamedTuple
 
 
@@ -65,7 +61,7 @@ def four_bar(turn: str = "", tie: str = "", inner: str = "") -> str:
 FREE = '<freejoint/><geom type="box" size=".1 .2 .05"/>'
 LOOPS = {
     f"four bar turned {turn}": File(four_bar(turn))
-    for turn in ("", "20 35 50", "-70 10 160")
+    for turn in ("", "20 35 50")
 } | {
     "four bar on a free base": File(four_bar("20 35 50", inner=FREE)),
     "four bar on a turntable": File(
@@ -86,26 +82,6 @@ LOOPS = {
         + "</body>",
         '<equality><connect body1="bar" body2="arm" anchor=".5 0 0"/>'
         '<connect body1="bar" body2="mid" anchor=".25 0 0"/></equality>')),
-    "three loops on a crank": File(mjcf('<body euler="0 20 70">'
-        + body(hinge("crank"), ".1 0 .2", "".join(
-            body(hinge(f"rod{k}"), ".4 0 .1", at=".1 0 .2", name=f"rod{k}") for k in range(3)))
-        + "".join(
-            body(hinge(f"arm{k}"), "0 0 .2", at=f".5 0 .{k}", name=f"arm{k}") for k in range(3))
-        + "</body>",
-        "<equality>" + "".join(
-            f'<connect body1="rod{k}" body2="arm{k}" anchor=".4 0 .1"/>' for k in range(3))
-        + "</equality>")),
-    "legs with tarsus loops": File(mjcf(f'<body name="pelvis" pos="0 0 1">{FREE}'
-        + "".join(body(hinge(f"hip{side}", "1 0 0"), "0 0 -.3",
-                body(hinge(f"knee{side}"), ".1 0 -.3", at="0 0 -.3", name=f"shin{side}")
-                + body(hinge(f"drive{side}"), ".1 0 0", body(
-                    hinge(f"rod{side}"), "0 0 -.6", at=".1 0 0", name=f"rod{side}")),
-                f"0 {y} -.05", turn=turn,)
-            for side, y, turn in (("l", ".1", "10 20 30"), ("r", "-.1", "-10 5 -30")))
-        + "</body>",
-        "<equality>"
-        + "".join(f'<connect body1="shin{s}" body2="rod{s}" anchor=".1 0 -.3"/>' for s in "lr")
-        + "</equality>")),
     "spatial loop of balls": File(mjcf(body(hinge("in", "0 0 1"), ".1 0 0", body(
             '<joint name="b" type="ball"/>', "0 .4 .1", at=".1 0 0", name="rod"))
         + body(hinge("out", "1 0 0"), "0 0 .1", at=".1 .4 0", name="out"),
@@ -152,26 +128,8 @@ ROBOTS = {
         actuated("motor", 3, 'gear="20" ctrlrange="-1 1"'),
         default="",),
         left_out=("contacts", "limits", "friction_loss"),),
-    "arm with a bound of its joints": File(mjcf(chain(3, 'actuatorfrcrange="-5 5"'),
-        actuated("position", 3, 'kp="900"')
-        + '<keyframe><key qpos=".1 .2 -.2" ctrl="1 -1 .002"/></keyframe>')),
     "arm held up": File(mjcf(chain(2, 'actuatorgravcomp="true"').replace(
         "<body ", '<body gravcomp="0.7" '), actuated("motor", 2)), left_out=("gravcomp",)),
-    "hand with coupled joints": File(mjcf(chain(3, axes=("0 1 0",)),
-        '<equality><joint joint1="j1" joint2="j0" polycoef="0 .8 .1 0 0"/>'
-        '<joint joint1="j2" joint2="j1" polycoef="0 .7 0 0 0"/></equality>'
-        + actuated("position", 1, 'kp="2"'),)),
-    "hand of muscles": File(
-        mjcf(chain(2), actuated("muscle", 2, 'lengthrange="0.1 2"')), left_out=("actuators",)),
-    "quadruped": File(mjcf(f'<body pos="0 0 .5">{FREE}'
-        + "".join(body(hinge(f"hip{k}", "1 0 0"), "0 0 -.1",
-                body(hinge(f"thigh{k}"), "0 0 -.25", body(
-                    hinge(f"calf{k}", more='range="-150 -50"'), "0 0 -.25", at="0 0 -.25"),
-                    "0 0 -.1"),
-                f"{x} {y} 0",)
-            for k, (x, y) in enumerate(product((".15", "-.15"), (".1", "-.1"))))
-        + "</body>"),
-        left_out=("limits",),),
     "goal that a keyframe moves": File(mjcf(
         '<body name="goal" mocap="true" pos="1 0 0"><geom size=".1"/>'
         '<body><joint/><geom size=".1" pos=".2 0 0"/></body></body>',
@@ -184,29 +142,6 @@ ROBOTS = {
 
 BOX = '<geom type="box" size=".1 .1 .1"/>'
 STUDENTS = {
-    "pendulum": File(mjcf(body(hinge("a"), "0 0 .6"))),
-    "cart and pole": File(mjcf('<body><joint name="cart" type="slide" axis="1 0 0" range="-1 1"/>'
-        + BOX + body(hinge("pole"), "0 0 .6") + "</body>",
-        '<actuator><motor joint="cart" gear="100" ctrlrange="-1 1" ctrllimited="true"/>'
-        "</actuator>",
-        '<option integrator="RK4" timestep="0.01"/>',),
-        left_out=("limits",),),
-    "cart in its gap": File(mjcf(
-        '<body><joint type="slide" axis="1 0 0" range="-1 1"/>' + BOX + "</body>",
-        option='<option><flag constraint="disable"/></option>')),
-    "rotary pendulum": File(mjcf('<body pos="0 0 .5"><body pos="-.2 0 0" euler="0 90 0">'
-        '<joint name="arm" axis="-1 0 0" pos="0 0 .2"/>'
-        '<geom type="cylinder" size=".02 .2" mass=".4"/>'
-        '<body pos="-.15 0 -.2" euler="90 90 0">'
-        '<joint name="pole" axis="0 -1 0" pos="0 0 .15"/>'
-        '<geom type="cylinder" size=".015 .15" mass=".2"/></body></body></body>',
-        '<actuator><motor joint="arm"/></actuator>')),
-    "spherical pendulum": File(mjcf(body('<joint name="b" type="ball" damping=".1"/>', "0 0 -.5"))),
-    "spinning book": File(mjcf('<body><freejoint/><geom type="box" size=".1 .08 .02"/></body>',
-        '<keyframe><key qpos="0 0 0 1 0 0 0" qvel="0 0 0 .02 8 .01"/></keyframe>',
-        '<option gravity="0 0 0" integrator="implicitfast"/>')),
-    "mass and spring": File(
-        mjcf('<body><joint type="slide" stiffness="30" damping=".5"/>' + BOX + "</body>")),
     "spring that is no line": File(
         mjcf(body(hinge("a", more='stiffness="3 4"'), "0 0 .5")), left_out=("springs",)),
     "damper that is no line": File(
@@ -233,3 +168,145 @@ STUDENTS = {
          ' count="4 1 1" spacing=".1 .1 .1"/>'),
         refusal="flexes",),
 }  # fmt: skip
+
+
+#: What an actuator of MuJoCo can be, with what of it is refused.
+ACTUATORS = {
+    '<motor joint="j0" delay="0.004" nsample="2"/>': ("actuators",),
+    '<motor joint="j0" armature=".2"/>': ("actuators",),
+    '<motor joint="j0" damping=".3 .1"/>': ("actuators",),
+    '<position joint="j0" kp="3" timeconst=".1"/>': ("actuators",),
+    '<intvelocity joint="j0" kp="3" actrange="-1 1"/>': ("actuators",),
+    '<damper joint="j0" kv="3" ctrlrange="0 1"/>': ("actuators",),
+    '<velocity joint="j0" kv="3"/>': (),
+    '<cylinder joint="j0"/>': ("actuators",),
+    '<general joint="j0" gainprm="2" biastype="affine" biasprm="1 2 3"/>': (),
+    '<general joint="j0" dyntype="user" actdim="1"/>': ("actuators",),
+    '<general jointinparent="j0" gear="2"/>': (),
+    '<general site="s" gear="1 0 0 0 1 0"/>': ("actuators",),
+    '<adhesion body="l0" ctrlrange="0 1"/>': ("actuators",),
+    '<dcmotor joint="j0" motorconst=".1" resistance="2"/>': ("actuators",),
+    '<pid joint="j0" kp="3"/>': ("actuators",),
+    '<motor joint="j0" group="2"/>': (),
+    '<muscle joint="j0" lengthrange=".1 2"/>': ("actuators",),
+}
+FIELDS = {
+    f"actuator {text[1:].split()[0]} {k}": File(mjcf(
+        chain(2, inner='<site name="s"/>'), f"<actuator>{text}</actuator>",
+        '<option actuatorgroupdisable="2"/>' if "group" in text else "<option/>",),
+        left_out=left_out,)
+    for k, (text, left_out) in enumerate(ACTUATORS.items())
+} | {
+    "control beyond its range": File(mjcf(chain(1), actuated("motor", 1, 'ctrlrange="-1 1"')
+        + '<keyframe><key qpos=".3" ctrl="4"/></keyframe>',
+        '<option><flag clampctrl="disable"/></option>')),
+    "equality of tendons": File(mjcf(chain(2),
+        '<tendon><fixed name="t"><joint joint="j0" coef="1"/></fixed></tendon>'
+        '<equality><tendon tendon1="t"/></equality>',),
+        left_out=("tendons", "equalities"),),
+    "equality that is not active": File(
+        mjcf(chain(2), '<equality><joint joint1="j0" joint2="j1" active="false"/></equality>')),
+    "motor of a ball": File(mjcf(body('<joint name="b" type="ball"/>', "0 0 .4"),
+        '<actuator><motor joint="b" gear="0 1 0"/></actuator>',),
+        left_out=("actuators",),),
+}  # fmt: skip
+
+#: A little of all that a flag can switch off.
+ALL = (
+    chain(2, 'range="-20 20" frictionloss=".2" stiffness="3" damping=".4"', axes=("0 1 0",))
+    + '<geom type="plane" size="1 1 1"/>'
+)  # fmt: skip
+ALL_ELSE = (
+    actuated("motor", 1, 'ctrlrange="-1 1"')
+    + '<equality><joint joint1="j0" joint2="j1"/></equality>'
+    + '<keyframe><key qpos=".1 .1" qvel="1 1" ctrl="3"/></keyframe>'
+)
+OFF = (
+    "constraint", "equality", "frictionloss", "limit", "contact", "spring", "damper", "gravity",
+    "clampctrl", "warmstart", "filterparent", "actuation", "refsafe", "sensor", "midphase",
+    "eulerdamp", "autoreset", "nativeccd", "island", "multiccd",
+)  # fmt: skip
+ON = ["override", "energy", "fwdinv", "invdiscrete", "sleep", "diagexact", "ipc", "speculative"]
+#: What a flag asks for.
+_OWN = {"ipc": ' integrator="discrete"'}
+_RIGID = ("contacts", "limits", "friction_loss")
+_GONE = {
+    "constraint": _RIGID, "contact": ("contacts",), "limit": ("limits",),
+    "frictionloss": ("friction_loss",),
+}  # fmt: skip
+FLAGS = {
+    f"flag {flag}": File(mjcf(ALL, ALL_ELSE, f'<option><flag {flag}="disable"/></option>', ""),
+        left_out=tuple(part for part in _RIGID if part not in _GONE.get(flag, ())),)
+    for flag in OFF
+} | {
+    f"flag {flag}": File(mjcf(
+        ALL, ALL_ELSE, f'<option{_OWN.get(flag, "")}><flag {flag}="enable"/></option>', ""),
+        left_out=(*_RIGID, *(("sleep",) if flag == "sleep" else ())),)
+    for flag in ON
+} | {
+    "flags spring and damper": File(
+        mjcf(ALL.replace("<body ", '<body gravcomp=".2" '), ALL_ELSE,
+             '<option density="2"><flag spring="disable" damper="disable"/></option>', ""),
+        left_out=_RIGID,),
+}  # fmt: skip
+
+
+# ---- URDF
+def link(name: str, shape: str = "", mass: float = 1.0) -> str:
+    inertial = (
+        f'<inertial><origin xyz="0 .01 .1" rpy=".1 0 0"/><mass value="{mass}"/><inertia ixx=".02" '
+        f'iyy=".02" izz=".01" ixy="0" ixz=".001" iyz="0"/></inertial>'
+    ) * bool(mass)
+    shapes = f"<visual>{shape}</visual><collision>{shape}</collision>" * bool(shape)
+    return f'<link name="{name}">{inertial}{shapes}</link>'
+
+
+def joint(name: str, kind: str, parent: str, child: str, more: str = "") -> str:
+    axis = '<axis xyz="0 1 0"/>' if kind not in ("fixed", "floating", "spherical") else ""
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="0 0 .3" rpy="0 .1 0"/>{axis}{more}</joint>'
+    )
+
+
+def mesh(file: str) -> str:
+    return f'<geometry><mesh filename="{file}" scale=".001 .001 .001"/></geometry>'
+
+
+def urdf(*parts: str) -> str:
+    return f'<?xml version="1.0"?><robot name="r">{"".join(parts)}</robot>'
+
+
+LIMIT = '<limit lower="-1" upper="1" effort="30" velocity="2"/>'
+URDF = {
+    f"urdf with {file}": File(urdf(
+        link("base", mesh(file), 0), link("arm", mesh(file)), link("tip", mesh(file)),
+        joint("a", "continuous", "base", "arm"), joint("b", "continuous", "arm", "tip"),),
+        ".urdf", ("contacts",),)
+    for file in ("package://robot_description/meshes/arm.stl", "meshes/arm.obj", "arm.DAE")
+} | {
+    "urdf with limits": File(urdf(link("base", mass=0), link("arm"), link("tip"),
+         joint("a", "revolute", "base", "arm", LIMIT),
+         joint("b", "prismatic", "arm", "tip", LIMIT)),
+        ".urdf", ("limits",),),
+    "urdf that follows": File(urdf(link("base", mass=0), link("arm"), link("tip"),
+         joint("a", "continuous", "base", "arm"),
+         joint("b", "continuous", "arm", "tip", '<mimic joint="a" multiplier="-2"/>')),
+        ".urdf",),
+    "urdf that floats": File(urdf(link("base", mass=0), link("body"), link("arm"),
+         joint("f", "floating", "base", "body"), joint("a", "continuous", "body", "arm")),
+        ".urdf",),
+    "urdf with friction": File(urdf(link("base", mass=0), link("arm"), joint(
+        "a", "continuous", "base", "arm", '<dynamics damping=".1" friction=".2"/>')),
+        ".urdf", ("friction_loss",),),
+}  # fmt: skip
+
+#: A mesh that is not beside the file.
+LOST = '<asset><mesh name="arm" file="arm.stl"/></asset>'
+MESHES = {
+    "meshes for looks": File(mjcf('<body><joint axis="0 1 0"/><inertial pos="0 0 .2" mass="1" '
+        'diaginertia=".1 .1 .01"/><geom type="mesh" mesh="arm"/></body>', LOST)),
+    "meshes that weigh": File(
+        mjcf('<body><joint/><geom type="mesh" mesh="arm"/></body>', LOST), refusal="arm.stl"),
+}  # fmt: skip
+FILES = LOOPS | ROBOTS | STUDENTS | FIELDS | FLAGS | URDF | MESHES

@@ -91,6 +91,7 @@ def test_a_wrong_scene_is_told_what_to_mend(registry):
         ("wrong_energy", "conserved", "W; let the energy fit the forces"),
         ("wrong_momentum", "conserved", "let the momentum fit the forces"),
         ("lopsided_mass", "start", "M[0,1]=0.1, M[1,0]=0"),
+        ("wrong_product", "start", "mass_product differs from mass times a vector by"),
         ("twice_held", "start", "lacks 1 rank at the start"),
         ("wrong_exact", "reference", "a of the equations is off by "),
         ("wrong_slope", "reference", "`exact` is no solution: the slope of q is off by 1 (of 1)"),

@@ -1,4 +1,4 @@
-"""Maps: a point is a single run, and the edges agree with theory."""
+"""Maps and ensembles: a point or a member is a single run, whoever runs it."""
 
 from __future__ import annotations
 
@@ -6,19 +6,30 @@ import csv
 import io
 import math
 import re
+import signal
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
 
 import altair
 import numpy as np
+import pandas as pd
 import pytest
 from helpers import long
 from planted import Document
 
-from bench.plugins.registry import Registry
+from bench.plugins.registry import Registry, Sources
 from bench.running.errors import relative_errors
+from bench.running.process import NoAnswer
+from bench.running.progress import Progress
 from bench.running.worker import Worker
+from bench.sweeps import ensemble as members
+from bench.sweeps.ensemble import EnsembleRequest, ensemble, run_members
 from bench.sweeps.outcome_map import OUTCOMES, outcome_map
-from bench.sweeps.variation import SweepRequest
+from bench.sweeps.variation import Quantity, Range, SweepRequest, find_range
 from integrators import Steps, Tolerances
+from problems.base.spec import SpecError
 from problems.truth.reference import Reference
 from problems.variables import GROUPS
 from reports.pages.maps import _OTHERS, map_chart
@@ -36,12 +47,6 @@ def made(problem, integrator, over, counts, step=None, t_end=None, **more):
 
 def errors_of(found):
     return 10 ** np.array(found["log10_error"], dtype=float)
-
-
-def resolution_of(method, scene, settings):
-    if method.controls == "step":
-        return Steps(settings.pop("h", scene.nominal_step))
-    return Tolerances(settings.pop("rtol", 1e-6), settings.pop("atol", None))
 
 
 @pytest.mark.parametrize(
@@ -71,7 +76,10 @@ def test_a_point_is_a_single_run(cases):
                 zip(over, (found["x"]["values"][i], found["y"]["values"][j]), strict=True)
             )
             scene, method = REGISTRY.problem(problem), REGISTRY.integrator(integrator)
-            resolution = resolution_of(method, scene, settings)
+            if method.controls == "step":
+                resolution = Steps(settings.pop("h", scene.nominal_step))
+            else:
+                resolution = Tolerances(settings.pop("rtol", 1e-6), settings.pop("atol", None))
             for of in (scene, method):
                 for name in settings.keys() & vars(of).keys():
                     object.__setattr__(of, name, float(settings[name]))  # both were made here
@@ -84,7 +92,7 @@ def test_a_point_is_a_single_run(cases):
 
 
 @pytest.mark.parametrize(
-    ("beta", "limit"), [(0.0, 2.0), *long((1 / 6, math.sqrt(12)), (1 / 12, 6**0.5))]
+    ("beta", "limit"), long((0.0, 2.0), (1 / 6, math.sqrt(12)), (1 / 12, 6**0.5))
 )
 def test_undamped_methods_diverge_exactly_beyond_their_limit(monkeypatch, beta, limit):
     """Newmark with gamma = 1/2: omega h = (1/4 - beta)^(-1/2); the scene has omega = sqrt(k)."""
@@ -94,15 +102,9 @@ def test_undamped_methods_diverge_exactly_beyond_their_limit(monkeypatch, beta, 
     over = {"k": (0.99**2, 1.01**2), "m": (1.0, 1.0 + 1e-9)}
     steps = 3000
     found = made(
-        "spring_mass[b=0]",
-        f"newmark[beta={beta!r}]",
-        over,
-        (4, 2),
-        step=limit,
-        t_end=steps * limit,
-        error="q:end",
-        threshold=1e300,
-    )
+        "spring_mass[b=0]", f"newmark[beta={beta!r}]", over, (4, 2), step=limit,
+        t_end=steps * limit, error="q:end", threshold=1e300,
+    )  # fmt: skip
     ratio = np.sqrt(found["x"]["values"])  # omega h relative to the limit
     told = np.array(found["outcome"][0])
     assert (told[ratio < 1 - 1e-9] == "ok").all()
@@ -112,15 +114,7 @@ def test_undamped_methods_diverge_exactly_beyond_their_limit(monkeypatch, beta, 
 
 
 @pytest.mark.long
-def test_undamped_index_3_spoils_the_multiplier():
-    found = made(
-        "pendulum", "generalized_alpha", {"h": (0.005, 0.01), "rho_inf": (0.8, 1.0)}, (3, 2),
-        error="lam:end",
-    )  # fmt: skip
-    assert found["outcome"] == [["ok"] * 3, ["inaccurate"] * 3]
-    assert errors_of(found)[0].max() < 0.02 < 0.2 < errors_of(found)[1].min()
-    assert found["reasons"] == {"inaccurate": "The error of lam (end) is above 0.1."}
-    # Steps that are used up are told apart from points that were not begun.
+def test_steps_that_are_used_up_are_told_apart_from_points_that_were_not_begun():
     method = "generalized_alpha_adaptive[max_steps=100]"
     found = made("pendulum", method, {"rtol": (1e-6, 1e-2), "th0": (1.0, 1.1)}, (2, 2))
     assert found["outcome"] == [["budget_exceeded", "ok"]] * 2
@@ -153,15 +147,6 @@ def test_a_scene_without_a_reference_is_told_apart(monkeypatch):
     assert found["outcome"][0][3] == "no_reference"
     assert found["reasons"]["no_reference"] == "The reference failed: no such luck"
     assert found["outcome"][0][0] in ("ok", "inaccurate")
-
-
-def test_the_reference_is_made_once_per_scene(monkeypatch):
-    asked, plain = [], Reference.__call__
-    counted = lambda self, t: asked.append(self.scene.th0) or plain(self, t)  # noqa: E731
-    monkeypatch.setattr(Reference, "__call__", counted)
-    over = {"h": (0.01, 0.1), "rho_inf": (0.0, 1.0)}
-    made("pendulum", "generalized_alpha", over, (4, 3))
-    assert len(asked) == 1
 
 
 # ---- the command -------------------------------------------------------------------------
@@ -205,3 +190,152 @@ def test_tiles_meet_in_the_middle_and_show_the_outcomes():
         assert words == said
         assert [float(end) for end in ends] == pytest.approx(wanted, rel=1e-4)
     assert {o for o in OUTCOMES if o not in ("ok", "inaccurate")} == set(_OTHERS)
+
+
+COUNT, VARY, END = 40, ("k:0.8..1.2", "h:0.05..2.5"), 100.0
+DIED = NoAnswer(status="crashed", message="The process died.")
+
+
+class Here:
+    """A runner in this process; the last part is answered first."""
+
+    progress = Progress()
+
+    def __init__(self, *faults):
+        self.faults = list(faults)
+
+    def run(self, groups):
+        for task in [task for group in groups for task in group][::-1]:
+            fault = self.faults.pop(0) if self.faults else None
+            yield task, fault or task.job(Worker(REGISTRY), *task.arguments)
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    monkeypatch.setattr(members, "_OF_PART", 16)
+    given = dict.fromkeys(("step", "pattern", "rtol", "atol"))
+    # Undamped and explicit: some of the steps are too large, and their members diverge.
+    runs = "spring_mass[b=0]", "newmark[beta=0]", given, END
+    return EnsembleRequest(*runs, COUNT, VARY, 7)
+
+
+def drawn(ranges, seed, first, count):
+    """The values of the ``first`` members and of those that follow."""
+    of = enumerate(ranges.items())
+    return {name: one.draw(seed, place, first, count) for place, (name, one) in of}
+
+
+def run_all(request, *faults):
+    return run_members(Here(*faults), request, Sources())
+
+
+def test_a_member_has_its_values_however_members_are_divided():
+    scene, method = REGISTRY.problem("spring_mass"), REGISTRY.integrator("newmark")
+    ranges = {n: find_range(n, scene, method, r) for n, r in {"k": (1, 2), "h": (1e-3, 1)}.items()}
+    together = drawn(ranges, 2**70, 0, 1000)
+    firsts = [0, 1, 3, 4, 10, 517, 998, 1000]
+    for name, values in together.items():
+        pieces = [
+            drawn(ranges, 2**70, first, after - first)[name] for first, after in pairwise(firsts)
+        ]
+        assert (np.concatenate(pieces) == values).all()
+        low, high = ranges[name].low, ranges[name].high
+        part = np.log(values / low) / np.log(high / low) if name == "h" else (values - low)
+        # Evenly spread: each tenth of the range has about a tenth of the values.
+        assert np.histogram(part, np.linspace(0, 1, 11))[0] == pytest.approx(100, abs=40)
+    assert abs(np.corrcoef(together["k"], together["h"])[0, 1]) < 0.1
+    of = Range(Quantity("k", "scene", "k"), 0.0, 1.0)
+    assert (of.draw(1, 0, 0, 9) != of.draw(2, 0, 0, 9)).all()
+    assert (of.draw(5, 1, 0, 9) != of.draw(5 + 2**32, 0, 0, 9)).all()
+
+
+def test_parts_in_any_order_are_the_ensemble_in_one_program(asked):
+    found, fault = run_all(asked)
+    scene, method = REGISTRY.problem("spring_mass[b=0]"), REGISTRY.integrator("newmark[beta=0]")
+    ranges = {
+        "k": find_range("k", scene, method, (0.8, 1.2)),
+        "h": find_range("h", scene, method, (0.05, 2.5)),
+    }
+    wanted = ensemble(scene, method, drawn(ranges, 7, 0, COUNT), Steps(0.1), END)
+    assert fault == ""
+    assert (found.problem, found.integrator) == (wanted.problem, wanted.integrator)
+    for name, column in wanted.values.items():
+        equal_nan = column.dtype.kind == "f"
+        assert np.array_equal(found.values[name], column, equal_nan=equal_nan), name
+    assert set(found.status) == {"ok", "diverged"}
+    good = np.array(found.status) == "ok"
+    assert list(found.summary()) == ["q1", "v1", "a1", "x1", "xdot1", "y1", "y2"]
+    assert found.summary()["q1"]["max"] == wanted.values["q1"][good].max()
+    assert found.work["steps"] == wanted.values["work_steps"].sum()
+
+
+def test_a_part_that_dies_is_missing_alone_and_the_command_fails(
+    asked, tmp_path, monkeypatch, stepbench
+):
+    found, fault = run_all(asked, None, DIED)
+    assert fault.endswith("members 13 to 25: The process died.")
+    assert found.values["member"].tolist() == [*range(13), *range(26, 40)]
+    with pytest.raises(SpecError, match="members 26 to 39: The process died"):
+        run_all(asked, DIED)  # before any has succeeded
+    line = "solve", "spring_mass", "newmark", "--vary", "k:0.8..1.2", "--ensemble", "40"
+    monkeypatch.setattr("bench.running.runner.Runner.run", Here(None, DIED).run)
+    file = tmp_path / "all.csv"
+    result = stepbench(*line, "--step", "0.1", "-o", file)
+    assert result.exit_code == 1
+    output = " ".join(result.output.split())
+    assert "Not complete: 13 of 40 members are missing" in output
+    assert "The process died" in output
+    assert len(file.read_text().splitlines()) == 1 + 27
+
+
+def test_a_file_holds_the_members_and_what_is_not_finite_is_no_value(asked, tmp_path):
+    found, file = run_all(asked)[0], tmp_path / "members.csv"
+    found.values["q1"][:2] = np.inf, np.nan
+    found.write(file)
+    table = pd.read_csv(file)
+    assert table["member"].tolist() == list(range(COUNT))
+    for name, column in found.values.items():
+        if column.dtype.kind == "f":
+            good = np.isfinite(column)
+            assert table[name].notna().tolist() == good.tolist()
+            assert table[name][good].tolist() == pytest.approx(column[good].tolist(), rel=1e-15)
+        else:
+            assert table[name].fillna("").tolist() == column.tolist()
+
+
+# ---- the command -------------------------------------------------------------------------
+LINE = ("solve", "spring_mass", "generalized_alpha", "--t-end", "50", "--step", "0.1")
+LONG = (*LINE, "--vary", "k:0.8..1.2", "--vary", "b:0.1..0.2", "--ensemble", "10000")
+
+
+def started(*arguments):
+    command = [str(Path(sys.executable).with_name("stepbench")), *map(str, arguments)]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+
+@pytest.mark.long
+def test_a_cluster_gives_the_bits_of_this_machine(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    files = [tmp_path / name for name in ("here.csv", "there.csv")]
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        for file, more in zip(files, ((), ("--cluster", cluster.scheduler_address)), strict=True):
+            process = started(*LONG, *more, "-o", file)
+            said, errors = process.communicate(timeout=300)
+            assert process.returncode == 0, errors
+            assert "10000 ok" in said
+    assert files[0].read_bytes() == files[1].read_bytes()
+    assert sorted(tmp_path.iterdir()) == files
+
+
+@pytest.mark.long
+def test_a_command_that_is_ended_leaves_no_file(tmp_path):
+    process = started(*LONG[:-1], "100000", "-o", tmp_path / "members.csv")
+    while not re.search("members: [1-9]", line := process.stderr.readline()):
+        assert line, process.communicate()
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "of 100000 members had been run; none is kept." in errors
+    assert not list(tmp_path.iterdir())

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import builtins
 import io
 import json
 import math
+import sys
 from xml.etree import ElementTree
 
 import numpy as np
@@ -106,14 +106,7 @@ def test_load_gives_frames_with_real_lists(tmp_path):
 
 def test_without_pandas_a_sentence_names_the_extra(tmp_path, monkeypatch):
     folder = plant(tmp_path / "planted", everything()[:1])
-    real = builtins.__import__
-
-    def without(name, *more, **named):
-        if name == "pandas":
-            raise ImportError(name)
-        return real(name, *more, **named)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ImportError, match=r"install stepbench\[notebook\]"):
         load(folder)
 

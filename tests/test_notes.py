@@ -1,25 +1,34 @@
-"""Notes on runs that reach the end: accelerations that nothing controls, orders that are lost."""
+"""Notes on runs that reach the end, and runs that are wrong without one."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from helpers import long, reference
-from planted import everything
+from planted import STEPS, edited, everything, page_data, plant, planted
+from small_stores import atlas_with
 
 from bench.plugins.registry import Registry
-from bench.results.records import Record, endings
+from bench.results.quantities import TRUST, WRONG
+from bench.results.records import Record, SceneRecord, endings
+from bench.results.store import Store
 from bench.running.linearisation import uncontrolled
 from bench.running.plan import Cell
 from bench.running.worker import Worker
-from integrators import Steps, Tolerances, Trajectory
+from integrators import Tolerances, Trajectory
 from integrators.checks import caution
 from integrators.methods.hht_i3 import HHTI3
 from problems.base.checks import FalseAnswer
 from problems.scenes.oscillators import DrivenSprings
 from problems.scenes.pendulums import DoublePendulum, Pendulum, StiffBar
 from problems.scenes.slider_crank import SliderCrank, SliderCrankMinimal
+from reports.pages.html_report import write_html_report
+from reports.pages.markdown_report import write_markdown_report
+from reports.questions import plain
+from reports.series import series_of
 from reports.tables.run_tables import notes_table
+from reports.verdicts import method_card
+from reports.wrong import STIFF, UNDAMPED, silent_tables, wrong_on, wrong_sentences
 
 
 def exact_run(scene, steps: int, part: float = 1.0) -> Trajectory:
@@ -85,24 +94,13 @@ def measured(worker: Worker, scene: str, method: str, t_end: float, resolution) 
     return record
 
 
-@pytest.mark.parametrize(
-    "cases",
-    [
-        (("rodas5p", 1e-4),),
-        *long(
-            [
-                ("radau_iia", 1e-4),
-                ("generalized_alpha_adaptive", 1e-3),
-                ("bdf_adaptive", 1e-3),
-                ("hht_i3", 1e-4),
-                ("ida", 1e-2),
-                ("cvode", 1e-2),
-                ("kvaerno5", 1e-2),
-                ("radau", 1e-2),
-            ]
-        ),
-    ],
-)
+OTHERS = [
+    ("radau_iia", 1e-4), ("generalized_alpha_adaptive", 1e-3), ("bdf_adaptive", 1e-3),
+    ("hht_i3", 1e-4), ("ida", 1e-2), ("cvode", 1e-2), ("kvaerno5", 1e-2), ("radau", 1e-2),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("cases", [[("rodas5p", 1e-4)], *long(OTHERS)])
 def test_every_method_with_a_tolerance_says_so(worker, cases):
     for method, rtol in cases:
         record = measured(worker, "stiff_bar", method, 0.1, Tolerances(rtol))
@@ -117,12 +115,6 @@ def test_the_published_mix_of_forces_says_that_it_loses_its_order_where_the_mass
     assert "order 1 here, not 2" in (forces.caution(varying) or "")
     assert forces.caution(Pendulum()) is None
     assert HHTI3().caution(varying) is None
-
-
-@pytest.mark.long
-def test_a_caution_is_a_note_of_a_run(worker):
-    cell = "slider_crank_minimal", "hht_i3[mixed=forces,steps=constant]", 0.1, Steps(0.01)
-    assert "take mixed=accelerations" in measured(worker, *cell).message
 
 
 def test_a_caution_is_none_or_a_sentence():
@@ -159,3 +151,138 @@ def test_runs_with_a_note_are_counted_and_listed():
     assert table is not None
     assert [row[2:] for row in table.rows] == [["2", "It may be wrong."]]
     assert notes_table([other]) is None
+
+
+#: A vibration of 100 rad/s in an interval of 1 s.
+FAST = SceneRecord(problem="s", t_end=1.0, t0=0.0, rates={"oscillation": 100.0})
+
+
+def runs(name, *errors, scene="s", **changes):
+    return [
+        planted(scene, name, {}, h=h, errors={"a": {"max": e}}, **changes)
+        for h, e in zip(STEPS, errors, strict=False)
+    ]
+
+
+def test_a_run_is_wrong_that_ends_well_with_a_large_error():
+    for changes, wrong in [
+        ({}, True),
+        ({"errors": {"a": {"max": WRONG}}}, False),
+        ({"errors": {"a": {"max": None}}}, False),
+        ({"errors": {"q": {"max": 9.0}, "a": {"max": 0.0, "end": 9.0}}}, False),
+        ({"status": "diverged"}, False),
+        ({"reference_error": {"a": {"max": 0.3 / TRUST}}}, False),  # cannot be judged
+        ({"reference_error": {"a": {"max": 0.1 / TRUST}}}, True),
+        ({"message": "It may be wrong."}, True),
+    ]:
+        run = planted("s", "m", {}, h=0.1, **{"errors": {"a": {"max": 0.2}}, **changes})
+        assert run.wrong("a") == wrong
+        assert any("Errors above" in note for note in run.notes) == (wrong or run.wrong("q"))
+
+
+def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
+    failed = planted("s", "open", {}, h=0.1, status="diverged")
+    series = series_of([*runs("wrong", 3.0, 0.2), *runs("late", 3.0, 0.05), failed])
+    scenes = {"s": SceneRecord(problem="s", t_end=1.0, t0=0.0, difficulties=["It is stiff."])}
+
+    def found(group="a"):
+        return [wrong_on("s", s, group, None, {}) for s in series]
+
+    def said(group="a"):
+        other = [w._replace(scene="t", silent=0, warned=0, judged=0) for w in found(group)]
+        return [*map(plain, wrong_sentences([*found(group), *other], group, {}))]
+
+    head = (
+        "Wrong without warning: {} of 4 runs that reached the end "
+        "(error in acceleration above 0.1, largest over time){}."
+    )
+    never = "Wrong without warning at every step and tolerance (smallest error): wrong ({}0.2)."
+    assert said() == [head.format(3, ""), never.format("s: ")]
+    assert plain(wrong_sentences(found(), "a", {}, "s")[-1]) == never.format("")
+    assert said("lam") == []
+    every, coarsest = silent_tables(found(), "a", scenes)
+    assert every.caption == "Wrong at every resolution, in acceleration: 2 runs"
+    assert every.rows == [["wrong", "s", "2 of 2", "0.2 at h=0.05", "It is stiff."]]
+    assert coarsest.rows[0][:3] == ["late", "s", "1 of 2"]
+    series[0].records[0].message = "It may be wrong."  # one run of them says nothing
+    assert said() == [head.format(2, "; with a warning: 1"), never.format("s: ")]
+    for record in (*series[0].records, *series[1].records):
+        record.message = "It may be wrong."
+    assert said() == [head.format("none", "; with a warning: 3")]
+    assert silent_tables(found(), "a", scenes) == []
+
+
+def cause(s, group, scene, atlas):
+    return wrong_on("s", s, group, scene, atlas).cause
+
+
+def test_a_cause_is_named_where_its_experiment_hit_the_method_on_such_a_scene():
+    tolerance = {"formulation": "index3", "controls": "tolerance", "rtol": 1e-3}
+    for group, error, changes, scene, why in [
+        ("a", 9.0, {}, FAST, STIFF),
+        ("a", 9.0, {"work": {"steps": 32}}, FAST, ""),
+        ("a", 9.0, {"work": {"steps": 31}}, FAST, STIFF),
+        ("v", 9.0, {}, FAST, ""),
+        ("a,lam", 9.0, {}, FAST, STIFF),
+        ("a", 9.0, {}, None, ""),  # it has no constraints
+        ("a", 9.0, {"formulation": "index3"}, None, UNDAMPED),
+        ("a", 9.0, tolerance, None, ""),
+        ("a", 9.0, {"pattern": (0.3, 0.7)}, None, "variable_steps"),
+    ]:
+        name = "m[rho_inf=1,newton=modified]"
+        made = [planted("s", name, {}, h=h, **{"work": {"steps": 10}, **changes}) for h in STEPS]
+        for run in made:
+            run.errors = {**{g: {"max": error} for g in group.split(",")}, "q": {"max": run.h**2}}
+        (s,) = series_of(made)
+        known = STIFF, UNDAMPED, "variable_steps"
+        for method, told in (("m[rho_inf=1]", why), ("m", ""), ("spared", "")):
+            assert cause(s, group, scene, atlas_with(method, *known)) == told
+        assert cause(s, group, scene, {}) == ""
+        for run in made:
+            run.errors["q"]["max"] = 0.2  # the motion itself is wrong
+        assert cause(s, group, scene, atlas_with("m[rho_inf=1]", *known)) == ""
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    """Runs of which one integrator is never right, and another one says so itself."""
+
+    def spoil(r):
+        if r.problem == "pendulum" and r.integrator.startswith(("ringing", "good[rho_inf=0.5]")):
+            r.errors["a"]["max"], r.errors["lam"]["max"] = 9.0, r.h**2
+            r.formulation = "index3"
+            r.message = "" if r.integrator.startswith("ringing") else "It may be wrong."
+
+    folder = plant(tmp_path_factory.mktemp("wrong") / "results", everything())
+    return edited(folder, "spoilt", spoil)
+
+
+def test_pages_and_terminal_say_the_same(store):
+    operations, time, count, silent = method_card(store, "")
+    assert operations.startswith("Fewest operations to 1e-4 in acceleration: ")
+    assert operations.endswith("cheapest on 1 of 2 scenes.")
+    assert time.startswith("Least time to 1e-4 in acceleration: good 0.8 is cheapest on both ")
+    assert count.startswith("Wrong without warning: ")
+    lead = "Wrong without warning at every step and tolerance (smallest error)"
+    assert silent == f"{lead}: ringing 1 (pendulum: 9)."
+    write_html_report(store)
+    write_markdown_report(store)
+    data = page_data(store)
+    assert data["wrong"]["a"]["filters"]["all"][0] == [count]
+    for page in ("report.md", "report/failures.html"):
+        assert count.partition("(")[0] in (store / page).read_text(encoding="utf-8"), page
+    own = method_card(store, "ringing[rho_inf=1]")
+    assert "Wrong without warning: 6 of 6 runs" in " ".join(own)
+    assert "without warning" not in " ".join(method_card(store, "adaptive"))
+
+
+def test_the_cause_leads_to_the_chapter_of_the_atlas(store):
+    folder = edited(store, "with_atlas", lambda r: None)
+    with Store(folder, create=True) as opened:
+        opened.keep(atlas_with("ringing[rho_inf=1]", UNDAMPED)[UNDAMPED])
+    write_html_report(folder)
+    pages = folder / "report"
+    assert (pages / "atlas.html").read_text().count(f'id="atlas-{UNDAMPED}"') == 1
+    failures = (pages / "failures.html").read_text()
+    assert f'href="atlas.html#atlas-{UNDAMPED}"' in failures
+    assert "2 · silent 8</span>" in failures

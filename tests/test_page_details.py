@@ -1,27 +1,34 @@
-"""Details of a report's pages: commands, names in tables, terms, links; the page of a method."""
+"""Pages of a report: commands, names, terms, DOIs, equations, animations; that of a method."""
 
 from __future__ import annotations
 
 import re
+from decimal import ROUND_HALF_UP, Decimal
 from pathlib import Path
+from xml.etree import ElementTree
 
 import altair
 import msgspec
 import pytest
 import vl_convert
-from planted import Document, chart_rows, edited, everything, page_data, plant
-from test_questions import costing as run
-from test_questions import scenes_of
+from hypothesis import given
+from hypothesis import strategies as st
+from planted import Document, chart_rows, edited, everything, page_data, plant, whole_report
+from test_ranking import costing as run
+from test_ranking import scenes_of
 
 from bench.results.records import MethodFacts, Plan
 from bench.results.store import Store
 from problems.base.spec import SpecError
 from reports.charts.maps import method_strip
+from reports.charts.mechanism import mechanism, motion
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
+from reports.pages.site_data import _short
 from reports.ranking import answers
 from reports.scenes import StoredRuns
-from reports.tables.glossary import TERMS
+from reports.tables.glossary import TERMS, terms_in
+from reports.tables.scene_tables import mathml, unknowns
 from reports.verdicts import method_card
 
 LONG = "generalized_alpha[rho_inf=0.8,formulation=stabilised_index2,newton=modified]"
@@ -172,12 +179,80 @@ def test_the_card_of_a_method_says_where_it_wins_loses_and_fails(tmp_path):
         method_card(tmp_path, "pooor")
 
 
-def test_a_page_holds_nothing_of_the_page_before(tmp_path):
-    # Templates are compiled once, though each page has addresses and first terms of its own.
-    plant(tmp_path, everything())
-    reports = []
-    for _ in range(2):
-        write_html_report(tmp_path)
-        reports.append({page.name: page.read_bytes() for page in tmp_path.rglob("*.html")})
-    assert len(reports[0]) > 10
-    assert reports[0] == reports[1]
+def test_an_equation_in_plain_text_is_typeset():
+    for text, parts in [
+        ("M(q) a = g - Phi_q^T lam", {"msubsup": ["Φ q T"], "mi": ["M", "λ"], "mo": ["−"]}),  # noqa: RUF001
+        ("xdot = f(x)", {"mover": ["x ˙"], "mi": ["f", "x"]}),
+        ("0 = a^2 <b>", {"mn": ["0", "2"], "msup": ["a 2"], "mo": ["<", ">"]}),
+        ("x_", {"mi": ["x"], "mo": ["_"]}),
+    ]:
+        tree = ElementTree.fromstring(str(mathml(text)))
+        for tag, wanted in parts.items():
+            found = [" ".join(node.itertext()) for node in tree.iter(tag)]
+            assert set(wanted) <= set(found), tag
+        written = "".join(tree.itertext())
+        for word, symbol in (("Phi", "Φ"), ("lam", "λ"), ("-", "−"), ("xdot", "x˙")):  # noqa: RUF001
+            text = text.replace(word, symbol)
+        assert written == re.sub(r"[\s_^](?=.)|\s", "", text)
+
+
+def test_unknowns_are_counted_and_none_is_named_that_is_not_there(tmp_path):
+    with Store(plant(tmp_path, everything())) as store:
+        by_name = {scene.problem: scene for scene in store.scenes().values()}
+    assert unknowns(by_name["pendulum"]) == "2 coordinates q, 1 multiplier λ"
+    assert "multiplier" not in unknowns(by_name["spring_mass"])
+
+
+def test_every_term_is_one_sentence_and_is_found_in_texts():
+    anchors = [term.anchor for term in TERMS]
+    assert len(set(anchors)) == len(anchors)
+    assert [t.name.lower() for t in TERMS] == sorted(t.name.lower() for t in TERMS)
+    for term in TERMS:
+        assert re.fullmatch(r"[A-Z].*[a-z0-9%)]\.", term.definition)
+        assert not re.search(r"\. [A-Z]", term.definition)
+        for form in (term.name, term.name.lower(), f"{term.name}s"):
+            assert [t for _, _, t in terms_in(f"the {form}, then")] == [term]
+    found = terms_in("modified Newton on index 3, in the last quarter")
+    assert [t.name for _, _, t in found] == ["Newton iteration", "Index", "Settled"]
+    assert list(terms_in("reordered in the normal border by order statistics")) == []
+
+
+def test_one_file_holds_all_pages_and_nothing_beside_it(tmp_path):
+    folder = plant(tmp_path, everything())
+    write_html_report(folder)
+    many = whole_report(folder)
+    (folder / "report").rename(folder / "gone")
+    text = write_html_report(folder, single_file=True).read_text(encoding="utf-8")
+    assert not (folder / "report").exists()
+    places = Document(text).places
+    assert all(place.startswith(("#", "data:", "https://doi.org/")) for _, place in places)
+    ids = re.findall(r' id="([^"]+)"', text)
+    assert len(ids) == len(set(ids))
+    assert {place[1:] for _, place in places if place.startswith("#")} <= set(ids)
+    assert set(re.findall(r"<caption[^>]*>(.*?)</caption>", many)) == set(
+        re.findall(r"<caption[^>]*>(.*?)</caption>", text)
+    )
+
+
+def test_a_scene_is_played_from_its_drawings_and_shown_at_few_times():
+    drawings = [
+        {"t": k / 10, "lines": [[[0.0, 0.0], [1.0, k / 60]], [[None, 1.0]]]} for k in range(61)
+    ]
+    played = motion(drawings)
+    assert played
+    assert len(played.frames) == 61
+    assert played.frames[60]["lines"][0] == [(0.0, 0.0), (1.0, -1.0)]
+    assert played.still == "M0 0L1 -1"
+    assert motion([{"t": 0.0, "lines": [[]]}]) is None
+    chart = mechanism(drawings)
+    assert chart
+    rows = next(iter(chart["datasets"].values())).splitlines()[1:]
+    assert len({row.split(",")[0].split(".")[0] for row in rows}) == 7
+
+
+@given(st.floats(1e-9, 1e9), st.integers(100, 999), st.integers(-2, 6), st.sampled_from([5, 7]))
+def test_scripts_show_the_three_digits_that_python_does(value, digits, power, kept):
+    for number in (value, 10.0**power * (10 * digits + 5) / 10):  # and halves between three digits
+        shown = Decimal(_short(number, kept))  # a script rounds halves up
+        place = Decimal(1).scaleb(shown.adjusted() - 2)
+        assert float(shown.quantize(place, ROUND_HALF_UP)) == float(f"{number:.3g}")

@@ -1,4 +1,4 @@
-"""Faulty plugins and options give one sentence and do not disturb the others."""
+"""Faulty plugins, options and profiles give one sentence and disturb no others."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from helpers import long
 from bench.plugins.registry import Registry, Unavailable
 from bench.running import worker
 from bench.running.inventory import Inventory
-from bench.running.plan import Cell
+from bench.running.plan import Cell, make_suite
+from bench.running.profiles import built_in_profiles, read_profile
 from integrators import Steps
+from problems.base.spec import SpecError
 
 HEAD = """
 from dataclasses import dataclass
@@ -58,18 +60,6 @@ def test_a_numpy_default_is_listed_as_json_without_what_the_plugin_prints_at_imp
     scenes = listed(f"{code}    n: int = parameter(np.int64(3), '', 'links')\n")
     defaults = {option["name"]: option["default"] for option in scenes["heavy_bob"]["options"]}
     assert defaults["n"] == 3
-
-
-def test_what_an_entry_point_prints_at_import_stays_out_of_the_json(capsys):
-    from bench.plugins.registry import Plugin
-    from problems.scenes.pendulums import Pendulum
-
-    def load():
-        print("hello")
-        return Pendulum
-
-    assert Plugin("problems", "pendulum", "", load).cls is Pendulum
-    assert capsys.readouterr().out == ""
 
 
 def test_a_plugin_that_fails_when_it_is_made_or_is_set_twice_is_one_sentence(refused, tmp_path):
@@ -140,15 +130,6 @@ def test_an_empty_plugin_path_does_not_import_the_current_folder(refused, tmp_pa
     assert not (tmp_path / "imported").exists()
 
 
-def test_a_file_is_listed_without_loading_what_is_built_in(tmp_path):
-    (tmp_path / "broken.py").write_text("raise ValueError('no scene')\n")
-    inventory = Inventory([tmp_path / "broken.py"])
-    assert "no scene" in inventory.broken_files()[0]
-    plugins = [*inventory.problems.values(), *inventory.integrators.values()]
-    assert {p.name for p in plugins if "_found" in vars(p)} == {"broken"}
-    assert inventory.integrators["ida"].options  # here it is loaded
-
-
 def test_a_scene_that_cannot_be_planned_costs_its_own_cells(tmp_path):
     """Whatever its facts raise, while the suite is planned in the same process."""
     for interval in ("raise SystemExit(3)", "raise KeyError('t')", "return 1 / 0"):
@@ -160,3 +141,68 @@ def test_a_scene_that_cannot_be_planned_costs_its_own_cells(tmp_path):
         assert inventory.problem("pendulum").name == "pendulum"
         for module in [name for name in sys.modules if name.startswith("stepbench_plugin_odd")]:
             del sys.modules[module]
+
+
+STUDY = """
+samples = 0
+[[study]]
+problems = ["pendulum"]
+integrators = ["generalized_alpha[rho_inf=0.5]", "newmark"]
+vary = { formulation = ["index3", "stabilised_index2"], start = ["consistent", "corrected"] }
+steps = [0.02, 0.01]
+"""
+
+
+def suite_of(tmp_path, text):
+    file = tmp_path / "mine.toml"
+    file.write_text(text)
+    return make_suite(*read_profile(str(file)), Inventory())
+
+
+def test_varied_options_are_combined_with_every_integrator(tmp_path):
+    suite = suite_of(tmp_path, STUDY)
+    names = {cell.integrator for cell in suite.cells.values()}
+    assert len(names) == 8
+    assert len(suite.cells) == 16
+    assert "generalized_alpha[rho_inf=0.5,formulation=stabilised_index2,start=corrected]" in names
+    assert "newmark[beta=0.25,gamma=0.5]" in names
+    assert suite.plan.samples == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("start =", "strat =", "did you mean 'start'"),
+        ('"corrected"', '"late"', "start=late is not allowed"),
+        ("samples = 0", "samples = -1", "samples=-1 is not allowed; give 0 (no timing) to 1000"),
+        ("steps =", 'components = ["q3"]\nsteps =', "pendulum has no component 'q3'"),
+        ("steps =", 'components = ["q2:q9"]\nsteps =', "pendulum has no component 'q9'"),
+        ("steps =", 'components = ["q1:"]\nsteps =', "pendulum has no component ''"),
+        ("steps =", 'components = ["z1"]\nsteps =', "give a group and a number such as q1"),
+        ("steps =", 'figures = ["order"]\nsteps =', "did you mean 'orders'"),
+    ],
+)
+def test_a_bad_profile_is_one_sentence(tmp_path, old, new, words):
+    with pytest.raises(SpecError) as error:
+        suite_of(tmp_path, STUDY.replace(old, new))
+    assert words in str(error.value)
+
+
+def test_a_suite_takes_the_studies_of_those_that_it_includes(tmp_path):
+    registry = Inventory()
+    whole, part = (make_suite(*read_profile(name), registry) for name in ("methods", "orders"))
+    assert set(part.cells) < set(whole.cells)
+    assert whole.plan.studies[-len(part.plan.studies) :] == part.plan.studies
+    assert whole.plan.title != part.plan.title
+    for other, words in (("methods", "which includes others"), ("ordes", "did you mean 'orders'")):
+        with pytest.raises(SpecError, match=words):
+            suite_of(tmp_path, STUDY.replace("samples", f'include = ["{other}"]\nsamples'))
+
+
+@pytest.mark.parametrize("name", built_in_profiles())
+def test_built_in_profiles_name_only_what_there_is(name):
+    registry = Inventory()
+    suite = make_suite(*read_profile(name), registry)
+    for text in {cell.integrator for cell in suite.cells.values()}:
+        assert registry.integrator(text).spec == text
+    assert suite.plan.title

@@ -15,14 +15,11 @@ from hypothesis import strategies as st
 from planted import planted
 from test_refusals import scenes
 
-from bench.plugins.registry import Registry
 from bench.results.demands import bracket, demand, overviews
 from bench.results.quantities import NORMS
 from bench.results.records import UNSUPPORTED, Plan, Record, Study
 from bench.results.store import Store
 from bench.running.inventory import Inventory
-from bench.running.plan import make_suite
-from bench.running.profiles import read_profile
 from bench.running.race import Race
 from bench.running.recommend import Recommendation
 from bench.running.search import MOST_RUNS, RESOLVED, Candidate, Sizes
@@ -374,13 +371,3 @@ def test_the_iftomm_rule_has_two_precisions_of_the_points(stepbench, tmp_path):
         assert np.hypot(*place) == pytest.approx(1.0, abs=1e-10)
         exact = IFToMMPendulum().exact(np.array([1.0]))["q"][0]
         assert 0.0 < np.abs(place - exact).max() < limit
-
-
-def test_the_suite_iftomm_has_many_families_and_methods_that_take_its_scenes():
-    registry, inventory = Registry(), Inventory()
-    suite = make_suite(*read_profile("iftomm"), inventory)
-    pairs = {(c.problem, c.integrator) for c in suite.cells.values()}
-    assert len({registry.integrator(method).family for _, method in pairs}) >= 8
-    for scene, method in pairs:
-        assert inventory.problem(scene).points
-        assert registry.integrator(method).supports(registry.problem(scene)) is None

@@ -17,13 +17,11 @@ not a finite number                        | solve pendulum newmark --set m=nan
 not of the form name=value                 | solve pendulum newmark --set m
 outside                                    | solve pendulum newmark --set m=-1
 give a positive number                     | solve pendulum newmark --step 0
-give a positive number                     | solve pendulum newmark --step -0.1
 give a positive number                     | solve pendulum newmark --step nan
 larger than the interval                   | solve pendulum newmark --step 7
 give a larger one                          | solve pendulum newmark --step 1e-320
 does not lie after the start               | solve pendulum newmark --t-end 0.1
 does not lie after the start               | solve pendulum newmark --t-end nan
-does not lie after the start               | solve pendulum newmark --t-end inf
 takes fixed steps                          | solve pendulum newmark --rtol 1e-3
 takes steps of its own                     | solve pendulum ida --step 0.1
 rtol=0 is not allowed                      | solve pendulum ida --rtol 0
@@ -45,11 +43,9 @@ leave --step out     | solve spring_mass newmark --ensemble 3 --vary h:0.1..0.2 
 give a name that ends in .csv   | solve spring_mass newmark --ensemble 3 --vary k:1..2 -o x.txt
 cannot run many members in one program     | solve spring_mass ida --ensemble 3 --vary k:1..2
 take kvaerno5[steps=constant               | solve spring_mass kvaerno5 --ensemble 3 --vary k:1..2
-takes fixed steps            | solve spring_mass newmark --ensemble 3 --vary k:1..2 --rtol 1e-3
 does not take                           | solve pendulum newmark[beta=0] --ensemble 3 --vary g:1..2
 
 give two different numbers                 | map pendulum newmark --over h
-give two different numbers                 | map pendulum newmark --over h,h
 is no number that can vary                 | map pendulum newmark --over h,newton_max
 is of no axis                              | map pendulum newmark --over h,beta --range gamma:0..1
 positive number                            | map pendulum newmark --over h,beta --range h:-1..0.1
@@ -68,38 +64,30 @@ give --rtol      | map pendulum generalized_alpha_adaptive --over rtol,th0 --ste
 rtol=-1 is not   | map pendulum generalized_alpha_adaptive --over rtol,th0 --range rtol:-1..1
 
 '0.1,,0.05,0.025' is not a list of numbers | order spring_mass newmark --steps 0.1,,0.05,0.025
-is not a list of numbers                   | order spring_mass newmark --steps 0.1,0.05,0.025,
-'' is not a list of numbers                | order spring_mass newmark --steps ''
 'm' is given twice                         | order spring_mass newmark --set m=1 --set ' m =2'
 not of the form name=value                 | order spring_mass newmark --set 'm= '
-not of the form name=value                 | order spring_mass newmark --set ' =1'
 The budget is nan; give a time in s above  | order spring_mass newmark --budget nan
-The budget is 0.0                          | order spring_mass newmark --budget 0
 at least three                             | order pendulum newmark --steps 0.1,0.05
-chooses its own steps                      | order pendulum ida
 Missing argument 'INTEGRATOR...'           | order pendulum
 chooses its own steps, over which no order | order pendulum newmark ida
 
 did you mean 'quick'                       | run quik
 cannot be read                             | run none.toml
 no scene 'nothing'                         | run -p nothing
+did you mean 'wbz'                         | run --mine wbzz
 no integrator 'nothing'                    | run -i nothing
 no stepbench results                       | report nowhere
-no stepbench results                       | report nowhere --csv
 --open and --csv do not go together        | report --csv --open
 --json and --figure do not go together     | report --json --figure convergence
 --t-end belongs to a figure; name its kind | report --t-end 1
 --integrator belongs to a figure           | report -i ida --csv
 say --csv, --json or --figure              | report -o a.svg
-say --csv, --json or --figure              | report --open -o a.csv
 pages of scenes alone                      | list newmark --draw
 leave out --json                           | list pendulum --draw --json
 --out goes with --draw                     | list --out pages
-did you mean 'pendulum'                    | list pendulm --draw
 
 in small letters, digits and '_'           | new integrator 'My Method'
 such as my_method                          | new problem 3d
-such as my_method                          | new problem class
 The name 'pendulum' is taken by            | new integrator pendulum
 scene.txt is not the name of a Python file | new problem scene --out scene.txt
 no folder 'nowhere'; make it first.        | new problem scene --out nowhere/scene.py
@@ -109,32 +97,24 @@ there is no file 'robot.xml'.              | new problem my_robot --from robot.x
 --set belongs to a model                   | new problem my_robot --set contacts=left_out
 
 did you mean 'pendulum'                    | recommend pendulun
-did you mean 'pendulum'                    | recommend pendulun ida
 is no demand                               | recommend pendulum --error a
-is no demand                               | recommend pendulum ida --error a
 budget                                     | recommend pendulum --budget 0
 friction states no energy                  | recommend friction --error energy:1
-friction states no energy                  | recommend friction ida --rule iftomm
 spring_mass names no points                | recommend spring_mass ida --error points:1
 ranked by one error, and 2 are asked for   | recommend pendulum --rule iftomm
 or name integrators                        | recommend pendulum --error q:1 --error a:1
 No integrator takes heavy_top_so3          | recommend heavy_top_so3 rodas5p
 belong to one scene                        | recommend quick --t-end 1
 nothing.toml                               | recommend nothing.toml ida
-nothing.py                                 | recommend nothing.py
 the scenes one_mass, two_masses; name one  | recommend two.py
-one_mass names no points                   | recommend one.py newmark --error points:1
 defines no MechatronicSystem               | recommend none.py
 
 named twice                                | drift oscillator newmark newmark
 not allowed                                | drift oscillator newmark --step -1
 end time                                   | drift oscillator newmark --step 1e306
 range                                      | drift oscillator newmark --steps 1
-newmark                                    | drift oscillator nomark
 
 chooses its own steps; an amplification matrix needs constant steps | stability ida
-chooses its own steps                      | stability generalized_alpha_adaptive
-did you mean 'newmark'                     | stability newmrk
 give positive fractions of the macro step  | stability newmark --pattern 0.3,0.3
 omega h = -2 is not allowed                | stability newmark --at 1,-2
 zeta=-1                                    | stability newmark --zeta -1
@@ -146,13 +126,10 @@ Missing argument                           | stability
 
 is not in the range x>0                    | realtime pendulum newmark --rate 0
 from 2 to 1000000 steps                    | realtime pendulum newmark --rate 1e400
-from 2 to 1000000 steps                    | realtime pendulum newmark --rate nan
 not a valid float range                    | realtime pendulum newmark --rate 1kHz
 not in the range                           | realtime pendulum newmark --rate 1e3 --iterations 0
 at most 1 s, the interval of pendulum      | realtime pendulum newmark --rate 1e3 --duration 1e3
-not allowed                                | realtime pendulum newmark --rate 1e3 --duration nan
 from 2 to 1000000 steps                    | realtime pendulum newmark --rate 1e9
-newmark                                    | realtime pendulum nomark --rate 1e3
 --rate                                     | realtime pendulum newmark
 1000 Hz over 0.001 s is not allowed        | realtime pendulum newmark --rate 1e3 --duration 1e-3
 """

@@ -1,8 +1,4 @@
-"""Identities of scenes at random states, and their starts.
-
-Each is written down independently of the scene's blocks: from a power balance, an invariant, the
-published equations, or another form of the same system.
-"""
+"""Identities of scenes at random states, and scenes of rolling, friction and spatial mechanisms."""
 
 from __future__ import annotations
 
@@ -13,16 +9,25 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import long
+from helpers import long, reference
+from scipy.optimize import brentq
 
-from problems import MechatronicSystem, jax
+from problems import MechatronicSystem, jax, jnp
 from problems.base.spec import SpecError
 from problems.equations.constraints import constraint_acceleration, constraint_velocity
+from problems.equations.formulations import ode_rate
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.ivp_test_set import CarAxis, SliderCrankFlexible
-from problems.scenes.oscillators import DrivenSprings, Duffing, Friction, Oscillator
-from problems.scenes.pendulums import Chain, DoublePendulumControlled
-from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven, SliderCrankMinimal
+from problems.scenes.oscillators import Duffing
+from problems.scenes.pendulums import Chain
+from problems.scenes.rolling import Bicycle, ChaplyginSleigh, RollingDisc
+from problems.scenes.slider_crank import (
+    SliderCrank,
+    SliderCrankDriven,
+    SliderCrankFriction,
+    SliderCrankMinimal,
+)
+from problems.scenes.spatial_mechanisms import SpatialFourBar, SpatialSliderCrank
 from problems.truth.reference import Reference
 
 #: Scenes, the first with its default parameters, and their check.
@@ -129,46 +134,6 @@ def check_slider_crank(scene):
         assert moment == pytest.approx(m2 * scene.l2**2 / 12 * a[5], rel=1e-9)
 
 
-@of(SliderCrankMinimal())
-def check_slider_crank_minimal(scene):
-    """Against energy and against the kinetic energy of the bodies."""
-    for th, w in [(0.9, 8.0), (2.5, -12.0), (4.0, 3.0)]:
-        q, v = crank_bodies(scene, th, w)
-        j1, j2 = scene.m1 * scene.l1**2 / 12, scene.m2 * scene.l2**2 / 12
-        m = np.array([scene.m1, scene.m1, j1, scene.m2, scene.m2, j2, scene.m3])
-        energy = 0.5 * m @ v**2 + scene.g * (scene.m1 * q[1] + scene.m2 * q[4])
-        found = at(scene, [th], [w])
-        assert found["energy"] == pytest.approx(energy, rel=1e-13)
-        (a, _), (by_q, by_v) = solved(scene, [th], [w]), found["slopes"]
-        assert by_v @ a == pytest.approx(-by_q[0] * w, rel=1e-12)
-
-
-@of(CarAxis(), CarAxis(eps=0.2, m=3.0, length=1.5, spring=0.7, r=0.3, w=4.0, g=2.0))
-def check_car_axis(scene):
-    """The equations as the test set prints them."""
-    random = rng()
-    for t in (0.1, 0.37):
-        q, a = random.normal(size=(2, 4))
-        lam = random.normal(size=2)
-        yb = scene.r * np.sin(scene.w * t)
-        xb = np.sqrt(scene.length**2 - yb**2)
-        xl, yl, xr, yr = q
-        left, right = np.hypot(xl, yl), np.hypot(xr - xb, yr - yb)
-        mass, rest = scene.m * scene.eps**2 / 2, scene.spring
-        weight = mass * scene.g
-        wanted = [
-            (rest - left) * xl / left + lam[0] * xb + 2 * lam[1] * (xl - xr),
-            (rest - left) * yl / left + lam[0] * yb + 2 * lam[1] * (yl - yr) - weight,
-            (rest - right) * (xr - xb) / right - 2 * lam[1] * (xl - xr),
-            (rest - right) * (yr - yb) / right - 2 * lam[1] * (yl - yr) - weight,
-        ]
-        found = at(scene, q, 0 * q, t)
-        residual = found["mass"] @ a - found["force"] + found["jacobian"].T @ lam
-        assert residual == pytest.approx(mass * a - wanted, abs=1e-13)
-        phi = [xb * xl + yb * yl, (xl - xr) ** 2 + (yl - yr) ** 2 - scene.length**2]
-        assert np.abs(found["constraint"]) == pytest.approx(np.abs(phi), abs=1e-13)
-
-
 @of(Chain(), Chain(links=3, m=0.7, length=1.3, g=2.0))
 def check_chain(scene):
     th, w = rng().uniform(-2, 2, (2, scene.links))
@@ -186,49 +151,6 @@ def check_chain(scene):
     # Each link turns without stretching: relative accelerations along it are centripetal.
     along = (np.diff(a, axis=0, prepend=np.zeros((1, 2))) * link).sum(axis=1)
     assert along == pytest.approx(-(scene.length**2) * w**2, rel=1e-10)
-
-
-@of(DoublePendulumControlled(), DoublePendulumControlled(m1=2.0, l1=0.6, g=3.0))
-def check_double_pendulum_controlled(scene):
-    """Forces that Newton's law leaves for the joints, at any accelerations of both masses."""
-    random = rng()
-    q, v, a = random.normal(size=(3, 3))
-    along, across = (np.array([np.sin(p), -np.cos(p)]) for p in (q[2], q[2] + np.pi / 2))
-    swung = scene.l2 * (a[2] * across - v[2] ** 2 * along)
-    weight = np.array([0.0, -scene.g])
-    second = scene.m2 * (a[:2] + swung - weight)
-    first = scene.m1 * (a[:2] - weight)
-    found, lam, y = at(scene, q, v), random.normal(size=1), random.normal(size=1)
-    residual = found["mass"] @ a - found["force"] + found["jacobian"].T @ lam
-    wanted = [*(first + second + lam * q[:2] - [y[0], 0.0]), scene.l2 * across @ second]
-    assert residual - scene.actuation() @ y == pytest.approx(wanted, rel=1e-12)
-
-
-@of(DrivenSprings(), DrivenSprings(m2=2.0))
-def check_driven_springs(scene):
-    """Power balance: the energy gains what the driven point and the damper give and take."""
-    for (q, v), t in zip(rng().normal(size=(3, 2, 2)), (0.0, 0.7, 4.1), strict=True):
-        a, _ = solved(scene, q, v, t)
-        u, u_dot = np.sin(scene.omega * t), scene.omega * np.cos(scene.omega * t)
-        pull = scene.k1 * (u - q[0]) + scene.c1 * (u_dot - v[0])
-        power = pull * v[0] + scene.k2 * (q[0] - q[1]) * (v[1] - v[0])
-        assert scene.m1 * a[0] * v[0] + scene.m2 * a[1] * v[1] == pytest.approx(power, rel=1e-11)
-        # Newton's law for both masses together: the soft spring is an inner force.
-        assert scene.m1 * a[0] + scene.m2 * a[1] == pytest.approx(pull, rel=1e-11)
-
-
-@of(Friction(), Friction(mu=0.7))
-def check_friction(scene):
-    for q, v in ((2.0, 0.3), (-1.0, -2.0), (0.5, 0.0)):
-        total = scene.m * solved(scene, [q], [v])[0][0] + scene.k * q
-        assert total == pytest.approx(-scene.mu * np.tanh(v / scene.eps), abs=1e-14)
-        assert total * v <= 0  # it takes energy
-
-
-@of(Oscillator(), Oscillator(omega=3.0))
-def check_oscillator(scene):
-    a, _ = solved(scene, [0.7], [0.2])
-    assert a[0] == pytest.approx(-(scene.omega**2) * 0.7, rel=1e-14)
 
 
 @pytest.mark.parametrize("others", [False, *long(True)])
@@ -272,3 +194,170 @@ def test_parameters_that_cannot_be_assembled_are_refused():
     ]:
         with pytest.raises(SpecError, match=says):
             cls(**options)
+
+
+# ---- the sleigh --------------------------------------------------------------------------
+def test_the_sleigh_turns_by_a_known_angle_and_runs_forwards():
+    scene = ChaplyginSleigh()
+    k = np.sqrt(scene.j / scene.m + scene.arm**2)
+    ahead = np.arcsin(np.tanh(np.arcsinh(scene.u0 / (k * scene.w0))))
+    end = scene.exact(np.array([0.0, 50.0]))
+    assert end["q"][1, 2] == pytest.approx(k / scene.arm * (np.pi / 2 - ahead), abs=1e-12)
+    assert end["v"][1, 0] == pytest.approx(np.hypot(scene.u0, k * scene.w0), abs=1e-12)
+
+
+# ---- the disc ----------------------------------------------------------------------------
+@cache
+def program(cls):
+    """Jacobians of rates and of constraints by the state, of a kind of scene."""
+    template = cls().template()
+
+    def rates(p, s):
+        return ode_rate(template.with_parameters(p), jnp.zeros(()), s)
+
+    def levels(p, s):
+        scene, (q, v) = template.with_parameters(p), jnp.split(s, 2)
+        rows = [scene.constraint(q, jnp.zeros(()))] if scene.sizes.nh else []
+        return jnp.concatenate([*rows, constraint_velocity(scene, q, v, jnp.zeros(()))])
+
+    return jax.jit(lambda p, s: (jax.jacfwd(rates, 1)(p, s), jax.jacfwd(levels, 1)(p, s)))
+
+
+def jacobians(scene):
+    q, v, _ = scene.initial_state()
+    return map(np.asarray, program(type(scene))(scene.parameters(), np.concatenate([q, v])))
+
+
+def test_an_upright_disc_is_stable_above_the_published_spin():
+    for spin in [0.9, 1.1, 3.0]:
+        # Neimark & Fufaev: spin^2 > A m g r/(C (C + m r^2)), which for a disc is g/(3 r).
+        m, r, g = 1.7, 0.4, 9.81
+        across, axial = m * r**2 / 4, m * r**2 / 2
+        limit = across * m * g * r / (axial * (axial + m * r**2))
+        assert limit == pytest.approx(g / (3 * r))
+        rate = spin * np.sqrt(limit)
+        scene = RollingDisc(m=m, r=r, g=g, lean_rate0=0.0, spin0=rate)
+        values = np.linalg.eigvals(next(jacobians(scene)))
+        square = m * g * r * (1 - spin**2) / (across + m * r**2)
+        lean = np.sqrt(complex(square))
+        for wanted in (lean, -lean):
+            assert np.abs(values - wanted).min() < 1e-9
+        others = np.abs(np.abs(values) - abs(lean)) > 1e-6
+        assert np.count_nonzero(others) == 8
+        assert np.abs(values[others]).max() < 1e-4  # zeros of multiplicity two
+        assert (values.real.max() > 1.0) == (spin < 1)
+
+
+def test_a_leaning_disc_rolls_in_a_circle():
+    # (C + m r^2) W n cos(lean) = A n^2 sin(lean) cos(lean) - m g r sin(lean) for turn n.
+    m, r, g, lean, n = 1.0, 0.5, 9.81, 0.4, -2.0
+    c, s = np.cos(lean), np.sin(lean)
+    axial = (r**2 / 4 * n**2 * s * c - g * r * s) / (1.5 * r**2 * n * c)
+    scene = RollingDisc(lean0=lean, turn0=n, lean_rate0=0.0, spin0=axial - n * s)
+    t = np.linspace(0.0, 1.0, 6)
+    z = reference(scene, 1.0)(t)
+    radius = r * axial / n  # signed, to the left
+    wanted = [radius * np.sin(n * t), radius * (1 - np.cos(n * t)), n * t, lean + 0 * t]
+    assert z["q"] == pytest.approx(np.column_stack([*wanted, (axial - n * s) * t]), abs=1e-11)
+    # The plane pushes the centre towards that of the circle.
+    push = m * r * axial * n
+    assert z["lam"] == pytest.approx(np.tile([0.0, -push], (6, 1)), abs=1e-10)
+
+
+def test_a_swaying_disc_obeys_newton_and_euler():
+    scene = RollingDisc()
+    z = reference(scene, 1.0)(np.linspace(0.0, 1.0, 6))
+    lean, (_, _, turn, nod, spin) = z["q"][:, 3], z["v"].T
+    _, _, turn_rate, nod_rate, spin_rate = z["a"].T
+    m, r, g, c, s, zero = scene.m, scene.r, scene.g, np.cos(lean), np.sin(lean), 0 * lean
+    axial, axial_rate = spin + turn * s, spin_rate + turn_rate * s + turn * c * nod
+    # Along the heading, the axle, and from the ground to the centre; these axes turn, too.
+    axes = np.column_stack([nod, turn * s, turn * c])
+    inertia = m * r**2 / 4 * np.array([1.0, 2.0, 1.0])
+    whirl = np.cross(axes, inertia * np.column_stack([nod, axial, turn * c]))
+    tilting = turn_rate * c - turn * s * nod
+    rate = inertia * np.column_stack([nod_rate, axial_rate, tilting]) + whirl
+    moved = r * np.column_stack([axial, -nod, zero])
+    push = r * np.column_stack([axial_rate, -nod_rate, zero]) + np.cross(axes, moved)
+    push = m * (push + g * np.column_stack([zero, s, c]))
+    assert rate == pytest.approx(np.cross([0.0, 0.0, -r], push), abs=1e-9)
+    assert np.abs(lean).max() > 0.3
+
+
+# ---- the bicycle -------------------------------------------------------------------------
+def of_lean_and_steer(speed):
+    """Matrix ``(4, 4)`` of the upright bicycle's linear motion in lean, steer and their rates."""
+    rates, levels = jacobians(Bicycle(speed=speed, lean_rate=0.0))
+    # Place, yaw, turns and speed of the wheels stay; the rest follows by the constraints.
+    free, bound = [4, 6, 13, 15], [2, 5, 9, 10, 11, 12, 14, 17]
+    along = np.zeros((18, 4))
+    along[free] = np.eye(4)
+    along[bound] = -np.linalg.solve(levels[:, bound], levels[:, free])
+    return (rates @ along)[free]
+
+
+def weave(speed):
+    values = np.linalg.eigvals(of_lean_and_steer(speed))
+    return values[values.imag > 0].real.max()
+
+
+@pytest.mark.long
+def test_the_bicycle_is_stable_between_the_published_speeds():
+    tight = {"xtol": 1e-14, "rtol": 1e-14}
+    # Meijaard et al. (2007), table 2 and section 4.
+    capsize = brentq(lambda v: np.linalg.det(of_lean_and_steer(v)), 5.0, 7.0, **tight)
+    assert brentq(weave, 4.0, 5.0, **tight) == pytest.approx(4.29238253634111, abs=1e-12)
+    assert capsize == pytest.approx(6.02426201538837, abs=1e-11)
+    for speed, stable in ((4.2, False), (4.4, True), (5.9, True), (6.1, False)):
+        assert (np.linalg.eigvals(of_lean_and_steer(speed)).real.max() < 0) == stable
+
+
+# ---- the slider crank that rubs -----------------------------------------------------------
+#: Angle of the crank, its acceleration and the guide's force at 0.4 s and 1 s, from Newton's laws
+#: for each body with one angle, by a program of its own.
+RUBBED = {
+    0.3: [[5.01060068326, -33.876007951, 2.02441539861],
+          [5.370399903, 20.5277513818, 2.67741167845]],
+    0.1: [[5.38924195568, 22.6419225242, 2.89055984979],
+          [11.6069429061, 8.70639278743, 2.64866054766]],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mu", [0.3, *long(0.1)])
+def test_the_slider_that_rubs_moves_as_by_newtons_laws_for_one_angle(mu):
+    scene = SliderCrankFriction(mu=mu)
+    z = reference(scene, 1.0)(np.array([0.4, 1.0]))
+    guide = scene.m3 * scene.g - z["lam"][:, 5]
+    found = np.column_stack([z["q"][:, 2], z["a"][:, 2], guide])
+    assert found == pytest.approx(np.array(RUBBED[mu]), abs=1e-7)
+
+
+#: At 0.5 s: the crank's rate and acceleration, and the centres of all bodies in m. They are of
+#: a program of its own: bodies follow one angle in closed form, and its equation of Lagrange, with
+#: the inertia and weight that follow, is integrated (DOP853, rtol=1e-13).
+DIGITS = [
+    (SpatialFourBar(), 2, 8.39192583632, 20.7645046932, [
+        [0.04200215745, -0.02712597961, 0.0], [0.2232938799, 0.02287402039, 0.14882876184],
+        [0.38129172245, 0.1, 0.14882876184]]),
+    (SpatialSliderCrank(), 0, 14.4081608102, -105.43676212, [
+        [0.0, 0.12575104311, 0.15060855728], [0.09247631489, 0.07575104311, 0.09060855728],
+        [0.18495262978, 0.0, 0.0]]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("scene", "axis", "rate", "acceleration", "centres"), long(*DIGITS))
+def test_the_mechanism_moves_as_by_its_one_angle(scene, axis, rate, acceleration, centres):
+    z = reference(scene, 0.5)(np.linspace(0.0, 0.5, 11))
+    q, v, a = (z[g].reshape(11, 3, -1) for g in "qva")
+    assert v[-1, 0, 3 + axis] == pytest.approx(rate, abs=1e-9)
+    assert a[-1, 0, 3 + axis] == pytest.approx(acceleration, abs=1e-7)
+    assert q[-1, :, :3] == pytest.approx(np.array(centres), abs=1e-9)
+    energy = [float(scene.energy(*s)) for s in zip(z["q"], z["v"], strict=True)]
+    assert energy == pytest.approx(np.full(11, energy[0]), rel=1e-11)
+
+
+def test_the_start_of_the_slider_crank_is_that_of_its_source():
+    """The velocities of all bodies follow from that of the crank (values of the benchmark)."""
+    v = SpatialSliderCrank().initial_state().v.reshape(3, 6)
+    assert v[1] == pytest.approx([0.12, -0.24, 0.0, 1.92, -0.96, 0.48], abs=1e-13)
+    assert v[2] == pytest.approx([0.24, 0.0, 0.0, 0.0, 0.0, 0.0], abs=1e-13)

@@ -11,7 +11,6 @@ from integrators.adapters import equations
 from integrators.adapters.ida import IDA
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
-from integrators.methods.simulator_steppers import ImplicitFast
 from problems import jax, jnp, parameter
 from problems.base import runtime
 from problems.base.spec import SpecError
@@ -25,7 +24,6 @@ from problems.scenes.oscillators import SpringMass
 from problems.scenes.pendulums import Chain, Pendulum
 from problems.scenes.quarter_car import QuarterCar
 from problems.scenes.slider_crank import SliderCrank
-from problems.truth.reference import Reference, ReferenceFailed
 
 pytest.importorskip("klujax")
 GROUPS = ("q", "v", "a", "lam", "x", "y")
@@ -156,34 +154,6 @@ def test_the_sparse_jacobian_is_the_dense_one_as_superlu_wants_it(scene, form):
     assert (rows.tolist(), starts.tolist()) == tuple(k.tolist() for k in sparse[1])
 
 
-def test_a_missing_entry_a_sign_and_an_exchange_are_seen():
-    scene = Chain(links=3)
-    good, (rows, starts) = equations.sparse_jacobian(scene.template(), GGL)
-    rng, n = np.random.default_rng(4), len(starts) - 1
-    call = good.bind(np.array([*scene.parameters().values()]))
-    size = np.abs(call(0.0, *rng.normal(size=(2, n)), 1.0))
-    k, entries = int(np.argmax(size)), np.arange(len(size))
-    column = int(np.argmax(np.diff(starts)))
-    first, last = starts[column : column + 2]
-    exchanged = entries.copy()
-    exchanged[first:last] = entries[first:last][::-1]
-
-    class Spoiled:
-        def __init__(self, change):
-            self._change = change
-
-        def bind(self, p):
-            values = good.bind(p)
-            return lambda *z: self._change(np.asarray(values(*z)))
-
-    for change in (
-        lambda v: np.where(entries == k, 0.0, v),
-        lambda v: np.where(entries == k, -v, v),
-        lambda v: v[exchanged],
-    ):
-        assert difference(scene, GGL, (Spoiled(change), (rows, starts))) > 1e-3
-
-
 def test_the_pattern_holds_every_entry_and_its_colours_do_not_grow_with_the_chain():
     few, twelve, fifty = (
         GeneralizedAlpha(**SPARSE).program(Chain(links=n))[0].patterns[0] for n in (5, 12, 50)
@@ -257,12 +227,11 @@ def test_size_and_fill_choose_the_solver(monkeypatch):
     assert not is_sparse(IDA(), full)
 
 
-#: A scene that solves equations, which is not followed; a chain whose matrix is used.
+#: A scene that solves equations, which is not followed.
 Solving = toy(
     "Solving", base=SpringMass,
     force=lambda self, q, v, t: jnp.linalg.solve(self.mass(q), SpringMass.force(self, q, v, t)),
 )  # fmt: skip
-Dense = toy("Dense", base=Chain, mass_product=Chain.__mro__[1].mass_product)
 
 
 @pytest.mark.parametrize("scene", [Solving(), *long(FullCar())], ids=str)
@@ -291,36 +260,3 @@ def test_without_the_libraries_sparse_is_refused_and_auto_is_dense_and_told_once
     (told,) = [text for text in caplog.messages if "full matrices" in text]
     assert told.startswith("Large scenes take full matrices.")
     assert "pip install 'stepbench[sparse]'" in told
-
-
-def test_no_reference_is_made_of_a_large_scene():
-    reference = Reference(Chain(links=200), 0.1)
-    assert "600 unknowns" in reference.missing
-    with pytest.raises(ReferenceFailed, match="600 unknowns"):
-        reference(np.array([0.1]))
-    assert not Reference(Chain(links=100), 0.1).missing
-
-
-# ---- products of the mass --------------------------------------------------------------
-@pytest.mark.long
-def test_a_product_that_is_not_the_mass_matrix_is_found(refused, tmp_path):
-    (tmp_path / "wrong.py").write_text(
-        "from dataclasses import dataclass\n"
-        "from problems.scenes.pendulums import Chain\n"
-        "@dataclass(frozen=True)\n"
-        "class Wrong(Chain):\n"
-        "    'A chain.'\n"
-        "    def mass_product(self, q, a):\n"
-        "        return 1.01 * self.m * a\n"
-    )
-    assert "mass_product differs" in refused("check", tmp_path / "wrong.py")
-
-
-@pytest.mark.long
-def test_a_scene_without_a_product_takes_its_matrix():
-    assert not Dense.has("mass_product")
-    for method in (GeneralizedAlpha(**SPARSE), ImplicitFast()):
-        one, other = (
-            ended(method, scene, 0.005, Steps(1e-3)) for scene in (Dense(links=4), Chain(links=4))
-        )
-        assert one.lam == pytest.approx(other.lam, rel=1e-9)

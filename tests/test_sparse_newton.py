@@ -11,11 +11,9 @@ from helpers import forget_programs, long, toy
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
 from integrators.native.algebra import klu
-from integrators.native.step.step_program import StepProgram
 from integrators.resolutions import Steps, Tolerances
 from problems import jnp, parameter
 from problems.base.runtime import jax
-from problems.equations.initial_values import consistent_start
 from problems.scenes.contacts import SoftImpact
 from problems.scenes.oscillators import SpringMass
 from problems.scenes.pendulums import Chain
@@ -61,18 +59,6 @@ def test_kept_factorisations_give_the_run_of_dense_tangents(scene, form):
     assert_agree(sparse, dense, steps, h)
 
 
-@pytest.mark.long
-def test_a_factorisation_serves_many_steps_of_a_long_chain():
-    full, modified = (
-        run_of(Chain(links=300), 100, 1e-3, newton=kind).measure() for kind in ("full", "modified")
-    )
-    assert_agree(modified, full, 100, 1e-3)
-    work = modified.work
-    assert work.jacobians == work.factorisations <= 0.25 * work.steps
-    assert work.newton == work.residuals == work.solves <= 4.5 * work.steps
-    assert full.work.jacobians == full.work.solves >= 2 * work.steps
-
-
 @pytest.fixture
 def calls(monkeypatch):
     """Counts of the calls of `klu` functions by new programs at run time."""
@@ -90,18 +76,6 @@ def calls(monkeypatch):
     forget_programs()
     yield count
     forget_programs()
-
-
-@pytest.mark.long
-def test_chosen_steps_with_sparse_tangents_are_those_with_dense_ones():
-    sparse, dense = (
-        GeneralizedAlphaAdaptive(newton="modified", linear_solver=kind)
-        .prepare(Chain(links=4), 0.2, Tolerances(1e-3))
-        .measure()
-        for kind in ("sparse", "dense")
-    )
-    assert sparse.work.steps == dense.work.steps
-    assert sparse.q[-1] == pytest.approx(dense.q[-1], abs=1e-9)
 
 
 @pytest.mark.parametrize("newton", ["modified", *long("full")])
@@ -151,16 +125,6 @@ def held():
     yield blocks
     for name, old in before.items():
         getattr(library, f"SuiteSparse_config_{name}_func_set")(address(old))
-
-
-def test_without_the_finish_of_a_run_its_last_factorisation_would_stay(held, monkeypatch):
-    monkeypatch.setattr(StepProgram, "finish", lambda self, state: None)
-    forget_programs()
-    run = run_of(Chain(links=5), 20, 0.001, newton="modified")
-    analysis = set(held)
-    run.execute()
-    assert set(held) > analysis
-    forget_programs()
 
 
 def lines(self, q, t):
@@ -238,26 +202,3 @@ def test_a_step_that_fails_ends_the_run_with_its_time_as_with_dense_tangents(hel
         assert one.q == pytest.approx(other.q, abs=1e-13)
         sparse.execute()
         assert set(held) == analysis
-
-
-@pytest.mark.long
-def test_a_factorisation_of_another_matrix_is_given_up():
-    scene, h = Chain(links=8), 1e-3
-    start = consistent_start(scene)
-    program, numbers = GeneralizedAlpha(linear_solver="sparse", newton="modified").program(scene)
-    (pattern,), numbers = program.patterns, jax.tree.map(jnp.asarray, numbers)
-    state = program.begin(scene, numbers, start, jnp.asarray(h))
-    random = np.random.default_rng(3).normal(size=len(pattern.rows))
-    wrong = klu.factorised(numbers.analyses[0], jnp.asarray(random), instead_of=klu.none())
-    good, bad = (
-        program.step(scene, numbers, begun, h, h)
-        for begun in (state, state._replace(kept=(wrong,)))
-    )
-    assert good[1].converged
-    assert bad[1].converged
-    assert 1 == good[1].jacobians <= bad[1].jacobians
-    assert bad[1].newton > good[1].newton
-    right, found = (np.asarray(program.read(scene, after).a) for after, _ in (good, bad))
-    assert found == pytest.approx(right, rel=1e-8, abs=1e-8)
-    for state in (good[0], bad[0]):
-        program.finish(state)

@@ -1,12 +1,14 @@
-"""Varying steps: growing patterns, safe ratios, and runs that confirm them."""
+"""Varying steps: growing patterns and runs that confirm them; `stepbench stability`."""
 
 from __future__ import annotations
 
-import itertools
+import json
 
 import numpy as np
 import pytest
 from helpers import long
+from planted import Document
+from test_contributing import EXAMPLES
 
 from bench.stability.matrices import matrices
 from bench.stability.patterns import (
@@ -28,17 +30,6 @@ SAFE = [
 ]
 
 
-def step_words(longest):
-    """All cyclic words of -1, 0 and 1 that sum to zero, each once, the shortest first."""
-    found = {}
-    for length in range(2, longest + 1):
-        for word in itertools.product((1, 0, -1), repeat=length):
-            turns = [word[k:] + word[:k] for k in range(length)]
-            if sum(word) == 0 and any(word) and word == max(turns) and turns.count(word) == 1:
-                found[word] = None
-    return list(found)
-
-
 def method_of(rho_inf, gamma):
     return GeneralizedAlpha(rho_inf=rho_inf, gamma=gamma)
 
@@ -54,23 +45,10 @@ def growth_of_a_run(method, macro, pattern, patterns):
     return (late / early) ** (macro / (last - half))
 
 
-def test_words_are_cyclic_and_fractions_follow_them():
-    assert step_words(3) == [(1, -1), (1, 0, -1), (1, -1, 0)]
-    assert len(step_words(6)) == 39
+def test_fractions_follow_the_words():
     parts = np.array(fractions((1, 1, -1, -1), 2.0))
     assert parts.sum() == pytest.approx(1.0)
     assert parts / parts[0] == pytest.approx([1, 2, 4, 2])
-
-
-@pytest.mark.parametrize("gamma", ["fixed", "updated"])
-@pytest.mark.parametrize(("rho_inf", "fixed", "updated"), SAFE)
-def test_growth_begins_at_the_safe_ratio(rho_inf, fixed, updated, gamma):
-    method, limit = method_of(rho_inf, gamma), fixed if gamma == "fixed" else updated
-    below, above = (
-        worst(method, fractions(ALTERNATING, 1 + part * (limit - 1)))[0] for part in (0.98, 1.02)
-    )
-    assert below <= 1 + 1e-10
-    assert above > 1 + 1e-10
 
 
 @pytest.mark.long
@@ -84,15 +62,6 @@ def test_the_safe_ratio_is_searched_for():
     assert worst(method_of(0.0, "updated"), fractions(ALTERNATING, 2.8))[0] <= 1 + 1e-10
 
 
-@pytest.mark.parametrize(("rho_inf", "safe", "grows"), long((0.5, 2.2, 2.35), (0.8, 1.16, 1.19)))
-def test_the_safe_ratio_holds_for_all_words(rho_inf, safe, grows):
-    # Doubling and halving at will is safe with rho_inf = 0.5, but not with 0.8.
-    method = method_of(rho_inf, "updated")
-    for ratio, wanted in ((safe, False), (grows, True)):
-        radii_over = (worst(method, fractions(word, ratio))[0] for word in step_words(6))
-        assert any(radius > 1 + 1e-10 for radius in radii_over) == wanted
-
-
 def test_without_damping_any_ratio_is_neutral():
     for method in (Newmark(), method_of(1.0, "updated"), method_of(1.0, "fixed")):
         radius, _ = worst(method, fractions(ALTERNATING, LARGEST_RATIO))
@@ -104,6 +73,10 @@ def test_without_damping_any_ratio_is_neutral():
 def test_runs_confirm_a_stable_and_an_unstable_point(rho_inf, fixed, updated, gamma):
     method = method_of(rho_inf, gamma)
     limit = fixed if gamma == "fixed" else updated
+    below, above = (
+        worst(method, fractions(ALTERNATING, 1 + part * (limit - 1)))[0] for part in (0.98, 1.02)
+    )
+    assert below <= 1 + 1e-10 < above
     grows = fractions(ALTERNATING, 1.05 * limit)
     radius, macro = worst(method, grows)
     assert radius > 1 + 1e-5
@@ -112,7 +85,6 @@ def test_runs_confirm_a_stable_and_an_unstable_point(rho_inf, fixed, updated, ga
     assert growth_of_a_run(method, macro, grows, patterns) > 1
     # A tenth below the limit nothing grows, there or anywhere.
     stays = fractions(ALTERNATING, 1 + 0.9 * (limit - 1))
-    assert worst(method, stays)[0] <= 1 + 1e-10
     scene = Oscillator().from_deviation([1.0, 0.3])
     run = method.prepare(scene, 2000 * macro, Steps(macro, stays)).measure()
     size = np.abs(run.q[:, 0])
@@ -138,3 +110,73 @@ def test_the_period_of_a_pattern_is_the_product_of_its_steps():
         product = matrices(method, Oscillator(zeta=0.1), [h * part]).a[0] @ product
     found = matrices(method, Oscillator(zeta=0.1), [h], pattern).a[0]
     np.testing.assert_allclose(found, product, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def plugins(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("examples")
+    for name, code in EXAMPLES.items():
+        (folder / name).write_text(code)
+    return folder
+
+
+def found_by(stepbench, *arguments):
+    result = stepbench("stability", *arguments, "--no-ratios", "--json")
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+@pytest.mark.long
+def test_plugins_get_their_spectra_without_a_line(stepbench, plugins):
+    names = "euler", "bathe_ode"
+    euler, bathe = found_by(stepbench, *names, "--plugins", plugins, "--at", "0.1,1000")
+    assert bathe["order"] == 2
+    assert bathe["growing"] == []
+    assert bathe["radius_at_infinity"] == 0
+    assert bathe["at"]["radius"][0] == pytest.approx(1.0, abs=1e-5)
+    assert bathe["at"]["radius"][1] < 0.01
+    # Bathe's closed form: trapezoidal rule over h/2, then backward differences of second order.
+    z = 0.1j
+    middle = (1 + z / 4) / (1 - z / 4)
+    exact = (4 * middle - 1) / (3 - z)
+    assert bathe["at"]["radius"][0] == pytest.approx(abs(exact), abs=1e-12)
+    # Any other Python code is run for one step and for two.
+    at = np.array(euler["omega_h"])
+    assert euler["radius"] == pytest.approx(np.sqrt(1 + at**2), rel=1e-9)
+    assert euler["stability_limit"] == 0.0
+    assert euler["maps"] == []
+
+
+@pytest.mark.long
+def test_the_page_shows_everything_in_one_file(stepbench, tmp_path):
+    names = "generalized_alpha[gamma=updated]", "newmark[beta=1/6]"
+    result = stepbench("stability", *names, "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    assert "grows for omega h in: 3.46410162 to infinity" in result.output
+    assert "largest safe ratio" in result.output
+    text = (tmp_path / "stability.html").read_text()
+    page = Document(text)
+    for words in (
+        "generalized_alpha[rho_inf=0.8,gamma=updated]",
+        "-0.8 (×3)",  # noqa: RUF001
+        "Ratios of neighbouring steps",
+        "spectral radius over omega h and rho_inf",
+        "spectral radius over omega H and step ratio",
+        "The same methods as linear multistep formulas",
+    ):
+        assert words in page.words, words
+    assert text.count("<svg") == 5 + 4
+    assert "nan" not in page.words.lower().split()
+
+
+@pytest.mark.long
+def test_a_step_that_does_not_converge_is_told_and_is_no_growth(stepbench, tmp_path):
+    # One iteration finds the solution of a linear step, and no second one confirms it.
+    method = "newmark[newton_max=1]"
+    result = stepbench("stability", method, "--no-ratios", "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    words = " ".join(result.output.split())
+    assert "step not solved for omega h in: 0.01 to 10000" in words
+    assert "radius at infinity: not solved" in words
+    assert "grows for omega h in: none" in words
+    assert "not solved" in Document((tmp_path / "stability.html").read_text()).words

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from varying_steps import position_formula, velocity_formula
 
 from bench.stability.matrices import matrices
 from bench.stability.systems import Oscillator, Relaxation
@@ -58,10 +58,7 @@ def test_the_characteristic_polynomial_is_that_of_the_matrices():
                 return oscillator(multistep_form(method.scheme()), at, zeta)
 
             assert ratio_to_matrices(polynomial, Oscillator(zeta=zeta), method) < 1e-10
-
-
-def test_so_it_is_for_the_controller():
-    for method in MEMBERS[:5]:
+    for method in MEMBERS[:5]:  # so it is for the controller
         x = multistep_form(method.scheme()).x
         polynomial = lambda at: np.polyadd(x.rho, at * x.sigma)  # noqa: E731
         assert ratio_to_matrices(polynomial, Relaxation(), method) < 1e-10
@@ -173,3 +170,54 @@ def test_in_equal_steps_they_are_the_polynomials():
         assert scale * formula.values == pytest.approx(polynomial.rho, abs=1e-13)
         rates = scale * formula.rates / h**polynomial.power
         assert rates == pytest.approx(polynomial.sigma, abs=1e-13)
+
+
+# On paper (Bruels & Arnold 2008, eqs 21-27), A is eliminated as follows. A difference u_n of known
+# values is a combination of A over two times for v, three for q. The recurrence (1 - alpha_m) A_n+1
+# + alpha_m A_n = F_n, with F_n = (1 - alpha_f) a_n+1 + alpha_f a_n, reduces it to known F and one A
+# with a rest r_n: u_n = ... + r_n A_n-1 and u_n-1 = ... + r_n-1 A_n-2. Then (1 - alpha_m) r_n-1
+# times the first plus alpha_m r_n times the second is free of A.
+class Formula(NamedTuple):
+    """values @ u = rates @ (derivatives of u), with a coefficient for each last time, the latest
+    first."""
+
+    values: np.ndarray
+    rates: np.ndarray
+
+
+def velocity_formula(m, f, h, weight) -> Formula:
+    """The formula for v (or x) over three times; steps and weights come with the latest first."""
+    differences = np.array([[1.0, -1.0, 0.0], [0.0, 1.0, -1.0]])
+    of_aux = [np.array([w, 1 - w]) * step for w, step in zip(weight, h, strict=True)]
+    return _eliminated(m, f, differences, of_aux)
+
+
+def position_formula(m, f, beta, h, gamma) -> Formula:
+    """The formula for q over four times, with q'' as derivative."""
+    rows, of_aux = [], []
+    for n in range(2):
+        new, old, weight = h[n], h[n + 1], gamma[n + 1]
+        rows.append(np.zeros(4))
+        rows[n][n : n + 3] = 1 / new, -1 / new - 1 / old, 1 / old
+        # (q+ - q)/h - (q - q-)/h-, where v - v- = h- ((1 - gamma-) A- + gamma- A)
+        middle = new * (0.5 - beta) + old * (weight - beta)
+        of_aux.append(np.array([new * beta, middle, old * (0.5 + beta - weight)]))
+    return _eliminated(m, f, np.array(rows), of_aux)
+
+
+def _eliminated(m, f, values, of_aux) -> Formula:
+    """Combine two differences u, given by A at the last times, so that A drops out."""
+    times = values.shape[1]
+    rates, rests = np.zeros((2, times)), np.zeros(2)
+    for n, aux in enumerate(of_aux):
+        rest = aux.copy()
+        for k in range(len(aux) - 1):  # by the recurrence, from the latest A to the last but one
+            part = rest[k] / (1 - m)
+            rates[n, n + k : n + k + 2] += part * np.array([1 - f, f])
+            rest[k + 1] -= part * m
+        rests[n] = rest[-1]
+    # rests[0] A and rests[1] A- remain, and (1 - m) A + m A- = F of the oldest step.
+    first, second = (1 - m) * rests[1], m * rests[0]
+    rates = first * rates[0] + second * rates[1]
+    rates[-2:] += rests[0] * rests[1] * np.array([1 - f, f])
+    return Formula(first * values[0] + second * values[1], rates)

@@ -20,7 +20,7 @@ from integrators import Tolerances
 from integrators.adapters import sundials, sundials_runs
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
-from integrators.adapters.sundials import _succeeded, library
+from integrators.adapters.sundials import library
 from problems import MechatronicSystem, jnp
 from problems.base.spec import SpecError
 from problems.scenes.pendulums import Chain, Pendulum
@@ -222,45 +222,6 @@ def test_a_worker_is_ended_with_the_status_that_python_would_give(method, callba
         assert records[name].rows == records[name].work["steps"] > 20
     # The cells after those that hang, in a new process, are not disturbed.
     assert results[-1].record.status == "ok"
-
-
-@every_method
-def test_a_solver_that_cannot_be_made_leaves_no_memory(method):
-    run, it, alive = prepared(method, Probe()), library(), []
-    prefix = "IDA" if method is IDA else "CVode"
-
-    def count(at, made, freed):
-        new, free = getattr(it, made), getattr(it, freed)
-
-        def freeing(block):
-            if getattr(block, "_obj", block):  # the object of a reference
-                alive.remove(made)
-            return free(block)
-
-        at.setattr(it, made, lambda *given: (alive.append(made), new(*given))[1])
-        at.setattr(it, freed, freeing)
-
-    for name, result in [
-        ("SUNContext_ClearErrHandlers", -9999),
-        *((name, None) for name in ("N_VNew_Serial", "SUNDenseMatrix", "SUNLinSol_Dense")),
-        *((f"{prefix}Create", None), (f"{prefix}SetStopTime", -22)),
-    ]:
-        function = getattr(it, name)
-        assert function.errcheck is _succeeded
-        with pytest.MonkeyPatch.context() as at:
-            count(at, "N_VNew_Serial", "N_VDestroy")
-            count(at, "SUNDenseMatrix", "SUNMatDestroy")
-            count(at, "SUNLinSol_Dense", "SUNLinSolFree")
-            count(at, "SUNContext_Create", "SUNContext_Free")
-            count(at, f"{prefix}Create", f"{prefix}Free")
-            run.execute()
-            assert not alive
-            at.setattr(it, name, lambda *_, f=function, of=result: _succeeded(of, f, ()))
-            ended = run.measure()
-            assert (ended.status, len(ended.t), ended.work.steps) == ("crashed", 1, 0)
-            assert f"{name} of SUNDIALS failed" in ended.message
-            assert not alive
-            assert run.execute() is None
 
 
 def test_libraries_that_are_not_known_are_refused_in_a_sentence(monkeypatch):

@@ -66,12 +66,7 @@ def by_kane():
     point.set_vel(frame, v)
     slip = (v + w.cross(-R * lean.z)).to_matrix(frame)
     method = me.KanesMethod(
-        frame,
-        COORDINATES,
-        W,
-        kd_eqs=ways,
-        u_dependent=V,
-        velocity_constraints=slip[:2],
+        frame, COORDINATES, W, kd_eqs=ways, u_dependent=V, velocity_constraints=slip[:2]
     )
     inertia = me.inertia(lean, M * R**2 / 4, M * R**2 / 2, M * R**2 / 4)
     body = me.RigidBody("wheel", point, disc, M, (inertia, point))

@@ -18,12 +18,7 @@ from small_stores import NO_ROWS, a_record
 from bench.plugins.fingerprint import environment
 from bench.plugins.registry import Registry, Sources
 from bench.results.store import Store
-from bench.results.timings import (
-    median_interval,
-    quotient,
-    quotient_by_round,
-    quotient_of_medians,
-)
+from bench.results.timings import median_interval, quotient
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell, make_suite
 from bench.running.process import Limits
@@ -195,25 +190,6 @@ def test_samples_are_paired_by_their_round_and_not_by_their_place(tmp_path):
     two = [(n, 3 * 10.0**-n, 1) for n in range(8)]
     found = quotient(*two_records(tmp_path, one, two))
     assert found == pytest.approx((3.0, 3.0, 3.0, 1.1))
-
-
-def test_rounds_of_different_invocations_are_no_neighbours_in_time(tmp_path):
-    one = [(n, 10.0**-n, 1 if n < 3 else 2) for n in range(6)]
-    two = [(n, 3 * 10.0**-n, 1 if n < 3 else 3) for n in range(6)]
-    records = two_records(tmp_path, one, two)
-    found = quotient(*records)
-    assert found == quotient_of_medians(*(r.run_s for r in records))
-    assert not found.differs
-
-
-def test_few_samples_of_either_need_a_factor_of_two():
-    for counts, least in [((6, 7), 1.1), ((5, 7), 2.0), ((7, 5), 2.0)]:
-        one, two = ([1.0] * count for count in counts)
-        for times, differs in ((0.99 * least, False), (1.01 * least, True)):
-            found = quotient_of_medians(one, [times * s for s in two])
-            assert (found.least, found.differs) == (least, differs)
-    for second, differs in (1.9e-3, False), (2.1e-3, True):  # a single one of a short run, too
-        assert quotient_by_round({0: 1e-3}, {0: second, 1: 1.0}).differs == differs
 
 
 def test_the_rounds_that_are_missing_are_taken_once(tmp_path):

@@ -1,4 +1,4 @@
-"""README and the tutorial work as written: files and commands, in order, in an empty folder."""
+"""README, the tutorial and the page on measures work as written, in an empty folder."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from bench.results.folders import compare_folders
 
+pytestmark = pytest.mark.long
 ROOT = Path(__file__).parent.parent
 
 
@@ -62,7 +64,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.long
 def test_the_commands_of_readme_run_and_say_what_it_shows(tmp_path):
     lines = [*played(tmp_path, "README.md")]
     assert len(lines) > 10
@@ -70,7 +71,6 @@ def test_the_commands_of_readme_run_and_say_what_it_shows(tmp_path):
         assert words(line) <= words(said), f"{line}\nis not in\n{said}"
 
 
-@pytest.mark.long
 def test_the_tutorial_leaves_what_it_promises(folder):
     assert (folder / "first" / "report.html").stat().st_size > 0
     assert (folder / "cost.pdf").read_bytes().startswith(b"%PDF")
@@ -79,7 +79,6 @@ def test_the_tutorial_leaves_what_it_promises(folder):
     assert "my_method" in words
 
 
-@pytest.mark.long
 def test_fewer_corrections_change_the_work_and_the_errors_of_one_method(folder):
     found = compare_folders(folder / "first", folder / "second")
     changes = found.of("error", "work")
@@ -91,3 +90,58 @@ def test_fewer_corrections_change_the_work_and_the_errors_of_one_method(folder):
             assert change.ratio == pytest.approx(0.5, abs=rest)
         elif change.name in "qva":
             assert change.ratio < 1  # as the text says
+
+
+PAGE = Path("docs/measures.md").read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def recomputed(tmp_path_factory):
+    from click.testing import CliRunner
+
+    from bench.commands.main import main
+
+    folder = tmp_path_factory.mktemp("measures")
+    (folder / "measures.toml").write_text(blocks("toml")[0].replace("samples = 7", "samples = 1"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for line in blocks("sh")[0].splitlines():
+            result = CliRunner().invoke(main, line.split()[1:])
+            assert result.exit_code == 0, result.output
+        names: dict = {}
+        exec("\n".join(blocks("python")), names)
+    return names
+
+
+def test_the_table_is_that_of_the_run(recomputed):
+    runs = recomputed["runs"]
+    rows = re.findall(r"^\| (generalized_alpha\S*|newmark\S*) \|(.*)\|$", PAGE, re.MULTILINE)
+    assert len(rows) == 6
+    for name, cells in rows:
+        h, components, *numbers = (cell.strip() for cell in cells.split("|"))
+        (run,) = runs[(runs.integrator == name) & np.isclose(runs.h, float(h))].itertuples()
+        shown = [f"{float(e):.3g}" for e in run.error_a_components_max.split()]
+        assert " ".join(shown) == components
+        found = [run.error_a_max, run.error_a_end, run.error_a_settled, run.error_a_rms]
+        assert [f"{e:.3g}" for e in found] == numbers[:4]
+        # Rounding decides whether an elimination is repeated with pivots.
+        assert run.operations == pytest.approx(float(numbers[4]), rel=0.01)
+
+
+def test_every_block_finds_what_the_page_says(recomputed):
+    runs, alpha = recomputed["runs"], recomputed["alpha"]
+    assert recomputed["worst"].tolist() == pytest.approx(runs.error_a_max.tolist(), rel=1e-8)
+    assert recomputed["order"] == pytest.approx(2.0, abs=0.1)
+    assert recomputed["parts"].tolist() == runs.operations.tolist()
+    of_alpha = recomputed["of_alpha"].tolist()
+    assert recomputed["linear_algebra"].tolist() == pytest.approx(of_alpha, rel=0.02)
+    assert (alpha.work_solves > 0).all()
+    cheapest = recomputed["cheapest"]
+    assert [name.partition("[")[0] for name in cheapest.index] == ["generalized_alpha", "ida"]
+    for group in ("q", "v", "a", "lam"):
+        for norm in ("end", "settled", "rms"):
+            assert (runs[f"error_{group}_{norm}"] <= runs[f"error_{group}_max"]).all()

@@ -1,20 +1,27 @@
-"""Words: phrases, suites, titles, counts of runs, and runs that are not supported."""
+"""Words: phrases, suites, titles, counts of runs, and short names."""
 
 from __future__ import annotations
 
 import json
+import tomllib
 from importlib.metadata import entry_points
+from pathlib import Path
 
-import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from planted import plant, planted
+from small_stores import atlas_with
 
-from bench.results.folders import merge
-from bench.results.records import Plan, endings
+from bench.results.records import endings
 from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.profiles import read_profile, suite_titles
+from reports.formatting import symbols
+from reports.names import BUILT_IN, short_name, short_names
+from reports.pages.method_page import atlas_table
 from reports.pages.report import read_report
+from reports.pages.templating import escape_markdown
 from reports.questions import Ref, listed, plain
 
 GROUPS = {"q": (1.0, 2), "v": (1.0, 2), "a": (1.0, 2), "lam": (1.0, 2)}
@@ -74,24 +81,8 @@ def test_a_method_of_one_s_own_comes_beside_the_suite():
     assert set(there.integrators) == set(whole.plan.integrators)
 
 
-def test_merged_stores_keep_the_method_of_one_s_own(tmp_path):
-    for name, mine, title in (("one", "", "One"), ("two", "good", "")):
-        folder = plant(tmp_path / name, [ended("ok")], plan=False)
-        with Store(folder, create=True) as store:
-            store.keep(Plan(name=name, title=title, samples=1, budget_s=1.0, studies=[], mine=mine))
-    merge([tmp_path / "one", tmp_path / "two"], tmp_path / "all")
-    with Store(tmp_path / "all") as store:
-        plan = store.plan()
-    assert plan is not None
-    assert (plan.mine, plan.name, plan.title) == ("good", "one + two", "")
-
-
-@pytest.fixture
-def narrow(monkeypatch):
+def test_the_list_has_a_line_for_each_and_details_of_one(stepbench, monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
-
-
-def test_the_list_has_a_line_for_each_and_details_of_one(stepbench, narrow):
     registry = Inventory()
     lines = stepbench("list").stdout.splitlines()
     for name in (*registry.problems, *registry.integrators, *suite_titles()):
@@ -132,33 +123,104 @@ def test_the_json_of_the_list_is_complete(stepbench):
     assert suite["study"][1]["problems"] == ["pendulum"]
 
 
-def test_mine_is_run_reported_and_told(stepbench, monkeypatch, tmp_path):
-    asked = []
-
-    def run_suite(suite, registry, out, *more):
-        asked.append(suite.plan.mine)
-        return [ended("ok")], ["1 run: 1 ok"]
-
-    def card(folder, integrator):
-        return [f"{integrator or 'All'} wins in {folder.name}."]
-
-    monkeypatch.setattr("bench.commands.suite.run_suite", run_suite)
-    monkeypatch.setattr("bench.commands.suite.write_reports", lambda folder: None)
-    monkeypatch.setattr("reports.verdicts.method_card", card)
-    result = stepbench("run", "--mine", "wbz", "--out", tmp_path / "out")
-    assert result.exit_code == 0, result.output
-    assert asked == ["wbz[rho_inf=0.8]"]
-    mine, then, every, counts = result.stdout.splitlines()
-    assert (mine, every) == ("wbz[rho_inf=0.8] wins in out.", "All wins in out.")
-    assert then.startswith(f"Next: stepbench report {tmp_path / 'out'} --open ")
-    assert counts == "1 run: 1 ok"
-    assert stepbench("run", "--out", tmp_path / "out").stdout.startswith("All wins in out.\nNext: ")
-    for name in ("", "wbzz"):
-        wrong = stepbench("run", "--mine", name)
-        assert wrong.exit_code == 1
-        assert wrong.stderr.startswith("Error: ")
-
-
 def test_parts_become_text():
     sentence = ["On ", *listed([[Ref("scene", k, k.upper())] for k in "abcd"]), "."]
     assert plain(sentence) == "On A, B, C and 1 more."
+
+
+ROOT = Path(__file__).parents[1]
+GGL = "formulation=stabilised_index2"
+
+
+def test_a_short_name_says_method_and_options():
+    for label, name in [
+        ("generalized_alpha[rho_inf=0.8]", "gα 0.8"),
+        (f"generalized_alpha[rho_inf=1.0,{GGL},newton=modified]", "gα 1 · GGL · modified"),
+        (
+            "generalized_alpha[rho_inf=0.8,gamma=updated] x 0.3/0.7",
+            "gα 0.8 · γ updated · steps 0.3/0.7",
+        ),
+        ("generalized_alpha[rho_inf=0.8,alpha_m=0.2]", "gα 0.8 · αm 0.2"),
+        ("hht[alpha=0.1]", "HHT 0.1"),
+        ("newmark[beta=0.25,gamma=0.5]", "Newmark"),
+        ("newmark[beta=0.3,gamma=0.6]", "Newmark · β 0.3 · γ 0.6"),
+        (f"ida[{GGL}]", "IDA"),
+        ("ida[formulation=index1]", "IDA · index 1"),
+        ("kvaerno5", "Kvaerno5"),
+        ("my_method[order=3,new_rule=on]", "my_method · order 3 · new rule on"),
+        ("no [specification", "no [specification"),
+    ]:
+        assert short_name(label) == name
+
+
+def test_what_a_family_has_in_common_is_left_out_and_what_tells_apart_stays():
+    labels = [
+        f"generalized_alpha[rho_inf=0.8,{GGL},start=corrected,newton=modified]",
+        "generalized_alpha[rho_inf=0.8,newton=modified]",
+        "hht[alpha=0.1,newton=modified]",
+        "newmark[beta=0.25,gamma=0.5,newton=modified]",
+        "my_method[newton=modified]",
+    ]
+    assert list(short_names(labels).values()) == [
+        "gα 0.8 · GGL", "gα 0.8", "HHT 0.1", "Newmark", "my_method"
+    ]  # fmt: skip
+    # One with the full Newton method: all must say theirs.
+    names = short_names([*labels, "wbz[rho_inf=0.8]"])
+    assert names[labels[1]] == "gα 0.8 · modified"
+    assert names["wbz[rho_inf=0.8]"] == "WBZ 0.8"
+    assert names["my_method[newton=modified]"] == "my_method · modified"
+    # With another start in the field, the corrected one no longer goes with GGL alone.
+    names = short_names([*labels, "generalized_alpha[rho_inf=0.8,start=corrected,newton=modified]"])
+    assert names[labels[0]] == "gα 0.8 · GGL · corrected start"
+    assert short_names(labels[1:2]) == {labels[1]: "gα 0.8 · modified"}
+
+
+def test_names_that_would_be_the_same_are_written_in_full():
+    names = short_names(["ida", f"ida[{GGL}]", "m[alpha=1]", "m[rho_inf=1]"])
+    assert names == {k: k for k in names}
+
+
+def test_the_built_in_integrators_have_short_names():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert set(project["entry-points"]["stepbench.integrators"]) == set(BUILT_IN)
+
+
+VALUES = {
+    "rho_inf": ("0.5", "0.8"),
+    "alpha": ("0.5",),
+    "formulation": ("index1", "stabilised_index2"),
+    "newton": ("modified",),
+    "gamma": ("0.5", "updated"),
+}
+options = st.fixed_dictionaries({}, optional={k: st.sampled_from(v) for k, v in VALUES.items()})
+labels = st.builds(
+    lambda name, given_, steps: (
+        name + (f"[{','.join(f'{k}={v}' for k, v in given_.items())}]" if given_ else "") + steps
+    ),
+    st.sampled_from(["generalized_alpha", "hht", "ida", "newmark", "mine"]),
+    options,
+    st.sampled_from(["", " x 0.3/0.7"]),
+)
+
+
+@given(st.lists(labels, max_size=12))
+def test_no_two_integrators_of_a_report_share_a_name(found):
+    names = short_names(found)
+    assert set(names) == set(found)
+    assert len(set(names.values())) == len(names)
+
+
+def test_pages_write_symbols_and_names_as_a_reader_knows_them():
+    assert symbols("a and lam, lam[1]; lam=0.1 and lam:1; lambda, slam") == (
+        "a and λ, λ[1]; lam=0.1 and lam:1; lambda, slam"
+    )
+    assert escape_markdown("As ``slider_crank``, lam_1 and *lam*.") == (
+        "As `slider_crank`, lam\\_1 and \\*λ\\*."
+    )
+
+
+def test_the_atlas_counts_the_parts_that_spare_each():
+    found = [*atlas_with("mine", "e").values()]
+    for name, spared in (("mine", "0 of 1"), ("spared", "1 of 1")):
+        assert atlas_table(name, found).rows == [["1. ", spared]]
+    assert atlas_table("bdf", found) is None

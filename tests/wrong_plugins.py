@@ -17,7 +17,7 @@ from problems.mechanics.rotations import rotated, turned
 from problems.scenes.contacts import BouncingBall
 from problems.scenes.heavy_top import HeavyTopSE3
 from problems.scenes.oscillators import SampledPd
-from problems.scenes.pendulums import Pendulum
+from problems.scenes.pendulums import Chain, Pendulum
 
 RANDOM = np.random.default_rng(0)
 
@@ -132,6 +132,22 @@ def straight(self, q, w):
     return jnp.concatenate([there, turned(q[3:], w[3:])])
 
 
+def gravity(self):
+    return np.array([0.0, -self.m * self.g])
+
+
+def lighter(self, t):
+    """The acceleration of a lighter world."""
+    known = Pendulum.exact(self, t)
+    return known | {"a": known["a"] * [1.0, 1.01]}
+
+
+def straight_fall(self, t):
+    """A motion that begins at the start and has the right a, on another path."""
+    fallen = np.asarray(t)[:, None]
+    return {"q": -(fallen**2), "v": -fallen, "a": -np.ones_like(fallen)}
+
+
 #: By name of the class: its base, and the blocks that are wrong.
 SCENES = {
     "NanSample": (SampledPd, {"sample": lambda self, z: {"demand": jnp.nan}}),
@@ -139,66 +155,27 @@ SCENES = {
     "ScalarEvents": (BouncingBall, {"events": lambda self, z: z.q[0]}),
     "NanEvents": (BouncingBall, {"events": lambda self, z: z.q * jnp.nan}),
     "MisspeltJump": (BouncingBall, {"jump": lambda self, z, event: {"velocity": -z.v}}),
-    "WrongEnergy": (
-        Pendulum,
-        {"energy": lambda self, q, v: 0.5 * self.m * (v @ v) - self.m * self.g * q[1]},
-    ),
-    "WrongMomentum": (  # gravity changes it
-        Pendulum,
-        {"momentum": lambda self, q, v: self.m * jnp.array([q[0] * v[1] - q[1] * v[0]])},
-    ),
-    "LopsidedMass": (
-        Pendulum,
-        {"mass": lambda self, q: self.m * jnp.array([[1.0, 0.1], [0.0, 1.0]])},
-    ),
-    "TwiceHeld": (
-        Pendulum,
-        {"constraint": lambda self, q, t: jnp.repeat(Pendulum.constraint(self, q, t), 2)},
-    ),
-    "WrongExact": (  # the acceleration of a lighter world
-        Pendulum,
-        {
-            "exact": lambda self, t: (
-                (known := Pendulum.exact(self, t)) | {"a": known["a"] * [1.0, 1.01]}
-            )
-        },
-    ),
+    "WrongEnergy": (Pendulum, {"energy": lambda self, q, v: self.m * (v @ v / 2 - self.g * q[1])}),
+    # Gravity changes it.
+    "WrongMomentum": (Pendulum, {
+        "momentum": lambda self, q, v: self.m * (q[:1] * v[1:] - q[1:] * v[:1])}),
+    "LopsidedMass": (Pendulum, {"mass": lambda self, q: self.m * jnp.array([[1, 0.1], [0, 1]])}),
+    "WrongProduct": (Chain, {"mass_product": lambda self, q, a: 1.01 * self.m * a}),
+    "TwiceHeld": (Pendulum, {"constraint": lambda *at: jnp.repeat(Pendulum.constraint(*at), 2)}),
+    "WrongExact": (Pendulum, {"exact": lighter}),
     "OffTheRod": (Pendulum, {"initial_state": wrong_start}),
-    "NumpyForce": (
-        Pendulum,
-        {"force": lambda self, q, v, t: np.array([0.0, -self.m * self.g]) + 0 * np.sin(q)},
-    ),
-    "MoodyForce": (
-        Pendulum,
-        {"force": lambda self, q, v, t: Pendulum.force(self, q, v, t) + RANDOM.normal()},
-    ),
-    "HiddenSlope": (
-        Pendulum,
-        {"force": lambda self, q, v, t: Pendulum.force(self, q, v, t) - jax.lax.stop_gradient(v)},
-    ),
+    "NumpyForce": (Pendulum, {"force": lambda self, q, v, t: gravity(self) + 0 * np.sin(q)}),
+    "MoodyForce": (Pendulum, {"force": lambda *at: Pendulum.force(*at) + RANDOM.normal()}),
+    "HiddenSlope": (Pendulum, {"force": lambda self, q, v, t: (
+        Pendulum.force(self, q, v, t) - jax.lax.stop_gradient(v))}),
     "Skidding": (HeavyTopSE3, {"move": straight}),
-}
+    "WrongSlope": (MechatronicSystem, {
+        "mass": lambda self, q: jnp.eye(1), "force": lambda self, q, v, t: -jnp.ones(1) + 0 * q,
+        "initial_state": lambda self: State(np.zeros(1), np.zeros(1)), "exact": straight_fall}),
+}  # fmt: skip
 for _name, (_base, _blocks) in SCENES.items():
     _stated = {"__doc__": "A wrong scene.", "__module__": __name__, **_blocks}
     globals()[_name] = dataclass(frozen=True)(type(_name, (_base,), _stated))
-
-
-@dataclass(frozen=True)
-class WrongSlope(MechatronicSystem):
-    """A free fall whose closed form begins at the start and has the right a, on another path."""
-
-    def mass(self, q):
-        return jnp.eye(1)
-
-    def force(self, q, v, t):
-        return -jnp.ones(1) + 0 * q
-
-    def initial_state(self):
-        return State(q=np.zeros(1), v=np.zeros(1))
-
-    def exact(self, t):
-        fallen = np.asarray(t)[:, None]
-        return {"q": -(fallen**2), "v": -fallen, "a": -np.ones_like(fallen)}
 
 
 @dataclass(frozen=True)
