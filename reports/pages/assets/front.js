@@ -110,9 +110,9 @@
   const PALE = 100;
   // The scenes by kind, or all of a chosen set together.
   const grouped = (chosen) => {
-    const filter = data.filters.find((f) => f.id === stepbench.question.scenes && f.id !== "all");
+    const { id, name } = data.filters.find((filter) => filter.id === stepbench.question.scenes);
     const kinds = data.kinds.map((kind) => [kind, chosen.filter((k) => data.scenes[k].kind === kind)]).filter(([, own]) => own.length);
-    return filter ? [[filter.name, chosen]] : kinds.length > 1 ? kinds : [["all scenes", chosen]];
+    return id === "all" && kinds.length > 1 ? kinds : [[name, chosen]];
   };
   const cell = (m, index, starts, { cost: by }) => {
     const scene = data.scenes[index], own = stepbench.answer()[index], runs = stepbench.runsOf(index, m);

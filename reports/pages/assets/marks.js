@@ -2,23 +2,18 @@
 "use strict";
 (() => {
   const { html, svg, data } = stepbench;
+  // Marks are polygons within -1 to 1: those that Vega knows by name, and paths.
   const SHAPES = {
-    "circle": (r) => `m${-r} 0a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0z`,
-    "square": (r) => `m${-.9 * r} ${-.9 * r}h${1.8 * r}v${1.8 * r}h${-1.8 * r}z`,
-    "triangle-up": (r) => `m0 ${-1.2 * r}l${1.15 * r} ${2 * r}h${-2.3 * r}z`,
-    "triangle-down": (r) => `m0 ${1.2 * r}l${1.15 * r} ${-2 * r}h${-2.3 * r}z`,
-    "triangle-right": (r) => `m${1.2 * r} 0l${-2 * r} ${1.15 * r}v${-2.3 * r}z`,
-    "triangle-left": (r) => `m${-1.2 * r} 0l${2 * r} ${1.15 * r}v${-2.3 * r}z`,
-    "diamond": (r) => `m0 ${-1.3 * r}l${1.2 * r} ${1.3 * r}l${-1.2 * r} ${1.3 * r}l${-1.2 * r} ${-1.3 * r}z`,
-    "cross": (r) => `m${-.4 * r} ${-1.2 * r}h${.8 * r}v${.8 * r}h${.8 * r}v${.8 * r}h${-.8 * r}v${.8 * r}h${-.8 * r}v${-.8 * r}h${-.8 * r}v${-.8 * r}h${.8 * r}z`,
+    "square": "M-.72,-.72L.72,-.72L.72,.72L-.72,.72Z", "diamond": "M0,-1.04L.96,0L0,1.04L-.96,0Z",
+    "triangle-up": "M0,-.96L.92,.64L-.92,.64Z", "triangle-down": "M0,.96L.92,-.64L-.92,-.64Z",
+    "triangle-right": "M.96,0L-.64,.92L-.64,-.92Z", "triangle-left": "M-.96,0L.64,.92L.64,-.92Z",
+    "cross": "M-.32,-.96L.32,-.96L.32,-.32L.96,-.32L.96,.32L.32,.32L.32,.96L-.32,.96L-.32,.32L-.96,.32L-.96,-.32L-.32,-.32Z",
   };
-  // The other marks are polygons, as a path within -1 to 1.
-  const polygon = (path, r) => {
-    const points = path.slice(1, -1).split("L").map((p) => p.split(",").map((value) => 1.25 * r * value));
+  const shape = (method, r) => {
+    if (method.shape === "circle") return `m${-r} 0a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0z`;
+    const path = SHAPES[method.shape] ?? method.shape, points = path.slice(1, -1).split("L").map((p) => p.split(",").map((value) => 1.25 * r * value));
     return points.map(([x, y], k) => k ? `l${x - points[k - 1][0]} ${y - points[k - 1][1]}` : `m${x} ${y}`).join("") + "z";
   };
-
-  const shape = (method, r) => SHAPES[method.shape]?.(r) ?? polygon(method.shape, r);
   // A colour of a method that follows light and dark; paper is always light.
   const colour = (method) => `light-dark(${method.light}, ${method.dark})`;
   const badge = (method) => svg("svg", { class: "badge", viewBox: "0 0 14 14", width: 14, height: 14, "aria-hidden": "true" },
