@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
 from functools import cache
 from typing import Any
 
@@ -48,10 +47,6 @@ def rng():
 
 def cross(a, b):
     return a[0] * b[1] - a[1] * b[0]
-
-
-def options(scene):
-    return {field.name: getattr(scene, field.name) for field in fields(scene)}
 
 
 @cache
@@ -114,7 +109,7 @@ def crank_bodies(scene, th, w):
 
 @of(SliderCrank(), SliderCrank(l1=0.2, l2=0.5, m1=1.0, m2=0.7, m3=0.4, g=3.0))
 def check_slider_crank(scene):
-    minimal = SliderCrankMinimal(**options(scene))
+    minimal = SliderCrankMinimal(**scene.parameters())
     for th, w in [(0.9, 8.0), (2.5, -12.0), (4.0, 3.0)]:
         q, v = crank_bodies(scene, th, w)
         assert np.abs(at(scene, q, v)["constraint"]).max() < 1e-14
@@ -186,14 +181,14 @@ def test_a_drawing_shows_where_the_bodies_are():
 
 
 def test_parameters_that_cannot_be_assembled_are_refused():
-    for cls, options, says in [
+    for cls, given, says in [
         (SliderCrank, {"l2": 0.09}, "does not reach the guide"),
         (SliderCrankDriven, {"l2": 0.1}, "does not reach the guide"),
         (SliderCrankFlexible, {"l2": 0.1}, "must be longer than the crank"),
         (CarAxis, {"r": 1.0}, "must be below the length"),
     ]:
         with pytest.raises(SpecError, match=says):
-            cls(**options)
+            cls(**given)
 
 
 # ---- the sleigh --------------------------------------------------------------------------

@@ -309,14 +309,6 @@ def driven():
     return method
 
 
-def unformed():
-    return KanesMethod(ReferenceFrame("N"), [X], [Y], kd_eqs=[Y - X.diff(T)])
-
-
-def curved():
-    return LagrangesMethod(OSCILLATOR, [X], nonhol_coneqs=[X.diff(T) ** 2 - 1])
-
-
 def method_with(lagrangian, **more):
     return lambda **given: scene_of(LagrangesMethod(lagrangian, [X], **more), **given)
 
@@ -349,9 +341,14 @@ REFUSED = {
     "scene's name": (spring, {"name": "my scene"}, "is no name of a scene"),
     "step": (spring, {"nominal_step": "x"}, "nominal_step=x is not a finite number"),
     "moving kinematics": (of(driven), {}, "kd_eqs have terms without speeds"),
-    "no equations": (of(unformed), {}, "Call kanes_equations"),
+    "no equations": (
+        of(lambda: KanesMethod(ReferenceFrame("N"), [X], [Y], kd_eqs=[Y - X.diff(T)])), {},
+        "Call kanes_equations",
+    ),
     "no equations of a system": (of(System), {}, "Call form_eoms"),
-    "not linear in v": (of(curved), {}, "velocity constraints are not linear"),
+    "not linear in v": (
+        method_with(OSCILLATOR, nonhol_coneqs=[X.diff(T) ** 2 - 1]), {}, "are not linear"
+    ),
     "constraint of v": (
         method_with(OSCILLATOR, hol_coneqs=[X + X.diff(T)]), {}, "contain velocities; give these as"
     ),

@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import time
+from functools import partial
 from threading import Event, Thread
 from types import SimpleNamespace
 
@@ -99,10 +100,6 @@ def test_a_sample_has_one_processor_and_no_old_garbage_to_look_through():
     assert gc.get_freeze_count() == 0
 
 
-def sleep():
-    time.sleep(0.05)
-
-
 def compute():
     begun = time.process_time()
     while time.process_time() < begun + 0.005:
@@ -122,7 +119,7 @@ def start_a_program():
 def test_a_sample_counts_what_a_run_computes_and_not_what_it_waits(monkeypatch):
     """A starved process waits, too; threads and programs of the run compute for it."""
     for execute, low, high in [
-        (sleep, 0.0, 0.04),
+        (partial(time.sleep, 0.05), 0.0, 0.04),
         (compute_elsewhere, 0.005, math.inf),
         (start_a_program, 0.005, math.inf),
     ]:
