@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from test_scenes_identities import options, solved
+from test_scenes_identities import solved
 
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
@@ -85,7 +85,7 @@ def check_balances(scene):
         "WithDampers",
         (type(scene),),
         {"force": lambda self, q, v, t: type(scene).force(self, q, v, t) + self.actuation() @ y},
-    )(**options(scene))
+    )(**scene.parameters())
     a, lam = solved(with_dampers, q, v, t)
     z = Variables(q, v, a, lam, x, y, t)
     xdot = np.asarray(scene.state_rate(z))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from helpers import long
-from test_rest import Rough
+from test_starts import Rough
 
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
