@@ -112,7 +112,7 @@ def test_stored_digits_are_those_of_the_ivp_test_set(name, published, far):
         assert np.abs(found - values).max() <= far[group], (group, found - values)
 
 
-@pytest.mark.parametrize("name", ["heavy_top_so3", *long("andrews", "bricard", "bouncing_ball")])
+@pytest.mark.parametrize("name", ["heavy_top_so3", *long("andrews", "bricard")])
 def test_published_digits_are_reproduced_as_far_as_they_hold(worker, name):
     scene = worker.problem(name)
     at = sorted({p.t for p in scene.published if p.t <= scene.interval[1]})
@@ -144,7 +144,8 @@ def test_digits_end_where_the_ways_differ(worker, monkeypatch):
 
     def spoilt(self, t, changed):
         found = another(self, t, changed)
-        off = np.where(t > 1.55, np.where(t > 2.55, np.nan, 1e-6), 0.0)[:, None]
+        off = np.where((t > 1.55) & (t < 1.95), 1e-6, 0.0)[:, None]
+        off[t > 2.55] = np.nan
         return found | {"v": found["v"] + off * changed}
 
     monkeypatch.setattr(Reference, "another", spoilt)
