@@ -14,6 +14,7 @@ from integrators.native.algebra import klu
 from integrators.resolutions import Steps, Tolerances
 from problems import jnp, parameter
 from problems.base.runtime import jax
+from problems.equations.initial_values import consistent_start
 from problems.scenes.contacts import SoftImpact
 from problems.scenes.oscillators import SpringMass
 from problems.scenes.pendulums import Chain
@@ -202,3 +203,38 @@ def test_a_step_that_fails_ends_the_run_with_its_time_as_with_dense_tangents(hel
         assert one.q == pytest.approx(other.q, abs=1e-13)
         sparse.execute()
         assert set(held) == analysis
+
+
+@pytest.mark.long
+def test_a_factorisation_of_another_matrix_is_given_up():
+    scene, h = Chain(links=8), 1e-3
+    start = consistent_start(scene)
+    program, numbers = GeneralizedAlpha(linear_solver="sparse", newton="modified").program(scene)
+    (pattern,), numbers = program.patterns, jax.tree.map(jnp.asarray, numbers)
+    state = program.begin(scene, numbers, start, jnp.asarray(h))
+    random = np.random.default_rng(3).normal(size=len(pattern.rows))
+    wrong = klu.factorised(numbers.analyses[0], jnp.asarray(random), instead_of=klu.none())
+    good, bad = (
+        program.step(scene, numbers, begun, h, h)
+        for begun in (state, state._replace(kept=(wrong,)))
+    )
+    assert good[1].converged
+    assert bad[1].converged
+    assert 1 == good[1].jacobians <= bad[1].jacobians
+    assert bad[1].newton > good[1].newton
+    right, found = (np.asarray(program.read(scene, after).a) for after, _ in (good, bad))
+    assert found == pytest.approx(right, rel=1e-8, abs=1e-8)
+    for state in (good[0], bad[0]):
+        program.finish(state)
+
+
+@pytest.mark.long
+def test_chosen_steps_with_sparse_tangents_are_those_with_dense_ones():
+    sparse, dense = (
+        GeneralizedAlphaAdaptive(newton="modified", linear_solver=kind)
+        .prepare(Chain(links=4), 0.2, Tolerances(1e-3))
+        .measure()
+        for kind in ("sparse", "dense")
+    )
+    assert sparse.work.steps == dense.work.steps
+    assert sparse.q[-1] == pytest.approx(dense.q[-1], abs=1e-9)

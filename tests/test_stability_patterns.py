@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 
 import numpy as np
@@ -28,6 +29,17 @@ SAFE = [
     (0.5, 5.344, 2.602),
     *long((0.0, 5.825, 4.252), (0.9, 1.510, 1.044), (0.2, 6.373, 4.151), (0.8, 2.265, 1.189)),
 ]
+
+
+def step_words(longest):
+    """All cyclic words of -1, 0 and 1 that sum to zero, each once, the shortest first."""
+    found = {}
+    for length in range(2, longest + 1):
+        for word in itertools.product((1, 0, -1), repeat=length):
+            turns = [word[k:] + word[:k] for k in range(length)]
+            if sum(word) == 0 and any(word) and word == max(turns) and turns.count(word) == 1:
+                found[word] = None
+    return list(found)
 
 
 def method_of(rho_inf, gamma):
@@ -180,3 +192,23 @@ def test_a_step_that_does_not_converge_is_told_and_is_no_growth(stepbench, tmp_p
     assert "radius at infinity: not solved" in words
     assert "grows for omega h in: none" in words
     assert "not solved" in Document((tmp_path / "stability.html").read_text()).words
+
+
+@pytest.mark.parametrize(("rho_inf", "safe", "grows"), long((0.5, 2.2, 2.35), (0.8, 1.16, 1.19)))
+def test_the_safe_ratio_holds_for_all_words(rho_inf, safe, grows):
+    # Doubling and halving at will is safe with rho_inf = 0.5, but not with 0.8.
+    method = method_of(rho_inf, "updated")
+    for ratio, wanted in ((safe, False), (grows, True)):
+        radii_over = (worst(method, fractions(word, ratio))[0] for word in step_words(6))
+        assert any(radius > 1 + 1e-10 for radius in radii_over) == wanted
+
+
+@pytest.mark.usefixtures("without_processes")
+@pytest.mark.parametrize("cases", [("relaxation",), *long(["joined", "loop", "coupled"])])
+def test_other_systems_have_radii(stepbench, cases):
+    for system in cases:
+        (found,) = found_by(stepbench, "generalized_alpha[rho_inf=0.5]", "--system", system)
+        assert found["system"].startswith(system)
+        assert found["growing"] == []
+        assert found["order"] is None
+        assert 0.45 < found["radius_at_infinity"] < 0.55

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -145,3 +146,21 @@ def test_every_block_finds_what_the_page_says(recomputed):
     for group in ("q", "v", "a", "lam"):
         for norm in ("end", "settled", "rms"):
             assert (runs[f"error_{group}_{norm}"] <= runs[f"error_{group}_max"]).all()
+
+
+def test_the_example_by_hand_is_that_run(stepbench, recomputed):
+    result = stepbench(
+        "solve", "pendulum", "generalized_alpha[rho_inf=0.8]", "--step", 0.01, "--t-end", 1.35,
+        "--json",
+    )  # fmt: skip
+    found = json.loads(result.stdout)["a"]
+    text = re.search(r"By hand:(.*?)\n\n", PAGE, re.DOTALL)[1]
+    pairs = re.findall(r"\((-?[\d.]+), (-?[\d.]+)\)", text)
+    value, reference, largest = (np.array(pair, dtype=float) for pair in pairs)
+    assert found == pytest.approx(value, abs=1e-6)
+    errors = np.abs(value - reference) / largest
+    shown = [float(e) for e in re.findall(r"= ([\d.]+\d)", text)]
+    assert errors == pytest.approx(shown, rel=5e-3)
+    runs = recomputed["runs"]
+    (run,) = runs[np.isclose(runs.h, 0.01) & runs.integrator.str.contains("rho_inf")].itertuples()
+    assert run.error_a_end == pytest.approx(errors.max(), rel=1e-4)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from importlib.metadata import entry_points
+from itertools import pairwise
 from pathlib import Path
 
 from hypothesis import given
@@ -224,3 +225,15 @@ def test_the_atlas_counts_the_parts_that_spare_each():
     for name, spared in (("mine", "0 of 1"), ("spared", "1 of 1")):
         assert atlas_table(name, found).rows == [["1. ", spared]]
     assert atlas_table("bdf", found) is None
+
+
+def test_the_suite_with_all_scenes_has_one_set_of_methods_and_short_names():
+    text = Path("bench/profiles/full.toml").read_text(encoding="utf-8")
+    studies = tomllib.loads(text)["study"]
+    main = [s for s in studies if not s.get("title", "").startswith("Families")]
+    assert len({p for s in main for p in s["problems"]}) == 18
+    assert all(s["integrators"] == main[0]["integrators"] for s in main)
+    steps = [one / two for s in studies for one, two in pairwise(s["rtol"])]
+    assert max(steps) < 3.4  # two tolerances a decade
+    names = short_names(i for s in studies for i in s["integrators"])
+    assert max(map(len, names.values())) < 20
