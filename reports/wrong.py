@@ -150,7 +150,7 @@ def wrong_sentences(
     judged = counted(sum(w.judged for w in found), "run")
     count = f"{silent or 'none'} of {judged} that reached the end"
     about = f"error in {quantity(group)} above {WRONG:g}, {NORMS[NORM]}"
-    more = f"; with a warning: {warned}" if warned else ""
+    more = f"; {warned} more with a warning" if warned else ""
     said: list[Sentence] = [[f"Wrong without warning: {count} ({about}){more}."]]
     where: dict[str, list[Sentence]] = {}
     for w in found:

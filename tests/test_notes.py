@@ -205,10 +205,10 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
     assert every.rows == [["wrong", "s", "2 of 2", "0.2 at h=0.05", "It is stiff."]]
     assert coarsest.rows[0][:3] == ["late", "s", "1 of 2"]
     series[0].records[0].message = "It may be wrong."  # one run of them says nothing
-    assert said() == [head.format(2, "; with a warning: 1"), never.format("s: ")]
+    assert said() == [head.format(2, "; 1 more with a warning"), never.format("s: ")]
     for record in (*series[0].records, *series[1].records):
         record.message = "It may be wrong."
-    assert said() == [head.format("none", "; with a warning: 3")]
+    assert said() == [head.format("none", "; 3 more with a warning")]
     assert silent_tables(found(), "a", scenes) == []
 
 
