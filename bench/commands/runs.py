@@ -1,4 +1,4 @@
-"""The commands of single runs: `solve`, also of ensembles, `map`, `judge`, and `truth`."""
+"""The commands of single runs: `solve`, also of ensembles, and `map`."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ import numpy as np
 
 from bench.commands import options
 from bench.commands.options import MOST_MEMBERS, Given
-from bench.results.flat_rows import csv_text, published_table
-from bench.results.quantities import ASKED, ERROR_NAMES, NORM, NORMS
+from bench.results.flat_rows import published_table
+from bench.results.quantities import NORMS
 from bench.results.records import Record, Rows
 from bench.results.table import NO_VALUE, Table, formatted
 from problems.base.spec import SpecError
 
 if TYPE_CHECKING:
     from bench.sweeps.ensemble import Ensemble
-    from reports.series import Series
 
 #: Components of a group that a table has at most: those of a planar mechanism of three bodies.
 _SHOWN = 9
@@ -274,128 +273,3 @@ def map_(o: Given) -> None:
         f"Prepared in {plain['compile_s']:.2g} s, run in {plain['run_s']:.2g} s.",
     )
     click.echo(f"Page: {write_map_page(plain, o.out)}")
-
-
-# ---- runs of other programs --------------------------------------------------------------
-@options.command(
-    "judge", "problem files steps rtols method template settings out budget plugins as_json",
-    steps={"help": "Step sizes in s of the files, in their order."},
-)  # fmt: skip
-def judge(o: Given) -> None:
-    """Judge runs of any program, written to files.
-
-    A file (CSV, .npz or .json) has the rows of one run: t, and any of q1.., v1.., a1.., lam1..,
-    x1.., y1.., the coordinates' own names, or those of points. Facts stand in comments of a CSV
-    file: "# step=0.01 seconds=0.2 residuals=1234 method=ode23t". Errors are those of any run; the
-    files of several steps give orders. With --out, a folder keeps them beside other runs.
-
-    \b
-    Examples:
-      stepbench judge pendulum --template rows.csv
-      stepbench judge pendulum rows.csv
-      stepbench judge slider_crank coarse.csv fine.csv finest.csv --out stepbench-results
-    """
-    from bench.commands.suite import write_reports
-    from bench.commands.terminal import show
-    from bench.results.store import Store
-    from bench.running.judge import judge_job, store_judgement
-    from bench.running.told import template
-    from reports.series import series_of
-    from reports.tables.order_table import order_table
-
-    registry = options.usable_registry(o.plugins)
-    scene = registry.problem(o.problem, **o.settings)
-    sources = scene.sources
-    if o.template:
-        text = options.guarded(o.problem, template, sources, o.budget, scene.spec)
-        o.template.write_text(text, encoding="utf-8")
-        click.echo(f"{o.template} has the head and the start of {scene.spec}.")
-        return
-    if not o.files:
-        raise SpecError("Name files of rows; --template FILE writes an empty one.")
-    given = {"step": o.steps, "rtol": o.rtols}
-    for name, values in given.items():
-        if values and len(values) != len(o.files):
-            raise SpecError(f"--{name}s gives {len(values)} numbers for {len(o.files)} files.")
-    given = {name: values for name, values in given.items() if values}
-    task = [*map(str, o.files)], given, o.method, o.out is not None
-    found = options.guarded(o.problem, judge_job, sources, o.budget, scene.spec, *task)
-    records = [result.record for result in found.results]
-    if o.as_json:
-        options.print_json(records)
-    else:
-        (series,) = series_of(records)
-        missing = sorted({name for names in found.lacking for name in names})
-        told = [f"Not told: {', '.join(missing)}."] if missing else []
-        orders = [table] if (table := order_table([series], "Orders")) else []
-        show(_judged(series), *orders, *told)
-    if o.out:
-        with Store(o.out, create=True) as store:
-            store_judgement(store, found)
-        write_reports(o.out, False)
-    bad = [f"{r.resolution}: {r.status}: {r.message}" for r in records if r.status != "ok"]
-    options.fail_with(bad)
-
-
-def _judged(series: Series) -> Table:
-    """A row per run from coarse to fine: the error of each group, and the time as it was told."""
-    groups = [g for g in ASKED if any(g in r.errors for r in series.records)]
-    rows = [
-        [
-            r.resolution,
-            *(formatted(r.error(g, NORM), ".3g") for g in groups),
-            *([formatted(r.history_error, ".3g")] if r.history_error is not None else []),
-            formatted(r.seconds, ".3g"),
-        ]
-        for r in series.records
-    ]
-    points = ["points"] * any(r.history_error is not None for r in series.records)
-    title = f"{series.label} on {series.records[0].problem}: errors, {NORMS[NORM]}"
-    note = "Seconds: as told by the author."
-    note = "Points: by the rule of the IFToMM library. " * len(points) + note
-    heads = [ERROR_NAMES[g].split()[-1] for g in groups]
-    return Table(title, ["run", *heads, *points, "seconds"], rows, note=note)
-
-
-# ---- certain digits ----------------------------------------------------------------------
-@options.command(
-    "truth", "problem every at settings budget plugins as_json as_csv",
-    at={"help": "These instants in s.", "metavar": "T1,..."},
-    as_csv={"help": "Print comma-separated rows, as `judge` reads them."},
-)  # fmt: skip
-def truth(o: Given) -> None:
-    """Print the certain digits of a scene.
-
-    A number is printed as far as independent ways agree: a closed form or Gauss collocation, and
-    Radau IIA, also with changed data. It is off by at most one unit of its last digit.
-
-    \b
-    Examples:
-      stepbench truth slider_crank --at 0,0.5,1 --json
-      stepbench truth duffing --every 0.5 --csv > duffing.csv
-    """
-    from bench.commands.terminal import show
-    from bench.running.truth import truth_job
-
-    if o.every is not None:
-        options.refuse("does not go with --every; give one of them.", "at")
-    if o.as_json:
-        options.refuse("does not go with --json; give one of them.", "as_csv")
-    scene = options.usable_registry(o.plugins).problem(o.problem, **o.settings)
-    task = scene.sources, o.budget, scene.spec, o.every, o.at
-    found = options.guarded(o.problem, truth_job, *task)
-    rows, named = found["rows"], found["components"]
-    places = [(g, i, name) for g, names in named.items() for i, name in enumerate(names)]
-    if o.as_json:
-        options.print_json(found)
-    elif o.as_csv:
-        table = [{"t": r["t"], **{f"{g}{i + 1}": r[g][i] for g, i, _ in places}} for r in rows]
-        click.echo(csv_text(table), nl=False)
-    else:
-        values = [[f"{g} {n}", f"{r['t']:g}", r[g][i]] for g, i, n in places for r in rows]
-        digits = [[f"{r['t']:g}", *(str(r["digits"][g]) for g in named)] for r in rows]
-        show(
-            Table(f"{found['scene']}: certain digits", ["component", "t [s]", "value"], values),
-            Table("Number of certain digits", ["t [s]", *named], digits),
-            *(f"How: {found['how']}.", *found["remarks"]),
-        )
