@@ -159,9 +159,10 @@ def _method(
 def _resolution(told: Told, given: Mapping[str, float]) -> Resolution:
     step, rtol = (given.get(n, told.number(n)) for n in ("step", "rtol"))
     if (step is None) == (rtol is None):
+        both = "neither step nor rtol" if step is None else "both a step and an rtol"
         raise SpecError(
-            f"{told.file} tells {'no' if step is None else 'both a'} step and rtol; write one of "
-            "them, as '# step=0.01' before the head, or give --steps or --rtols."
+            f"{told.file} tells {both}; write one of them, as '# step=0.01' before the head, or "
+            "give --steps or --rtols."
         )
     if rtol is not None:
         return Tolerances(rtol, told.number("atol"))

@@ -27,17 +27,17 @@ def truth_job(
 ) -> dict[str, Any]:
     """Do a job of a worker: compute a scene in three ways, and print what they agree on.
 
-    Instants are ``every`` so many s, or ``at`` these times in s, or ten. SpecError is raised if
-    they are not allowed, or a way does not reach the last one. The answer has "scene", "how",
-    "remarks", "components" by group, and "rows": "t" in s, by group decimal numbers as text, off by
-    at most one unit of their last digit and empty where none is certain, and "digits", their number
-    by group, relative to the size of each component.
+    Instants are ``every`` so many s from the start on, or ``at`` these times in s, or the start and
+    ten. SpecError is raised if they are not allowed, or a way does not reach the last one. The
+    answer has "scene", "how", "remarks", "components" by group, and "rows": "t" in s, by group
+    decimal numbers as text, off by at most one unit of their last digit and empty where none is
+    certain, and "digits", their number by group, relative to the size of each component.
     """
     scene = worker.problem(problem)
     (t0, end), step = scene.interval, scene.nominal_step
     every = (end - t0) / 10 if every is None else every
     count = min((end - t0) / every * (1 + 1e-12), _MOST_INSTANTS + 1) if every > 0 else 0
-    asked = at or t0 + every * np.arange(1, int(count) + 1)
+    asked = at or t0 + every * np.arange(int(count) + 1 if count >= 1 else 0)
     t = np.unique([float(f"{now:.12g}") for now in asked])
     if not (0 < len(t) <= _MOST_INSTANTS and np.all((t0 <= t) & (t <= end))):
         told = ", ".join(f"{now:g}" for now in at[:5]) if at else f"every {every:g} s"
