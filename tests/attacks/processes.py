@@ -34,9 +34,7 @@ def promised_seconds() -> float:
 class Started:
     """A command in work; it leads a session of its own, as in a terminal of its own."""
 
-    def __init__(
-        self, folder: Path, *arguments: object, entry: list[str] = STEPBENCH, output: int = -1
-    ) -> None:
+    def __init__(self, folder: Path, *arguments: object, entry: list[str] = STEPBENCH) -> None:
         self._mark = f"{MARK}={secrets.token_hex(8)}".encode()
         self._said = folder / f"said-{secrets.token_hex(4)}.txt"
         name, value = self._mark.decode().split("=")
@@ -46,7 +44,7 @@ class Started:
                 cwd=folder,
                 env=os.environ | {name: value},
                 stdin=subprocess.DEVNULL,
-                stdout=said if output < 0 else output,
+                stdout=said,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
             )
@@ -63,14 +61,12 @@ class Started:
         """What it said, in one line; the last part of very much."""
         return " ".join(self.text[-100_000:].split())
 
-    def family(self, words: str = "") -> list[int]:
-        """All processes that it started, itself included, oldest first; or its workers."""
-        line = {"": b"", "worker": b"serve(int("}[words]
+    def family(self) -> list[int]:
+        """All processes that it started, itself included, oldest first."""
         found = []
         for entry in Path("/proc").glob("[0-9]*"):
             with suppress(OSError):
-                marked = self._mark in (entry / "environ").read_bytes()
-                if marked and line in (entry / "cmdline").read_bytes():
+                if self._mark in (entry / "environ").read_bytes():
                     found.append(int(entry.name))
         return sorted(found)
 
@@ -83,12 +79,12 @@ class Started:
 
     def wait_until_it_obeys(self) -> None:
         """Python starts with a handler for Ctrl-C; one for the end of a terminal is ours."""
-        self.wait_for(lambda: 1 << (signal.SIGHUP - 1) & self._caught())
 
-    def _caught(self) -> int:
-        status = Path(f"/proc/{self.pid}/status").read_text()
-        match = re.search(r"SigCgt:\s*(\w+)", status)
-        return int(match[1], 16) if match else 0
+        def caught() -> int:
+            match = re.search(r"SigCgt:\s*(\w+)", Path(f"/proc/{self.pid}/status").read_text())
+            return 1 << (signal.SIGHUP - 1) & int(match[1], 16) if match else 0
+
+        self.wait_for(caught)
 
     def finish(self, seconds: float = 500.0) -> int:
         """Exit code of the command; nothing of it is left, and it said no traceback."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import false_methods as methods
-import false_scenes as scenes
+import false_plugins as false
 import msgspec
 import numpy as np
 import pytest
@@ -27,10 +26,10 @@ from problems.base.spec import snake_case
 from problems.scenes.oscillators import SpringMass
 from problems.truth.reference import Reference
 
-PLUGINS = [Path(__file__).with_name(f"false_{kind}.py") for kind in ("methods", "scenes")]
+PLUGINS = [Path(__file__).with_name("false_plugins.py")]
 METHODS = {
     name: words
-    for kind in (methods.TRAJECTORIES, methods.FACTS, methods.SUPPORTS)
+    for kind in (false.TRAJECTORIES, false.FACTS, false.SUPPORTS)
     for name, (*_, words) in kind.items()
 }
 METHODS["prepares_none"] = "prepare() is None, expected a PreparedRun with measure() and exec"
@@ -75,7 +74,7 @@ def test_a_false_answer_is_a_row_and_a_failed_check_that_say_what_came(worker, r
         assert METHODS[how] in record.message
         assert record.family in ("liars", "lying")
         assert record.rows == 0
-        check = "description" if how in methods.FACTS or how in methods.SUPPORTS else "runs"
+        check = "description" if how in false.FACTS or how in false.SUPPORTS else "runs"
         finding = examine(registry, "integrators", f"lying[how={how}]", check)
         assert finding.verdict == FAILED
         assert METHODS[how] in finding.text
@@ -85,27 +84,27 @@ def test_a_false_answer_is_a_row_and_a_failed_check_that_say_what_came(worker, r
 def test_whatever_a_run_raises_is_a_row_and_a_false_bill_costs_the_bill(worker):
     record = row(worker, "raises_much")
     assert (record.status, "ValueError: xxxxxxxx" in record.message) == ("crashed", True)
-    for how in methods.BILLS:
+    for how in false.BILLS:
         record = row(worker, how)
         assert (record.status, record.operations) == ("ok", {})
-        assert f"No operations are known: {methods.BILLS[how][1]}" in record.message
+        assert f"No operations are known: {false.BILLS[how][1]}" in record.message
 
 
 def test_what_can_be_read_is_turned_into_own_types(worker):
-    for how in methods.MENDED:
+    for how in false.MENDED:
         record = row(worker, how)
         others = dict.fromkeys(("nan_rows_of_a_failure", "nan_rows"), "diverged")
         others |= {"times_of_a_failure_repeated": "step_too_small"}
         others |= {"half_of_the_interval": "crashed"}  # it reported success there
         assert record.status == others.get(how, "ok")
         assert {type(n) for n in record.work.values()} <= {int, type(None)}
-        assert record.rows == methods.ROWS - 1
+        assert record.rows == false.ROWS - 1
 
 
 def test_rows_are_not_those_of_the_plugin(worker):
     scene, mine = SpringMass(), {}
 
-    class Kept(methods.Run):
+    class Kept(false.Run):
         def measure(self):
             mine["run"] = super().measure()
             return mine["run"]
@@ -120,35 +119,35 @@ def test_rows_are_not_those_of_the_plugin(worker):
 
 
 def test_false_facts_cost_their_owners_cells(inventory, worker):
-    for how in methods.FACTS:
+    for how in false.FACTS:
         study = StudyFile(problems=["oscillator"], integrators=[f"lying[how={how}]"], steps=[0.1])
         suite = make_suite("facts", ProfileFile(study=[study]), inventory)
         (facts,) = suite.plan.integrators.values()
         assert facts.orders == {}
         stored(type(suite.plan), suite.plan)
         (cell,) = suite.cells.values()
-        assert methods.FACTS[how][-1] in worker.measure(cell, errors=False).record.message
+        assert false.FACTS[how][-1] in worker.measure(cell, errors=False).record.message
 
 
 def test_a_false_part_of_a_scene_costs_the_part(registry, monkeypatch):
     monkeypatch.setattr(scene_records, "rates", lambda *_: None)  # they are compiled
-    for name in scenes.SCENES:
+    for name in false.SCENES:
         scene = registry.problem(snake_case(name))
         record = stored(
             SceneRecord, scene_records.scene_record(scene, 20.0, lambda: Reference(scene, 20.0))
         )
-        words = scenes.SCENES[name][-1]
+        words = false.SCENES[name][-1]
         assert any(words in fault for fault in record.faults)
         assert all(fault.isprintable() for fault in record.faults)
         assert record.sizes["nq"] == 1
         assert record.equations
-        if scenes.SCENES[name][1] != "reference" and "coordinates" not in scenes.SCENES[name][0]:
+        if false.SCENES[name][1] != "reference" and "coordinates" not in false.SCENES[name][0]:
             assert record.reference.t
 
 
 def test_a_check_says_what_is_false_in_a_scene(registry):
-    for name in scenes.SCENES | scenes.STARTS:
-        _, check, words = (scenes.SCENES | scenes.STARTS)[name]
+    for name in false.SCENES | false.STARTS:
+        _, check, words = (false.SCENES | false.STARTS)[name]
         finding = examine(registry, "problems", snake_case(name), check)
         assert finding.verdict == FAILED
         assert words in finding.text
@@ -156,14 +155,14 @@ def test_a_check_says_what_is_false_in_a_scene(registry):
 
 
 def test_false_starts_energies_and_closed_forms_cost_their_part(registry, worker):
-    for name in scenes.STARTS:
+    for name in false.STARTS:
         record = row(worker, "well", snake_case(name))
         assert record.status == "crashed"
-        assert scenes.STARTS[name][-1] in record.message
-    for name in scenes.TIMES:
+        assert false.STARTS[name][-1] in record.message
+    for name in false.TIMES:
         plugin = registry.problems[snake_case(name)]
         assert plugin.cls is None
-        assert scenes.TIMES[name][-1] in plugin.reason
+        assert false.TIMES[name][-1] in plugin.reason
     for name in ("EnergyVector", "EnergyNan"):
         record = row(worker, "well", snake_case(name))
         assert (record.status, record.energy_drift) == ("ok", None)
@@ -193,8 +192,8 @@ def test_scenes_are_turned_into_own_types(registry, inventory, monkeypatch):
 
 def test_an_energy_that_is_lost_in_motion_is_false():
     lost = {"energy": lambda self, q, v: jnp.where(v[0] == 0.0, q[0], jnp.nan)}
-    scene = scenes.scene_class("EnergyLost", lost)()
-    run = methods.honest(scene, 20.0)
+    scene = false.scene_class("EnergyLost", lost)()
+    run = false.honest(scene, 20.0)
     assert set(invariant_changes(scene, run)) == {"energy"}
     run.v = run.v + 1.0
     with pytest.raises(FalseAnswer, match=r"energy\(\) of the rows\[0\] is nan"):

@@ -1,9 +1,7 @@
 """The frame of the benchmarks: contestants that run in turn, and their tables as Markdown and JSON.
 
-A contestant is prepared once and then run many times, round after round, so that a disturbance of
-the machine acts on all alike; a ratio is taken within a round. Times are processor seconds: all
-contestants have one thread, and a wait for a busy processor is no cost of theirs. No time is
-checked; that the answers agree is.
+Contestants run in rounds, so that a disturbance acts on all alike; ratios are within a round. Times
+are processor seconds of one thread. No time is checked; that the answers agree is.
 """
 
 from __future__ import annotations
@@ -77,13 +75,7 @@ def contestant(
     reference: Reference | None = None,
     scene: MechatronicSystem = SCENE,
 ) -> Contestant:
-    """A method of this project, with its settled error in a if there is a reference.
-
-    Raises
-    ------
-    NotHere
-        If the method cannot take the scene, or does not come to the end.
-    """
+    """A method of this project, with its settled error in a if there is a reference."""
     method = Registry().integrator(spec)
     if reason := method.why_not(scene):
         raise NotHere(f"{spec} was left out: {reason}")
@@ -94,20 +86,12 @@ def contestant(
     error = None if reference is None else relative_errors(end, reference)[0]["a"]["settled"]
     in_steps = isinstance(resolution, Steps)
     size = f"h={resolution.h:.2g} s" if in_steps else f"rtol={resolution.rtol:.2g}"
-    steps, bill = (end.work.steps or 0), run.bill(end)
-    return Contestant(
-        spec, size, timed(run.execute), steps, end.q[-1], error, asdict(end.work), bill
-    )
+    steps, bill, work = (end.work.steps or 0), run.bill(end), asdict(end.work)
+    return Contestant(spec, size, timed(run.execute), steps, end.q[-1], error, work, bill)
 
 
 def at_constant_steps(spec: str, *given: Any) -> Contestant:
-    """A method with constant steps.
-
-    Raises
-    ------
-    NotHere
-        If it has none.
-    """
+    """A method with constant steps."""
     method = Registry().integrator(spec)
     fixed = method if method.controls == "step" else method.at_constant_steps()
     if fixed is None:
@@ -116,13 +100,7 @@ def at_constant_steps(spec: str, *given: Any) -> Contestant:
 
 
 def equally_accurate(spec: str, wanted: float, reference: Reference) -> Contestant:
-    """A method at the step or tolerance whose settled error in a is within 2 of the wanted one.
-
-    Raises
-    ------
-    NotHere
-        If no step or tolerance gives it; the message has the nearest error.
-    """
+    """A method at the step or tolerance whose settled error in a is within 2 of the wanted one."""
     kind = Steps if Registry().integrator(spec).controls == "step" else Tolerances
     start, end = reference.scene.interval
     size, order, fine, coarse = (1e-6, 1.0, 1e-14, 0.1)
@@ -234,10 +212,7 @@ def options(doc: str | None, rounds: int, out: str) -> argparse.Namespace:
 
 
 def alone(script: str, rounds: int, *case: object, **environment: Any) -> list[Any]:
-    """Rows that a script prints as JSON of one case in a process of its own.
-
-    Of a case that takes too long, the rows so far.
-    """
+    """Rows that a script prints as JSON of one case in a process of its own, or those in time."""
     command = [sys.executable, script, "--rounds", str(rounds), "--one", *map(str, case)]
     try:
         said = subprocess.run(command, stdout=subprocess.PIPE, check=True, **environment).stdout

@@ -1,10 +1,9 @@
 """Throughput of many runs: ensembles against a loop over single runs, a map, and sizes on a GPU.
 
-A loop over single runs has its kernel compiled before and goes from start to end without rows: it
-makes each run from its parameters (scene, start, packing) and takes it, or takes runs that were
-made before. Ensembles are measured likewise, on one thread and on all, and include the reading of
-the results. Throughput by size runs in a process of its own, on the processor, and on a GPU if JAX
-finds one. Times are those of the clock; that members end where single runs end is checked.
+All are compiled before; a loop makes each run from its parameters, or takes runs that were made.
+Ensembles take one thread or all, and include the reading of the results. Throughput by size is
+that of a process of its own, on the processor, and on a GPU if JAX finds one. Times are those of
+the clock; that members end where single runs end is checked.
 """
 
 from __future__ import annotations

@@ -53,13 +53,7 @@ def peak() -> tuple[float, float] | None:
 
 
 def _compiled(source: str, folder: Path, what: str) -> Path:
-    """The program of a source in C.
-
-    Raises
-    ------
-    NotHere
-        If there is no compiler (cc), or it refuses.
-    """
+    """The program of a source in C."""
     compiler, program = shutil.which("cc"), folder / source.removesuffix(".c")
     if compiler is None:
         raise NotHere(f"{what} was left out: there is no C compiler (cc) on the path.")
@@ -78,13 +72,7 @@ def _numbers(*command: object) -> list[float]:
 
 
 def exudyn_run(newton: str) -> Contestant:
-    """Generalized-alpha of exudyn at the same steps, with full or modified Newton.
-
-    Raises
-    ------
-    NotHere
-        If exudyn is not installed.
-    """
+    """Generalized-alpha of exudyn at the same steps, with full or modified Newton."""
     sys.exudynFast = True  # asks for its build without range checks
     try:
         with contextlib.redirect_stdout(io.StringIO()):  # it tells of the build

@@ -1,10 +1,6 @@
 """Native methods against C, exudyn and other solvers; families of methods; solvers in C and Python.
 
-``make bench`` prints the tables of docs/performance.md: the same equations by others; every native
-method at the same step, with the rank correlation of time and operations of an attempted step and
-the pairs of methods that these order differently; methods at the step or tolerance that gives the
-error of generalized-alpha in a (those that take no constraints on a scene without); and solvers of
-libraries with equations in C beside the same through Python.
+``make bench`` prints the tables of docs/performance.md.
 """
 
 from __future__ import annotations
@@ -13,24 +9,8 @@ from functools import partial
 from itertools import combinations, product
 from typing import Any
 
-from frame import (
-    OURS,
-    RHO,
-    SCENE,
-    STEPS,
-    T_END,
-    Contestant,
-    NotHere,
-    Row,
-    at_constant_steps,
-    contestant,
-    equally_accurate,
-    native_methods,
-    options,
-    race,
-    table,
-    write,
-)
+import frame
+from frame import OURS, SCENE, STEPS, Contestant, NotHere, Row, contestant, native_methods, race
 from opponents import c_program, exudyn_run, peak
 from scipy.stats import spearmanr
 
@@ -82,8 +62,8 @@ _SAME = 1e-6
 
 def same_equations(rounds: int) -> list[Row]:
     """Index 3, 20 000 steps: everybody solves the same discrete equations."""
-    of = [OURS, f"generalized_alpha[rho_inf={RHO:g}]"]
-    makers = [partial(contestant, spec, Steps(T_END / STEPS)) for spec in of]
+    of = [OURS, f"generalized_alpha[rho_inf={frame.RHO:g}]"]
+    makers = [partial(contestant, spec, Steps(frame.T_END / STEPS)) for spec in of]
     makers += [c_program, *(partial(exudyn_run, kind) for kind in ("full", "modified"))]
     rows = race(f"the same {STEPS} steps", makers, rounds)
     for row in rows:
@@ -111,7 +91,7 @@ def same_step(members: list[str], scene: MechatronicSystem, steps: int, rounds: 
 
     def made(spec: str) -> Contestant:
         try:
-            return at_constant_steps(spec, at, reference, scene)
+            return frame.at_constant_steps(spec, at, reference, scene)
         except NotHere as reason:
             if "no constant steps" not in str(reason):
                 raise
@@ -151,7 +131,7 @@ def same_error(racers: list[str], scene: MechatronicSystem, h: float, rounds: in
     ours = contestant(OURS, Steps(h), reference, scene)
     assert ours.error is not None
     others = [one for one in racers if one != OURS]
-    makers = [partial(equally_accurate, one, ours.error, reference) for one in others]
+    makers = [partial(frame.equally_accurate, one, ours.error, reference) for one in others]
     return race(f"{scene.name}, equal error in a, h={h:g} s", [lambda: ours, *makers], rounds)
 
 
@@ -164,14 +144,14 @@ def beside_python(scene: MechatronicSystem, solvers: tuple[str, ...], rounds: in
 
 def main() -> None:
     """Measure, print the tables, write the JSON."""
-    given = options(__doc__, 7, "stepbench-race.json")
+    given = frame.options(__doc__, 7, "stepbench-race.json")
     most, rows = peak(), []
     if most is not None:
         print("The peak of a core: {:.1f} Gflop/s, {:.1f} by single numbers.".format(*most))
 
     def show(more: list[Row]) -> None:
         rows.extend(more)
-        print(table(more, most and most[0]), flush=True)
+        print(frame.table(more, most and most[0]), flush=True)
 
     few = max(3, given.rounds // 2)
     show(same_equations(3 * given.rounds))
@@ -185,7 +165,7 @@ def main() -> None:
     for scene, h in product((SCENE, FREE, LIE), SIZES):
         peers = PEERS if scene is SCENE else ()
         show(same_error([*all_native(scene), *peers], scene, h, few))
-    write(rows, given.out)
+    frame.write(rows, given.out)
 
 
 if __name__ == "__main__":

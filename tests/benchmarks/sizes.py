@@ -1,9 +1,8 @@
 """Cost against size: the hanging chain with 100 to 100 000 links, against sparse solvers.
 
-``make bench`` prints two tables. Every size runs in a process of its own, so that memory is its
-own. IDA chooses its steps, so that the time for an interval is compared, and the errors at its end
-stand beside it: differences from a run of IDA at a much smaller tolerance. That this is the answer
-is checked by our own method, whose error has to fall as its order says.
+Every size has a process, and its memory, of its own. IDA chooses its steps: times and errors are
+those of an interval, errors against IDA at a much smaller tolerance. Our own method checks this
+answer: its error has to fall as its order says.
 """
 
 from __future__ import annotations
@@ -34,19 +33,17 @@ IDA_SIZES = ((100, 0.4, 1e-5), (1000, 0.2, 1e-5), (10000, 0.05, 1e-6))
 _FINER, _REFERENCE = 4, 1e-4
 
 
-def _memory() -> float:
-    """Largest memory of this process so far, in MiB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
 def measure(links: int, steps: int, rounds: int) -> Row:
     """Modified and full Newton on one size: seconds, memory and ends."""
-    scene, before, started = Chain(links=links), _memory(), time.process_time()
+    def memory() -> float:  # the largest so far, in MiB
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+    scene, before, started = Chain(links=links), memory(), time.process_time()
     methods = (GeneralizedAlpha(rho_inf=_RHO, newton=kind) for kind in ("modified", "full"))
     runs = [method.prepare(scene, steps * _H, Steps(_H)) for method in methods]
     row = {"links": links, "steps": steps, "prepared": (time.process_time() - started) / 2}
     seconds = in_turn((timed(run.execute) for run in runs), rounds).T
-    row |= {"memory": _memory(), "own": _memory() - before, "seconds": seconds.tolist()}
+    row |= {"memory": memory(), "own": memory() - before, "seconds": seconds.tolist()}
     ends = [run.measure() for run in runs]
     gap = np.linalg.norm(ends[1].q[-1] - ends[0].q[-1]) / np.linalg.norm(ends[0].q[-1])
     if not (gap < _SAME and all(end.status == "ok" for end in ends)):

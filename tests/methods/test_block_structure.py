@@ -8,15 +8,11 @@ from proofs import SWING, TWO_RODS
 from bench.check.trials import ForcedOscillator
 from bench.plugins.registry import Registry
 from integrators import Steps
+from integrators.methods import simulator_steppers as steppers
 from integrators.methods.explicit_structural import CR, ExplicitGeneralizedAlpha, KRAlpha, NohBathe
 from integrators.methods.half_explicit import PHEM56, HalfExplicitEuler
 from integrators.methods.implicit_structural import WilsonTheta
 from integrators.methods.rodas5p import Rodas5P
-from integrators.methods.simulator_steppers import (
-    ImplicitFast,
-    LinearlyImplicitEuler,
-    SemiImplicitEuler,
-)
 from integrators.methods.symplectic import StormerVerlet
 from problems import jax, jnp
 from problems.base.spec import SpecError
@@ -115,10 +111,11 @@ def test_the_work_of_all_steps_is_the_same_and_there_is_no_iteration(method, on,
 
 
 @pytest.mark.parametrize(
-    "method", [SemiImplicitEuler(), *long(ImplicitFast(), LinearlyImplicitEuler())]
+    "cls",
+    [steppers.SemiImplicitEuler, *long(steppers.ImplicitFast, steppers.LinearlyImplicitEuler)],
 )
-def test_so_is_that_of_steppers_of_simulators_and_its_bill(method):
-    run = method.prepare(*SWING, Steps(0.01))
+def test_so_is_that_of_steppers_of_simulators_and_its_bill(cls):
+    run = cls().prepare(*SWING, Steps(0.01))
     found, steps = run.measure(), 100
     work = found.work
     counts = work.residuals, work.jacobians, work.factorisations, work.solves

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from helpers import long, toy
@@ -14,11 +12,10 @@ from bench.check.trials import ForcedOscillator
 from bench.stability.systems import Oscillator
 from integrators import Steps
 from integrators.methods import half_explicit, rodas5p
-from integrators.methods.bdf import BDF2, BDFAdaptive, _respaced
+from integrators.methods.bdf import BDF2, BDFAdaptive
 from integrators.methods.explicit_structural import KRAlpha
 from integrators.methods.generalized_alpha import GeneralizedAlphaClassical, Newmark
 from integrators.methods.half_explicit import PHEM56
-from integrators.methods.hht_i3 import HHTI3
 from integrators.methods.radau_iia import RadauIIA, collocation
 from integrators.methods.rodas5p import Rodas5P
 from integrators.methods.simulator_steppers import ImplicitFast, SemiImplicitEuler
@@ -28,7 +25,6 @@ from problems import jax, jnp
 from problems.equations.initial_values import consistent_start
 from problems.scenes.ivp_test_set import CarAxis
 from problems.scenes.oscillators import SpringMass
-from problems.scenes.pendulums import DoublePendulumControlled
 from problems.scenes.slider_crank import SliderCrankMinimal
 
 
@@ -91,15 +87,6 @@ def test_steps_of_bdf_are_those_of_polynomials_through_the_last_values():
         assert error == pytest.approx(constant * (v[n] - p(0.0)), rel=1e-5, abs=1e-14)
         # Divided differences, scaled: the first is the change in the step.
         assert float(states[n].differences[1, 1]) == pytest.approx(v[n] - v[n - 1], abs=1e-14)
-
-
-@pytest.mark.long
-def test_a_first_step_that_is_tried_again_has_the_start_of_its_own_size():
-    method, scene = BDFAdaptive(formulation="index3"), DoublePendulumControlled()
-    start = jax.tree.map(jnp.asarray, consistent_start(scene))
-    tried, own = (_respaced(method.begin(scene, start, h), 0.001) for h in (0.1, 0.001))
-    assert np.asarray(tried.spans) == pytest.approx(np.asarray(own.spans), rel=1e-13)
-    assert np.asarray(tried.differences) == pytest.approx(np.asarray(own.differences), abs=1e-15)
 
 
 # ---- half-explicit -----------------------------------------------------------------------
@@ -185,16 +172,9 @@ def square(rows: tuple) -> np.ndarray:
     return a
 
 
-TRANSFORMED = square(rodas5p._A[:-1]), square(rodas5p._C_OVER_H)
-
-
-def classical(a: np.ndarray, c_over_h: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """alpha, Gamma and b of k_i = h f(y + alpha_ij k_j) + h J Gamma_ij k_j,  y+ = y + b_i k_i."""
-    gamma = np.linalg.inv(np.eye(STAGES) / rodas5p._GAMMA - c_over_h)
-    return a @ gamma, gamma, np.array(rodas5p._A[-1]) @ gamma
-
-
-ALPHA, GAMMA, B = classical(*TRANSFORMED)
+#: Of k_i = h f(y + alpha_ij k_j) + h J Gamma_ij k_j,  y+ = y + b_i k_i.
+GAMMA = np.linalg.inv(np.eye(STAGES) / rodas5p._GAMMA - square(rodas5p._C_OVER_H))
+ALPHA, B = square(rodas5p._A[:-1]) @ GAMMA, np.array(rodas5p._A[-1]) @ GAMMA
 #: Rooted trees, as tuples of the trees on their root, by their number of vertices.
 TREES = {
     1: [()],
@@ -208,7 +188,7 @@ TREES[5] = [
 ]  # fmt: skip
 
 
-def condition(tree: tuple, alpha: np.ndarray, gamma: np.ndarray, b: np.ndarray) -> float:
+def condition(tree: tuple, b: np.ndarray) -> float:
     """Defect of the condition of order of a tree (Hairer & Wanner 1996, sec. IV.7)."""
 
     def vertices(tree: tuple) -> int:
@@ -218,7 +198,7 @@ def condition(tree: tuple, alpha: np.ndarray, gamma: np.ndarray, b: np.ndarray) 
         return vertices(tree) * float(np.prod([density(branch) for branch in tree]))
 
     def weight(tree: tuple) -> np.ndarray:
-        first = alpha + gamma if len(tree) == 1 else alpha
+        first = ALPHA + GAMMA if len(tree) == 1 else ALPHA
         return np.prod([np.ones(STAGES), *(first @ weight(branch) for branch in tree)], axis=0)
 
     return float(b @ weight(tree) - 1 / density(tree))
@@ -230,17 +210,9 @@ def test_rodas5p_satisfies_the_conditions_of_order_five_and_of_the_embedded_orde
     embedded = np.array([*rodas5p._A[-2], 0.0]) @ GAMMA
     for size, trees in TREES.items():
         for tree in trees:
-            assert abs(condition(tree, ALPHA, GAMMA, B)) < 1e-13, tree
-            assert size == 5 or abs(condition(tree, ALPHA, GAMMA, embedded)) < 1e-13, tree
-    assert max(abs(condition(tree, ALPHA, GAMMA, embedded)) for tree in TREES[5]) > 1e-4
-    # A wrong sign of any coefficient breaks a condition.
-    for which, matrix in enumerate(TRANSFORMED):
-        for place in zip(*np.nonzero(matrix), strict=True):
-            wrong = [m.copy() for m in TRANSFORMED]
-            wrong[which][place] *= -1
-            parts = classical(*wrong)
-            found = [condition(tree, *parts) for trees in TREES.values() for tree in trees]
-            assert max(map(abs, found)) > 1e-4, (which, place)
+            assert abs(condition(tree, B)) < 1e-13, tree
+            assert size == 5 or abs(condition(tree, embedded)) < 1e-13, tree
+    assert max(abs(condition(tree, embedded)) for tree in TREES[5]) > 1e-4
 
 
 def growth(z: complex) -> complex:
@@ -340,14 +312,3 @@ def test_derivatives_of_coriolis_forces_are_left_out():
         run(m, SliderCrankMinimal(), 0.2, 0.01) for m in (ImplicitFast(), SemiImplicitEuler())
     )
     assert fast.v == pytest.approx(plain.v, rel=1e-9)
-
-
-def test_a_step_in_which_rounding_of_q_makes_a_is_not_accepted():
-    def chosen(h, a):
-        before, after = (SimpleNamespace(a=np.array([x]), weights=np.ones(1)) for x in (1.0, a))
-        return HHTI3().choose(before, after, h, np.asarray(True), 1e-6)
-
-    assert chosen(1e-6, 2.0)[0]
-    accepted, ratio = chosen(1e-10, 1e5)
-    assert not accepted
-    assert ratio < 1

@@ -14,26 +14,15 @@ from proofs import OMEGA_H, ConservingOscillator, damping_and_period, radii, roo
 from bench.stability.matrices import matrices
 from bench.stability.systems import LinearSystem, Oscillator, Relaxation
 from integrators import Integrator
+from integrators.methods import implicit_structural as structural
+from integrators.methods import simulator_steppers as steppers
 from integrators.methods.ali3p import ALI3P
 from integrators.methods.bdf import BDF2
 from integrators.methods.energy_momentum import EnergyMomentum
 from integrators.methods.explicit_structural import CR, ExplicitGeneralizedAlpha, KRAlpha, NohBathe
 from integrators.methods.generalized_alpha import HHT, GeneralizedAlpha, GeneralizedAlphaClassical
 from integrators.methods.hht_i3 import HHTI3
-from integrators.methods.implicit_structural import (
-    TRBDF2,
-    Bathe,
-    Houbolt,
-    Park,
-    RhoInfBathe,
-    WilsonTheta,
-)
 from integrators.methods.radau_iia import RadauIIA
-from integrators.methods.simulator_steppers import (
-    ImplicitFast,
-    LinearlyImplicitEuler,
-    SemiImplicitEuler,
-)
 from integrators.methods.symplectic import RATTLE, SHAKE, StormerVerlet, VariationalMidpoint
 
 
@@ -57,7 +46,7 @@ Z, ROOT = 1j * np.array(OMEGA_H), 1 - 1 / math.sqrt(2)
 #: Amplification of the L-stable SDIRK method of two stages.
 SDIRK2 = np.abs((1 + (1 - 2 * ROOT) * Z) / (1 - ROOT * Z) ** 2)
 UNDAMPED = [1.0] * len(OMEGA_H)
-#: Houbolt's method has the radii of the member of generalized-alpha that damps most.
+#: structural.Houbolt's method has the radii of the member of generalized-alpha that damps most.
 DAMPED = (0.999951917652, 0.906563333305, 0.242535625036, 0.0478312816831)
 TRAPEZOIDAL, CENTRAL = (0.0, 0.03207491062), (0.0, -0.01693422976)
 #: Beyond the limit of central differences: minus the mean of the roots is w.
@@ -67,10 +56,11 @@ SHORT = [
     # Independent computation in 50 digits from the formula's own polynomial.
     Spectrum(BDF2(), (0.999975609345, 0.933321058436, 0.300749568269, 0.078110132815),
              (0.03442589388, 0.1020606581)),
-    Spectrum(RhoInfBathe(rho_inf=0.5),
+    Spectrum(structural.RhoInfBathe(rho_inf=0.5),
              (0.999999806973, 0.998315845021, 0.649747454588, 0.502080545025),
              (0.0004587631855, 0.01148896615)),
-    Spectrum(WilsonTheta(), (0.999991720364, 0.967491846228, 0.561980474574, 0.775676799441),
+    Spectrum(structural.WilsonTheta(),
+             (0.999991720364, 0.967491846228, 0.561980474574, 0.775676799441),
              (0.01398075474, 0.0614622058)),
     Spectrum(KRAlpha(rho_inf=0.5),
              (0.999998160424, 0.989312786016, 0.682528421486, 0.537173623904),
@@ -81,23 +71,23 @@ SHORT = [
     Spectrum(KRAlpha(rho_inf=1.0), UNDAMPED, TRAPEZOIDAL),
     Spectrum(ExplicitGeneralizedAlpha(), (0.999998149511, 0.982030217877),
              (0.004450231273, -0.01091584946), at=(0.1, 1.0)),
-    Spectrum(SemiImplicitEuler(), shape=CENTRAL, **UP_TO_2),
+    Spectrum(steppers.SemiImplicitEuler(), shape=CENTRAL, **UP_TO_2),
     # rho_inf is the radius at infinite frequency.
-    *(Spectrum(RhoInfBathe(rho_inf=rho), [rho], within=1e-6, at=[1e7])
+    *(Spectrum(structural.RhoInfBathe(rho_inf=rho), [rho], within=1e-6, at=[1e7])
       for rho in (0.0, 0.3, 0.8, 1.0)),
 ]  # fmt: skip
 MORE = [
     Spectrum(CR(), UNDAMPED, TRAPEZOIDAL),
-    Spectrum(Bathe(), (0.99999965338, 0.997054485502, 0.457286606856, 0.0499519610314),
+    Spectrum(structural.Bathe(), (0.99999965338, 0.997054485502, 0.457286606856, 0.0499519610314),
              (0.0008186670143, 0.01617937436)),
-    Spectrum(TRBDF2(), (0.999999632665, 0.996873936516, 0.44485806001, 0.0482421051467),
+    Spectrum(structural.TRBDF2(), (0.999999632665, 0.996873936516, 0.44485806001, 0.0482421051467),
              (0.0008678050247, 0.01571442413)),
-    Spectrum(TRBDF2(), SDIRK2, within=1e-12),
-    Spectrum(RhoInfBathe(rho_inf=0.0), SDIRK2, within=1e-12),
-    Spectrum(Houbolt(), DAMPED, (0.05498792741, 0.1232057196)),
+    Spectrum(structural.TRBDF2(), SDIRK2, within=1e-12),
+    Spectrum(structural.RhoInfBathe(rho_inf=0.0), SDIRK2, within=1e-12),
+    Spectrum(structural.Houbolt(), DAMPED, (0.05498792741, 0.1232057196)),
     Spectrum(GeneralizedAlpha(rho_inf=0.0), DAMPED),
     # (10 r^3 - 15 r^2 + 6 r - 1)/(6 r^3) = i omega h: the formula on u' = i omega u.
-    Spectrum(Park(), [abs(np.roots([10 - 6 * z, -15, 6, -1])).max() for z in Z]),
+    Spectrum(structural.Park(), [abs(np.roots([10 - 6 * z, -15, 6, -1])).max() for z in Z]),
     # Independent computation in 50 digits.
     Spectrum(RadauIIA(stages=3, steps="constant"),
              (0.999999999861, 0.999869306671, 0.321402950403, 0.0300224988042),
@@ -106,13 +96,13 @@ MORE = [
              np.abs((1 + Z / 3) / (1 - 2 * Z / 3 + Z**2 / 6))),
     Spectrum(ALI3P(), UNDAMPED, within=1e-12),
     Spectrum(EnergyMomentum(), UNDAMPED, within=1e-12, on=ConservingOscillator()),
-    Spectrum(LinearlyImplicitEuler(), np.abs(1 / (1 - Z)), within=1e-12),
+    Spectrum(steppers.LinearlyImplicitEuler(), np.abs(1 / (1 - Z)), within=1e-12),
     # A controller.
-    Spectrum(LinearlyImplicitEuler(), [1 / 4], within=1e-12, on=Relaxation(), at=[3.0]),
+    Spectrum(steppers.LinearlyImplicitEuler(), [1 / 4], within=1e-12, on=Relaxation(), at=[3.0]),
     *(Spectrum(method, (0.9, 1.1), within=1e-12, on=Relaxation(), at=[1.9, 2.1])
-      for method in (SemiImplicitEuler(), ImplicitFast())),
+      for method in (steppers.SemiImplicitEuler(), steppers.ImplicitFast())),
     *(Spectrum(method, shape=CENTRAL, **UP_TO_2)
-      for method in (ImplicitFast(), StormerVerlet(), RATTLE(), SHAKE())),
+      for method in (steppers.ImplicitFast(), StormerVerlet(), RATTLE(), SHAKE())),
     Spectrum(NohBathe(), [0.9978817565], at=[1.0]),
     Spectrum(VariationalMidpoint(), UNDAMPED, TRAPEZOIDAL),
 ]  # fmt: skip

@@ -33,10 +33,6 @@ from problems.scenes.slider_crank import SliderCrank
 SOFT_BAR = StiffBar(ea=200.0)
 
 
-def turning_mass(self, q):
-    return jnp.diag(jnp.stack([1 + q[1] ** 2, 1.0]))
-
-
 def turning_force(self, q, v, t):
     turning = -2 * q[1] * v[0] * v[1] + jnp.sin(q[0])
     return jnp.stack([turning, q[1] * v[0] ** 2 - 2 * (q[1] - 1) - q[1] ** 3])
@@ -49,8 +45,8 @@ def turning_energy(self, q, v):
 #: Polar coordinates beside a hard spring: the mass matrix depends on q.
 #: L = (1 + r^2) p'^2/2 + r'^2/2 - V with V = cos(p) + (r - 1)^2 + r^4/4.
 TurningMass = toy(
-    "TurningMass", q=[0.3, 0.9], v=[1.0, -0.5], mass=turning_mass, force=turning_force,
-    energy=turning_energy,
+    "TurningMass", q=[0.3, 0.9], v=[1.0, -0.5], force=turning_force,
+    mass=lambda self, q: jnp.diag(jnp.stack([1 + q[1] ** 2, 1.0])), energy=turning_energy,
 )  # fmt: skip
 
 
@@ -93,17 +89,13 @@ def change_of_form(method: Integrator, scene: MechatronicSystem, h: float) -> fl
             *((m(), SOFT_BAR) for m in (StormerVerlet, RATTLE, SHAKE, VariationalMidpoint)),
             *((m(), SOFT_BAR) for m in (LobattoPair, SemiImplicitEuler)),
             *((m(), TWO_RODS[0]) for m in (RATTLE, VariationalMidpoint, LobattoPair)),
-            (VariationalMidpoint(), TurningMass()),
+            *((VariationalMidpoint(), TurningMass()), (Newmark(beta=0.25, gamma=0.5), SOFT_BAR)),
         ),
     ],
 )
-def test_a_step_keeps_the_symplectic_form(method, scene):
-    assert change_of_form(method, scene, 0.05) < 1e-13
-
-
-@pytest.mark.long
-def test_the_trapezoidal_rule_does_not_keep_it():
-    assert change_of_form(Newmark(beta=0.25, gamma=0.5), SOFT_BAR, 0.05) > 1e-9
+def test_a_step_keeps_the_symplectic_form_and_one_of_the_trapezoidal_rule_does_not(method, scene):
+    change = change_of_form(method, scene, 0.05)
+    assert change > 1e-9 if isinstance(method, Newmark) else change < 1e-13
 
 
 @pytest.mark.long
