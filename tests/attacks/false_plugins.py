@@ -71,7 +71,7 @@ FACTS = {
 }
 #: By name, an answer of `supports`, and words of the sentence on it.
 SUPPORTS = {
-    "supports_true": (True, "supports() is True, expected None, or the reason in a sentence"),
+    "supports_true": (True, "supports() is True, expected None, or the reason in a sentence")
 }
 #: By name, a bill, and words of the sentence on it.
 BILLS = {

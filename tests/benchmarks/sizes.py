@@ -35,6 +35,7 @@ _FINER, _REFERENCE = 4, 1e-4
 
 def measure(links: int, steps: int, rounds: int) -> Row:
     """Modified and full Newton on one size: seconds, memory and ends."""
+
     def memory() -> float:  # the largest so far, in MiB
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
