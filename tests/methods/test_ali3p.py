@@ -89,11 +89,9 @@ def test_what_a_scene_states_as_redundant_leaves_the_explicit_equations_regular(
         assert np.asarray(beside.a) == pytest.approx(wanted.a, rel=20 * drift)
 
 
-@pytest.mark.parametrize(
-    "cases", [(ALI3P(),), *long([Dopri8(), Dopri8(constraints="projected"), Radau()])]
-)
-def test_methods_that_take_redundant_constraints_are_as_accurate_as_without_them(cases):
-    for method in cases:
+@pytest.mark.long
+def test_methods_that_take_redundant_constraints_are_as_accurate_as_without_them():
+    for method in (ALI3P(), Dopri8(), Dopri8(constraints="projected"), Radau()):
         at = Steps(0.01) if method.controls == "step" else Tolerances(1e-6)
         one, two = (method.prepare(s, 1.35, at).measure() for s in (Pendulum(), Stated()))
         assert one.status == two.status == "ok", two.message
