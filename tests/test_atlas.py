@@ -206,7 +206,8 @@ def test_the_command_keeps_what_has_not_changed_and_ends_with_an_error_at_a_diff
     page = (tmp_path / "atlas.html").read_text(encoding="utf-8")
     assert ">5 of 5 as expected.<" in page
     assert page.count("<svg") >= 2
-    assert "http" not in re.sub(r'xmlns(:xlink)?="[^"]*"|http-equiv|<a href="[^"]*"', "", page)
+    names = r'xmlns(:xlink)?="[^"]*"|"http://www.w3.org/2000/svg"|http-equiv|<a href="[^"]*"'
+    assert "http" not in re.sub(names, "", page)
     second = stepbench("atlas", "condition", "--out", tmp_path, "--json")
     assert "failure atlas" not in second.stderr
     with Store(tmp_path) as store:

@@ -145,7 +145,7 @@ def test_a_check_without_an_object_says_why(registry):
 
 @pytest.mark.parametrize(
     ("how", "budget", "sentence"),
-    [*long(("hangs", 60.0, "raise --budget")), ("exits", 60.0, "The process died")],
+    [*long(("hangs", 60.0, "have it compute")), ("exits", 60.0, "The process died")],
 )
 def test_a_check_that_hangs_or_dies_fails_and_the_next_one_goes_on(
     monkeypatch, how, budget, sentence
