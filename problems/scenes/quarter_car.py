@@ -180,7 +180,7 @@ class QuarterCar(SemiActiveDamper, _BodyAndWheel):
     tags = ("mechatronic", "smooth", "stiff controller states", "vehicle")
     difficulties = (
         "acceleration feedback: the controller reads a within the step",
-        "chamber pressures have poles of hundreds to thousands of 1/s: explicit methods crawl",
+        "chamber pressures have poles of hundreds to thousands of 1/s: explicit steps stay short",
         "currents run from limit to limit: the asymptotic range begins at small steps",
     )
     states = ("rebound pressure [MPa]", "compression pressure [MPa]", "body velocity [m/s]")
