@@ -2,66 +2,50 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
-from helpers import long
+from helpers import long, toy
 from test_starts import Rough
 
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
 from integrators.methods.energy_momentum import EnergyMomentum
 from integrators.native.loops.kernel import Ending
-from problems import MechatronicSystem, State, jnp, parameter
+from problems import parameter
 from problems.base.spec import SpecError
 from problems.scenes.pendulums import Pendulum
 
 REGISTRY = Registry()
 
 
-@dataclass(frozen=True)
-class Filtered(MechatronicSystem):
-    """An oscillator with a fast filter that nothing feeds back."""
-
-    interval = (0.0, 6.0)
-    nominal_step = 0.01
-    rate: float = parameter(1e3, "1/s", "rate of the filter")
-
-    def mass(self, q):
-        return jnp.eye(1)
-
-    def force(self, q, v, t):
-        return -q
-
-    def initial_state(self):
-        return State(q=np.ones(1), v=np.zeros(1), x=np.zeros(1))
-
-    def state_rate(self, z):
-        return self.rate * (z.q - z.x)
+#: An oscillator with a fast filter that nothing feeds back.
+Filtered = toy(
+    "Filtered", x=[0.0], interval=(0.0, 6.0), nominal_step=0.01,
+    rate=parameter(1e3, "1/s", "rate of the filter"),
+    force=lambda self, q, v, t: -q, state_rate=lambda self, z: self.rate * (z.q - z.x),
+)  # fmt: skip
+#: A mass is driven away by a spring, far more than steps can follow.
+Falling = toy("Falling", q=[1e-3], interval=(0.0, 1.0), force=lambda self, q, v, t: 1e4 * q)
+Driven = toy(
+    "Driven", q=[1e-3], force=lambda self, q, v, t: 1.0 - 4 * q**3,
+    energy=lambda self, q, v: v @ v / 2 + q[0] ** 4,
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    "cases",
+    "method",
     [
-        ("half_explicit_euler",),
-        *long(
-            [
-                "phem56[steps=constant]",
-                "noh_bathe",
-                "explicit_generalized_alpha",
-                "semi_implicit_euler",
-            ]
-        ),
+        "half_explicit_euler",
+        *long("phem56[steps=constant]", "noh_bathe", "explicit_generalized_alpha"),
+        *long("semi_implicit_euler"),
     ],
 )
-def test_a_state_that_nothing_feeds_back_diverges(cases):
-    for method in cases:
-        for t_end in [0.5, 6.0]:
-            run = REGISTRY.integrator(method).prepare(Filtered(), t_end, Steps(0.01)).measure()
-            assert run.status == "diverged", run.x[-1]
-            assert np.isfinite(run.x).all()
-            assert run.work.steps == len(run.t) - 1
+def test_a_state_that_nothing_feeds_back_diverges(method):
+    for t_end in [0.5, 6.0]:
+        run = REGISTRY.integrator(method).prepare(Filtered(), t_end, Steps(0.01)).measure()
+        assert run.status == "diverged", run.x[-1]
+        assert np.isfinite(run.x).all()
+        assert run.work.steps == len(run.t) - 1
 
 
 @pytest.mark.long
@@ -74,11 +58,7 @@ def test_a_state_that_grows_ends_a_run_whose_steps_follow_a_tolerance():
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "method",
-    [
-        "generalized_alpha_adaptive",
-        *long("rodas5p", "bdf_adaptive", "phem56"),
-    ],
+    "method", ["generalized_alpha_adaptive", "rodas5p", "bdf_adaptive", "phem56"]
 )
 def test_sparse_tangents_that_are_singular_from_the_first_end_with_their_name(method):
     method = REGISTRY.integrator(f"{method}[linear_solver=sparse]")
@@ -104,22 +84,6 @@ def test_remedies_name_what_a_method_takes():
         assert "newton_max" not in ending.outcome(0.0, 1.0)[1]
 
 
-@dataclass(frozen=True)
-class Falling(MechatronicSystem):
-    """A mass is driven away by a spring, far more than steps can follow."""
-
-    interval = (0.0, 1.0)
-
-    def mass(self, q):
-        return jnp.eye(1)
-
-    def force(self, q, v, t):
-        return 1e4 * q
-
-    def initial_state(self):
-        return State(q=np.full(1, 1e-3), v=np.zeros(1))
-
-
 def test_a_refused_step_is_no_failure_of_newton():
     method = REGISTRY.integrator("linearly_implicit_euler")
     run = method.prepare(Falling(), 1.0, Steps(0.05)).measure()
@@ -129,19 +93,11 @@ def test_a_refused_step_is_no_failure_of_newton():
 
 
 def test_a_step_that_newton_did_not_solve_is_not_called_refused():
+    class Careless(EnergyMomentum):
+        def supports(self, scene):
+            return None
+
     for most, reason in [(1, "Newton's method did not converge"), (20, "no sound solution")]:
-
-        class Driven(Falling):
-            def energy(self, q, v):
-                return v @ v / 2 + q[0] ** 4
-
-            def force(self, q, v, t):
-                return 1.0 - 4 * q**3
-
-        class Careless(EnergyMomentum):
-            def supports(self, scene):
-                return None
-
         run = Careless(newton_max=most).prepare(Driven(), 1.0, Steps(0.5)).measure()
         assert run.status == "newton_failed"
         assert reason in run.message
