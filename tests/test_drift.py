@@ -1,4 +1,4 @@
-"""`stepbench drift`: what drifts off in long runs."""
+"""What grows in runs: drifts of long ones, changes of the start, and errors from later starts."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 import msgspec
 import numpy as np
 import pytest
-from helpers import long
+from helpers import long, toy
 from planted import Document, chart_rows, plant, planted
 from small_stores import A_LONG_RUN
 
@@ -16,11 +16,18 @@ from bench.results.store import Store
 from bench.results.studies import LongRun, comparable_runs, drift_table
 from bench.running import measure
 from bench.running.drift import course, drift_job
+from bench.running.errors import scales
+from bench.running.linearisation import growth
+from bench.running.measure import LATER, errors_from_later_starts
 from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators.contract import Trajectory
+from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.resolutions import Steps
+from problems import State, parameter
 from problems.base.spec import SpecError
+from problems.scenes.contacts import SoftImpact
+from problems.scenes.pendulums import Pendulum
 from problems.truth.reference import Reference
 from reports.pages.html_report import Site
 from reports.pages.report import read_report
@@ -199,3 +206,89 @@ def test_long_runs_have_a_page_that_the_side_links(tmp_path):
     assert linked.count("report/drift.html") == 1
     (chapter,) = [c for c in report.chapters if c.file == "drift.html"]
     assert site.address(chapter.sections[0].anchor, "report.html") == "report/drift.html#drift-1"
+
+
+# ---- changes of the start ----------------------------------------------------------------
+#: q'' = k q and x' = -100 x, of which q = v = exp(t) for k = 1.
+Runaway = toy(
+    "Runaway", v=[1.0], x=[1.0], interval=(0.0, 3.0), k=parameter(1.0, "1/s^2", "growth"),
+    force=lambda self, q, v, t: self.k * q, state_rate=lambda self, z: -100.0 * z.x,
+)  # fmt: skip
+
+
+def test_a_change_along_the_unstable_direction_grows_most_and_none_in_a_stable_motion():
+    # For k = -1 x decays, q and v swing with equal sizes: no change becomes larger.
+    for k, t_end, grown in ((1.0, 3.0, np.exp(3.0)), (-1.0, 2 * np.pi, 1.0)):
+        scene = Runaway(k=k)
+        assert growth(scene, Reference(scene, t_end)) == pytest.approx(grown, rel=1e-6)
+
+
+def test_only_changes_that_the_constraint_admits_are_followed():
+    # The two free changes of the pendulum are one of its amplitude and one along its motion.
+    scene, t = Pendulum(th0=2.8), np.linspace(0.35, 1.35, 2001)
+    reference = Reference(scene, 1.35)
+    size = np.concatenate([scales(reference, g).components for g in ("q", "v")])
+
+    def motion(th0: float) -> np.ndarray:
+        z = Pendulum(th0=th0).exact(t)
+        return np.concatenate([z["q"], z["v"]], axis=1) / size
+
+    z = scene.exact(t)
+    along = np.concatenate([z["v"], z["a"]], axis=1) / size
+    changes = np.stack([(motion(2.8 + 1e-6) - motion(2.8 - 1e-6)) / 2e-6, along], axis=2)
+    _, at_start = np.linalg.qr(changes[0])
+    grown = np.linalg.norm(changes @ np.linalg.inv(at_start), 2, axis=(1, 2)).max()
+    assert grown > 2.0
+    assert growth(scene, reference) == pytest.approx(grown, rel=1e-4)
+
+
+def test_a_motion_without_a_finite_jacobian_has_no_condition():
+    scene = Pendulum(copies=2)  # the accelerations of the plain ODE form do not exist
+    assert growth(scene, Reference(scene, 1.35)) is None
+
+
+# ---- later starts ------------------------------------------------------------------------
+def test_a_later_start_is_the_same_motion():
+    scene = SoftImpact()
+    t0, t_end = scene.interval
+    reference = Reference(scene, t_end)
+    t = t0 + LATER[0] * (t_end - t0)
+    z = reference(np.array([t]))
+    later = scene.later(t, State(z["q"][0], z["v"][0], z["x"][0]))
+    assert later.interval == (t, t_end)
+    assert scene.interval == (t0, t_end)
+    assert later.template() == scene.template()  # so that compiled programs serve both
+    run = GeneralizedAlpha().prepare(later, t_end, Steps(1e-3)).measure()
+    assert run.t[0] == t
+    assert run.t[-1] == pytest.approx(t_end)
+    assert run.q[0] == z["q"][0]
+    assert run.v[0] == z["v"][0]
+
+
+def test_errors_from_later_starts_fall_with_the_order_of_the_method():
+    scene = Pendulum()
+    reference = Reference(scene, scene.interval[1])
+    coarse, fine = (
+        errors_from_later_starts(GeneralizedAlpha(rho_inf=0.8), Steps(h), reference)[0]
+        for h in (0.02, 0.01)
+    )
+    assert len(coarse) == len(fine) == len(LATER)
+    for before, after in zip(coarse, fine, strict=True):
+        assert {"q", "v", "a", "lam", "|q|", "constraint"} <= before.keys()
+        assert before["q"] / after["q"] == pytest.approx(4.0, rel=0.1)
+
+
+def test_a_run_that_fails_from_a_later_start_has_no_errors_and_is_named():
+    class Breaks(GeneralizedAlpha):
+        def prepare(self, scene, t_end, resolution):
+            run = super().prepare(scene, t_end, resolution)
+            if scene.interval[0] == pytest.approx(0.37):
+                run.measure = lambda: Trajectory.failed("diverged", "It was cut.")
+            return run
+
+    scene = Pendulum()
+    found, failed = errors_from_later_starts(Breaks(), Steps(0.02), Reference(scene, 1.35))
+    assert [bool(errors) for errors in found] == [True, False, True]
+    assert failed == [
+        "Started 2% of the interval later, at t=0.37 s, it ends with diverged: It was cut."
+    ]
