@@ -153,14 +153,16 @@ def _chromium(tmp_path_factory: pytest.TempPathFactory):
 
 @pytest.fixture
 def browser(_chromium):
-    """A new tab of the one browser of all tests, which knows no question and has no complaint."""
+    """A new tab of the one browser of all tests: it knows no question, and ends without complaint."""
     first = _chromium.current_window_handle
     _chromium.switch_to.new_window("tab")
     for log in ("browser", "performance"):
         _chromium.get_log(log)
     yield _chromium
+    complaints = [entry["message"] for entry in _chromium.get_log("browser")]
     _chromium.close()
     _chromium.switch_to.window(first)
+    assert complaints == []
 
 
 @pytest.fixture

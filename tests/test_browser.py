@@ -7,6 +7,10 @@ import shutil
 
 import pytest
 from chromium import each, waited
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select
 
 from bench.results.store import Store
 from reports.formatting import cost_text, number, times
@@ -58,8 +62,6 @@ def chart(browser, name):
 
 
 def test_a_chart_shows_tells_isolates_and_hands_out_the_errors_of_the_store(browser, site):
-    from selenium.webdriver.common.action_chains import ActionChains
-
     points = """
         return [...arguments[0].querySelectorAll("path")].map((path) => path.__data__)
           .filter((item) => item?.mark?.marktype === "symbol" && item.datum?.run)
@@ -102,7 +104,6 @@ def test_a_chart_shows_tells_isolates_and_hands_out_the_errors_of_the_store(brow
 
 
 def test_nothing_is_asked_of_the_network_and_nothing_is_complained_of(browser, site):
-    browser.get_log("browser")
     for page in [site / "report.html", *sorted((site / "report").glob("*.html"))]:
         browser.get(page.as_uri())
         names = browser.execute_script(
@@ -134,7 +135,6 @@ def test_charts_far_below_wait_until_they_come_near(browser, site):
 
 def test_a_script_that_is_not_the_page_s_own_does_not_run(browser, site):
     browser.get((site / "report.html").as_uri())
-    browser.get_log("browser")
     browser.execute_script(
         """
         const script = document.createElement("script");
@@ -149,10 +149,6 @@ def test_a_script_that_is_not_the_page_s_own_does_not_run(browser, site):
 
 
 def test_a_scene_answers_the_question_in_words_and_in_its_table(browser, site):
-    from selenium.webdriver.common.by import By
-    from selenium.webdriver.common.keys import Keys
-    from selenium.webdriver.support.ui import Select
-
     browser.get(scene_page(site) + "#group=q&target=1e-2&cost=residuals&scenes=all")
     with Store(site) as store:
         records = [r for r in store.records().values() if r.problem == "pendulum"]
@@ -171,7 +167,6 @@ def test_a_scene_answers_the_question_in_words_and_in_its_table(browser, site):
         assert f" {least} 1 × " in rows[0].text  # noqa: RUF001
         assert sum("×" in row.text for row in rows) == len({r.integrator for r in able})  # noqa: RUF001
         assert "fragile no run reached the end: newton failed" in [row.text for row in rows]
-    assert browser.get_log("browser") == []
 
 
 def test_a_method_follows_the_question_on_all_its_scenes_and_reset_returns_to_the_first(
@@ -202,8 +197,6 @@ def test_a_method_follows_the_question_on_all_its_scenes_and_reset_returns_to_th
 
 
 def test_one_file_shows_every_page(browser, site, tmp_path):
-    from selenium.webdriver.common.by import By
-
     shutil.copytree(site, tmp_path / "one", ignore=shutil.ignore_patterns("report*"))
     browser.get(write_html_report(tmp_path / "one", single_file=True).as_uri())
     browser.find_element(By.LINK_TEXT, "pendulum").click()
@@ -211,13 +204,9 @@ def test_one_file_shows_every_page(browser, site, tmp_path):
     assert browser.execute_script("return scrollY") > 500
     assert browser.find_element(By.ID, "question").is_displayed()
     assert len(browser.find_elements(By.CSS_SELECTOR, ".chart.large svg")) == 2
-    assert browser.get_log("browser") == []
 
 
 def test_tabs_follow_the_arrow_keys_and_links_open_them(browser, site):
-    from selenium.webdriver.common.by import By
-    from selenium.webdriver.common.keys import Keys
-
     shown = "return [...document.querySelectorAll('.tab')].filter(t => !t.hidden).map(t => t.id)"
     assert browser.execute_script(shown) == ["scene-2-cost"]
     browser.find_element(By.ID, "scene-2-cost-tab").send_keys(Keys.ARROW_LEFT)
@@ -305,10 +294,8 @@ def test_an_animation_plays_and_nothing_is_complained_of(browser, tmp_path):
     from reports.pages.catalogue import write_animation
 
     pictures = [{"t": k / 10, "lines": [[[0.0, 0.0], [1.0, k / 10]]]} for k in range(30)]
-    browser.get_log("browser")
     browser.get(write_animation("<b>pendulum", pictures, tmp_path / "a.html").as_uri())
     path = "return document.querySelector('path').getAttribute('d')"
     first = browser.execute_script(path)
     assert first.startswith("M0 0L1 ")
     waited(lambda: browser.execute_script(path) != first)
-    assert browser.get_log("browser") == []

@@ -222,4 +222,3 @@ def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_viol
     _, (head, one) = asked("spring_mass", "#group=a&target=1e-4&cost=operations")
     assert "violation" not in head
     assert "index" not in one
-    assert browser.get_log("browser") == []

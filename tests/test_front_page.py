@@ -8,6 +8,8 @@ from contextlib import contextmanager
 import pytest
 from chromium import each, visit, waited
 from planted import everything, plant, planted
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.keys import Keys
 
 from bench.results.store import Store
 from reports.pages.html_report import write_html_report
@@ -87,7 +89,6 @@ def test_the_bar_drives_words_charts_and_heat_table_together(browser, site):
         for place, (state, shown) in wanted.items():
             assert state in cells[place][0], place
             assert shown == cells[place][1], place
-    assert browser.get_log("browser") == []
 
 
 def test_runs_without_a_place_on_the_axes_stand_in_bands(browser, tmp_path):
@@ -156,8 +157,6 @@ return told;
 
 
 def test_keys_walk_through_the_runs_and_say_the_numbers_of_the_store(browser, site):
-    from selenium.webdriver.common.keys import Keys
-
     open_front(browser, site)
     plot = browser.find_elements("css selector", CHARTS)[1]
     with Store(site) as store:
@@ -178,7 +177,6 @@ def test_keys_walk_through_the_runs_and_say_the_numbers_of_the_store(browser, si
         assert value == pytest.approx(sum(r.operations.values()), rel=0.01)
     plot.send_keys(Keys.ENTER)
     waited(lambda: "scene-pendulum.html#group=a" in browser.current_url)
-    assert browser.get_log("browser") == []
 
 
 def test_tables_sort_and_filter(browser, site):
@@ -200,7 +198,6 @@ def test_tables_sort_and_filter(browser, site):
         "i.dispatchEvent(new Event('input'))"
     )
     assert browser.execute_script(visible) == 2
-    assert browser.get_log("browser") == []
 
 
 # ---- layout ------------------------------------------------------------------------------
@@ -282,9 +279,6 @@ def hidden_methods(browser):
 
 
 def test_a_legend_hides_and_shows_methods_in_all_charts(browser, site):
-    from selenium.webdriver.common.action_chains import ActionChains
-    from selenium.webdriver.common.keys import Keys
-
     open_front(browser, site)
     labels = browser.execute_script("return stepbench.data.methods.map((m) => m.label)")
     assert hidden_methods(browser) == set()
@@ -310,12 +304,9 @@ def test_a_legend_hides_and_shows_methods_in_all_charts(browser, site):
     for key in (Keys.ARROW_RIGHT, Keys.ARROW_RIGHT, Keys.ARROW_DOWN, Keys.ARROW_LEFT):
         plot.send_keys(key)
         assert text(browser, ".tip strong").strip() == first
-    assert browser.get_log("browser") == []
 
 
 def test_the_legend_of_a_large_chart_hides_methods_too(browser, site):
-    from selenium.webdriver.common.keys import Keys
-
     visit(browser, site / "report" / "scene-pendulum.html")
 
     def off():
@@ -335,8 +326,6 @@ def test_the_legend_of_a_large_chart_hides_methods_too(browser, site):
 
 
 def test_a_panel_becomes_large_in_its_place_and_escape_closes_it(browser, site):
-    from selenium.webdriver.common.keys import Keys
-
     open_front(browser, site)
     before = each(browser, ".panel svg.plot", "node.clientWidth")
     one, two = browser.find_elements("css selector", "button.enlarge")
@@ -350,4 +339,3 @@ def test_a_panel_becomes_large_in_its_place_and_escape_closes_it(browser, site):
     assert each(browser, ".plot.large", "1") == []
     assert each(browser, ".panel svg.plot", "node.clientWidth") == before
     assert two == browser.switch_to.active_element
-    assert browser.get_log("browser") == []
