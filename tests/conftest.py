@@ -153,7 +153,7 @@ def _chromium(tmp_path_factory: pytest.TempPathFactory):
 
 @pytest.fixture
 def browser(_chromium):
-    """A new tab of the one browser of all tests: it knows no question, and ends without complaint."""
+    """A new tab of the one browser of all tests: no question is known, no complaint is left."""
     first = _chromium.current_window_handle
     _chromium.switch_to.new_window("tab")
     for log in ("browser", "performance"):
