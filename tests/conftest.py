@@ -96,6 +96,15 @@ def _forget_programs():
             gc.collect()
 
 
+@pytest.fixture(scope="module")
+def worker():
+    """A worker in this process, which keeps what the tests of a module make."""
+    from bench.plugins.registry import Registry
+    from bench.running.worker import Worker
+
+    return Worker(Registry())
+
+
 @pytest.fixture
 def stepbench():
     """Run a command line in this process; returns click's result."""

@@ -11,7 +11,6 @@ from helpers import long, toy
 from planted import Document, chart_rows, plant, planted
 from small_stores import A_LONG_RUN
 
-from bench.plugins.registry import Registry
 from bench.results.store import Store
 from bench.results.studies import LongRun, comparable_runs, drift_table
 from bench.running import measure
@@ -20,7 +19,6 @@ from bench.running.errors import scales
 from bench.running.linearisation import growth
 from bench.running.measure import LATER, errors_from_later_starts
 from bench.running.plan import Cell
-from bench.running.worker import Worker
 from integrators.contract import Trajectory
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.resolutions import Steps
@@ -35,11 +33,6 @@ from reports.pages.studies import drift_chart, drift_page
 
 #: The step of the oscillator at omega h = 0.2 pi.
 H = 0.6283185307179586
-
-
-@pytest.fixture(scope="module")
-def worker():
-    return Worker(Registry([]))
 
 
 @pytest.mark.parametrize(

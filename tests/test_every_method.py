@@ -15,7 +15,6 @@ from bench.running.drift import drift_job
 from bench.running.errors import constraint_errors
 from bench.running.inventory import Inventory, SceneFacts
 from bench.running.plan import Cell
-from bench.running.worker import Worker
 from integrators import Steps, Tolerances
 from integrators.native.step_method import NativeMethod
 from problems import MechatronicSystem, jnp
@@ -97,14 +96,13 @@ def test_every_pair_runs_or_refuses(kind, name):
     assert run.status == "ok", (name, run.message)
 
 
-def test_a_refusal_is_no_crash():
+def test_a_refusal_is_no_crash(worker):
     for method, scene in [
         ("energy_momentum", "heavy_top_so3"),
         ("energy_momentum", "chaplygin_sleigh"),
         ("rodas5p", "heavy_top_so3"),
         ("ida", "sampled_pd[sampling=interpolate]"),
     ]:
-        worker = Worker(REGISTRY)
         resolution = Steps(0.01) if method == "energy_momentum" else Tolerances(1e-3)
         run, _ = worker.run(Cell(scene, method, 0.1, resolution))
         assert run.status == "unsupported"

@@ -29,11 +29,6 @@ GROUPS = ("q", "v", "a", "lam", "x", "y")
 YARDSTICK = Path(__file__).parent / "benchmarks" / "yardstick_slider_crank.c"
 
 
-@pytest.fixture(scope="module")
-def worker():
-    return Worker(Registry())
-
-
 @pytest.fixture
 def judged(worker):
     """Judge files by a worker that has references, and knows no method judged before."""

@@ -8,7 +8,6 @@ from helpers import long, reference
 from planted import STEPS, edited, everything, page_data, plant, planted
 from small_stores import atlas_with
 
-from bench.plugins.registry import Registry
 from bench.results.quantities import TRUST, WRONG
 from bench.results.records import Record, SceneRecord, endings
 from bench.results.store import Store
@@ -81,11 +80,6 @@ def test_a_vibration_that_dies_out_adds_up_no_longer():
         note = uncontrolled(DrivenSprings(), exact_run(DrivenSprings(), 1000), rtol)
         assert bool(note) == speaks
         assert not speaks or "3.16e+03 rad/s" in note
-
-
-@pytest.fixture(scope="module")
-def worker() -> Worker:
-    return Worker(Registry())
 
 
 def measured(worker: Worker, scene: str, method: str, t_end: float, resolution) -> Record:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from helpers import long
 
-from bench.plugins.registry import Registry
 from bench.results.table import NO_VALUE
 from bench.running.realtime import (
     RealTimeRun,
@@ -19,7 +18,6 @@ from bench.running.realtime import (
     stepping,
     timed,
 )
-from bench.running.worker import Worker
 from integrators.native.loops.constant_steps import SingleStep
 from integrators.resolutions import Steps
 from problems.base.spec import SpecError
@@ -27,11 +25,6 @@ from problems.truth.reference import Reference
 
 GROUPS = ("q", "v", "a", "lam", "x", "y")
 FULL, MODIFIED = "generalized_alpha[rho_inf=0.8]", "generalized_alpha[newton=modified,rho_inf=0.8]"
-
-
-@pytest.fixture(scope="module")
-def worker():
-    return Worker(Registry([]))
 
 
 def run_of(worker, problem, integrator, rate, steps, iterations=None):

@@ -30,11 +30,6 @@ QUICK = ("duffing", "pendulum", "spring_mass")
 DOCUMENT = (Path(__file__).parents[1] / "docs" / "truth.md").read_text(encoding="utf-8")
 
 
-@pytest.fixture(scope="module")
-def worker():
-    return Worker(Registry())
-
-
 def unit(text: str) -> Decimal:
     """A unit of the last digit of a number."""
     return Decimal(1).scaleb(int(Decimal(text).as_tuple().exponent))
