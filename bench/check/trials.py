@@ -20,6 +20,7 @@ from integrators.contract import Integrator, PreparedRun, Trajectory
 from integrators.resolutions import Steps, Tolerances
 from problems import MechatronicSystem, State, jnp
 from problems.base.checks import FalseAnswer, texts
+from problems.mechanics.points import PointMasses
 from problems.truth.reference import Reference
 
 #: The tag by which a scene says that integrators are checked on it, beside the scene below.
@@ -56,7 +57,7 @@ TRAJECTORY_GROUPS = ("q", "v", "a", "lam", "x", "xdot", "y")
 
 
 @dataclass(frozen=True)
-class ForcedOscillator(MechatronicSystem):
+class ForcedOscillator(PointMasses):
     """A mass on a hard spring under a harmonic force: smooth, nonlinear, driven by time.
 
     A method that evaluates forces at the wrong time, or begins at 0 s, loses its order here.
@@ -64,9 +65,6 @@ class ForcedOscillator(MechatronicSystem):
 
     interval = (2.0, 7.0)
     nominal_step = 0.1
-
-    def mass(self, q: Any) -> Any:
-        return jnp.eye(1)
 
     def force(self, q: Any, v: Any, t: Any) -> Any:
         return jnp.cos(1.5 * (t - 2.0)) - q - 0.3 * q**3
@@ -76,7 +74,7 @@ class ForcedOscillator(MechatronicSystem):
 
 
 @dataclass(frozen=True)
-class FiniteTimeBlowUp(MechatronicSystem):
+class FiniteTimeBlowUp(PointMasses):
     """A force that grows exponentially with the position: q = log(2) - 2 log(1 - t), up to 1 s.
 
     Near the end the equations of an implicit step have no solution, so that no method can step
@@ -85,9 +83,6 @@ class FiniteTimeBlowUp(MechatronicSystem):
 
     interval = (0.0, 1.5)
     nominal_step = 0.01
-
-    def mass(self, q: Any) -> Any:
-        return jnp.eye(1)
 
     def force(self, q: Any, v: Any, t: Any) -> Any:
         return jnp.exp(q)

@@ -10,14 +10,15 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from problems import MechatronicSystem, State, Variables, jnp, parameter
+from problems import State, Variables, jnp, parameter
 from problems.base.runtime import Float
 from problems.equations.layouts import Layout, state_layout
+from problems.mechanics.points import PointMasses
 from problems.variables import Sizes
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinearSystem(MechatronicSystem):
+class LinearSystem(PointMasses):
     """Base of the test systems, unit masses on unit springs if a system states no others.
 
     ``excited`` are the places in [q, v, x] of unit deviations.
@@ -43,9 +44,6 @@ class LinearSystem(MechatronicSystem):
         """Return unit deviations of the excited entries of [q, v, x], as rows."""
         units = np.eye(self.layout.size)
         return units if self.excited is None else units[list(self.excited)]
-
-    def mass(self, q: Any) -> Any:
-        return jnp.eye(self.size[0])
 
     def force(self, q: Any, v: Any, t: Any) -> Any:
         return -q

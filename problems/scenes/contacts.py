@@ -18,10 +18,11 @@ from problems import (
     parameter,
 )
 from problems.mechanics import drawing
+from problems.mechanics.points import PointMasses
 
 
 @dataclass(frozen=True)
-class BouncingBall(ContactSystem):
+class BouncingBall(ContactSystem, PointMasses):
     """A point mass above the ground, which it leaves with a part of the velocity of its impact.
 
     Tests how methods locate events: between impacts every method of second order is exact, so that
@@ -45,9 +46,6 @@ class BouncingBall(ContactSystem):
     g: float = parameter(9.81, "m/s^2", "gravity", low=1e-9)
     e: float = parameter(0.8, "1", "part of the velocity that is left", low=0.0, high=1.0)
 
-    def mass(self, q: jax.Array) -> jax.Array:
-        return jnp.eye(1)
-
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return -self.g * jnp.ones(1)
 
@@ -67,7 +65,7 @@ class BouncingBall(ContactSystem):
 
 
 @dataclass(frozen=True)
-class ImpactStop(ContactSystem):
+class ImpactStop(ContactSystem, PointMasses):
     """A mass on a spring, driven by a harmonic force, strikes a rigid stop with restitution.
 
     Between impacts the motion is the closed form of a linear oscillator, so that times of impact
@@ -94,9 +92,6 @@ class ImpactStop(ContactSystem):
         0.7, "1", "part of the velocity that an impact leaves", low=0.0, high=1.0
     )
 
-    def mass(self, q: jax.Array) -> jax.Array:
-        return self.m * jnp.eye(1)
-
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return self.k * (self.rest - q) + self.amplitude * jnp.cos(self.omega * t)
 
@@ -115,7 +110,7 @@ class ImpactStop(ContactSystem):
 
 
 @dataclass(frozen=True)
-class SoftImpact(MechatronicSystem):
+class SoftImpact(PointMasses):
     """A mass in free flight is thrown back by a wall whose force grows as exp(-q/d).
 
     Tests how steps follow a short event: nothing happens for most of the interval, then the
@@ -138,9 +133,6 @@ class SoftImpact(MechatronicSystem):
     v0: float = parameter(1.0, "m/s", "speed of the free flight", low=1e-12)
     d: float = parameter(1e-3, "m", "distance over which the force grows by e", low=1e-12)
     t_c: float = parameter(0.4, "s", "time of the turn")
-
-    def mass(self, q: jax.Array) -> jax.Array:
-        return self.m * jnp.eye(1)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         # The deepest point is q = 0: there the wall has taken all of the kinetic energy.
@@ -167,7 +159,7 @@ class SoftImpact(MechatronicSystem):
 
 
 @dataclass(frozen=True)
-class RockingBlock(MechatronicSystem):
+class RockingBlock(PointMasses):
     """A slender block on rigid ground, free to rock from one corner to the other (Housner 1963).
 
     Between impacts theta'' = p^2 (theta - alpha s), with the side s = 1 or -1 that the block leans
@@ -188,9 +180,6 @@ class RockingBlock(MechatronicSystem):
     r: float = parameter(0.9, "1", "part of the rate that an impact leaves", low=0.0, high=1.0)
     lean: float = parameter(0.7, "1", "first angle, in parts of alpha", low=1e-6, high=1.0)
     side: float = held(1.0, "1", "side to which the block leans: 1 or -1")
-
-    def mass(self, q: jax.Array) -> jax.Array:
-        return jnp.eye(1)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return self.p**2 * (q - self.alpha * self.side)

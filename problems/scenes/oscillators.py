@@ -18,10 +18,27 @@ from problems import (
     parameter,
 )
 from problems.mechanics import drawing
+from problems.mechanics.points import PointMasses
+
+
+class _MassOnSpring(PointMasses):
+    """Start and picture of a mass on a spring; wall and half of the mass are for the picture, m."""
+
+    coordinates = ("position [m]",)
+    q0, v0 = 0.0, 0.0
+    _wall, _half = -3.0, 0.25
+
+    def initial_state(self) -> State:
+        return State(np.array([self.q0]), np.array([self.v0]), np.zeros(len(self.states)))
+
+    def draw(self, q: np.ndarray) -> list[np.ndarray]:
+        wall, half = self._wall, self._half
+        line = np.array([[wall, -1.7 * half], [wall, 1.7 * half]])
+        return [line, drawing.spring(wall, q[0] - half, 0.65 * half), drawing.box(q[0], half)]
 
 
 @dataclass(frozen=True)
-class Oscillator(MechatronicSystem):
+class Oscillator(_MassOnSpring):
     """One mass on one spring.
 
     Tests amplitude and phase over many periods, in which a method's damping and phase error add
@@ -32,14 +49,10 @@ class Oscillator(MechatronicSystem):
     nominal_step = 0.1
     tags = ("linear", "smooth", "closed form", "conservative")
     difficulties = ("errors of amplitude and phase add up over many periods",)
-    coordinates = ("position [m]",)
     source = "q = q0 cos(omega t); e.g. Hughes (1987), The Finite Element Method, ch. 9"
 
     omega: float = parameter(1.0, "rad/s", "frequency", low=1e-12)
     q0: float = parameter(1.0, "m", "initial position")
-
-    def mass(self, q: jax.Array) -> jax.Array:
-        return jnp.eye(1)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return -(self.omega**2) * q
@@ -47,22 +60,14 @@ class Oscillator(MechatronicSystem):
     def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
         return 0.5 * (v @ v + self.omega**2 * (q @ q))
 
-    def initial_state(self) -> State:
-        return State(q=np.array([self.q0]), v=np.zeros(1))
-
     def exact(self, t: np.ndarray) -> dict[str, np.ndarray]:
         phase = self.omega * np.asarray(t, dtype=float)[:, None]
         q = self.q0 * np.cos(phase)
         return {"q": q, "v": -self.q0 * self.omega * np.sin(phase), "a": -(self.omega**2) * q}
 
-    def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        x, wall, half = float(q[0]), -3.0, 0.25
-        spring = drawing.spring(wall, x - half, reach=0.15)
-        return [np.array([[wall, -0.5], [wall, 0.5]]), spring, drawing.box(x, half)]
-
 
 @dataclass(frozen=True)
-class Duffing(MechatronicSystem):
+class Duffing(_MassOnSpring):
     """One mass on a hardening spring, damped and driven: m a + c v + k q + k3 q^3 = F cos(w t).
 
     Tests the order of the acceleration on the simplest scene with damping, nonlinearity and
@@ -76,8 +81,8 @@ class Duffing(MechatronicSystem):
     nominal_step = 0.05
     tags = ("smooth", "nonlinear", "driven", "damped")
     difficulties = ("the classical forms of generalized-alpha report a first-order acceleration",)
-    coordinates = ("position [m]",)
     source = "Duffing (1918), Erzwungene Schwingungen bei veraenderlicher Eigenfrequenz"
+    _wall, _half = -3.0, 0.3
 
     m: float = parameter(1.0, "kg", "mass", low=1e-12)
     c: float = parameter(0.3, "N s/m", "damping")
@@ -88,19 +93,8 @@ class Duffing(MechatronicSystem):
     q0: float = parameter(1.0, "m", "initial position")
     v0: float = parameter(0.5, "m/s", "initial velocity")
 
-    def mass(self, q: jax.Array) -> jax.Array:
-        return self.m * jnp.eye(1)
-
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return self.amplitude * jnp.cos(self.w * t) - self.c * v - self.k * q - self.k3 * q**3
-
-    def initial_state(self) -> State:
-        return State(q=np.array([self.q0]), v=np.array([self.v0]))
-
-    def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        x, wall, half = float(q[0]), -3.0, 0.3
-        spring = drawing.spring(wall, x - half, reach=0.2, points=16)
-        return [np.array([[wall, -0.5], [wall, 0.5]]), spring, drawing.box(x, half)]
 
 
 @dataclass(frozen=True)
@@ -180,7 +174,7 @@ class DrivenSprings(MechatronicSystem):
 
 
 @dataclass(frozen=True)
-class Friction(MechatronicSystem):
+class Friction(_MassOnSpring):
     """An oscillator that slides on a rough plane; friction changes its sign within ``eps``.
 
     Tests the order and step-size control under a force that jumps: friction is Coulomb's law
@@ -195,8 +189,8 @@ class Friction(MechatronicSystem):
     difficulties = (
         "the force jumps at every turn: with equal steps longer than the jump the order is 1",
     )
-    coordinates = ("position [m]",)
     source = "Coulomb friction with a smoothed sign; the amplitude falls by 2 mu/k at every turn"
+    _wall, _half = -14.0, 0.8
 
     m: float = parameter(1.0, "kg", "mass", low=1e-12)
     k: float = parameter(1.0, "N/m", "stiffness of the spring", low=0.0)
@@ -204,23 +198,16 @@ class Friction(MechatronicSystem):
     eps: float = parameter(0.1, "m/s", "velocity over which friction changes sign", low=1e-12)
     q0: float = parameter(10.0, "m", "initial position")
 
-    def mass(self, q: jax.Array) -> jax.Array:
-        return self.m * jnp.eye(1)
-
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return -self.k * q - self.mu * jnp.tanh(v / self.eps)
 
-    def initial_state(self) -> State:
-        return State(q=np.array([self.q0]), v=np.zeros(1))
-
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        x, wall, half = float(q[0]), -14.0, 0.8
-        floor = np.array([[wall, half], [wall, -half], [14.0, -half]])
-        return [floor, drawing.spring(wall, x - half, reach=0.5), drawing.box(x, half)]
+        floor = np.array([[self._wall, -self._half], [-self._wall, -self._half]])
+        return [floor, *super().draw(q)]
 
 
 @dataclass(frozen=True)
-class SpringMass(MechatronicSystem):
+class SpringMass(_MassOnSpring):
     """Active damping of one mass by acceleration feedback through a saturated actuator.
 
     Tests the whole mechatronic loop in its smallest form: the measured acceleration drives a
@@ -236,10 +223,10 @@ class SpringMass(MechatronicSystem):
     difficulties = (
         "the acceleration is fed back in the step: a first-order one spoils everything",
     )
-    coordinates = ("position [m]",)
     states = ("controller [N]",)
     outputs = ("demanded force [N]", "limited force [N]")
     source = "Bruels & Arnold (2008), section 6, Figs 3-6"
+    _wall, _half = -8.0, 0.6
 
     m: float = parameter(1.0, "kg", "mass", low=1e-12)
     k: float = parameter(1.0, "N/m", "spring stiffness")
@@ -247,9 +234,6 @@ class SpringMass(MechatronicSystem):
     b: float = parameter(1.4, "N s/m", "feedback gain on the acceleration")
     g_max: float = parameter(1.0, "N", "saturation of the actuator", low=1e-12)
     q0: float = parameter(5.0, "m", "initial position")
-
-    def mass(self, q: jax.Array) -> jax.Array:
-        return self.m * jnp.eye(1)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return -self.k * q
@@ -263,17 +247,9 @@ class SpringMass(MechatronicSystem):
     def actuation(self) -> np.ndarray:
         return np.array([[0.0, 1.0]])
 
-    def initial_state(self) -> State:
-        return State(q=np.array([self.q0]), v=np.zeros(1), x=np.zeros(1))
-
-    def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        x, wall, half = float(q[0]), -8.0, 0.6
-        spring = drawing.spring(wall, x - half, reach=0.4)
-        return [np.array([[wall, -1.0], [wall, 1.0]]), spring, drawing.box(x, half)]
-
 
 @dataclass(frozen=True)
-class SampledPd(SampledSystem):
+class SampledPd(SampledSystem, _MassOnSpring):
     """A spring-mass system whose controller sees it at samples alone and holds its force between.
 
     The smallest loop of a digital controller: q'' + q = u with u = -2 q - q' at the last sample.
@@ -287,22 +263,19 @@ class SampledPd(SampledSystem):
     nominal_step = 0.1
     tags = ("mechatronic", "linear", "sampled", "conformance")
     difficulties = ("the force jumps at each sample: a step across it is of first order",)
-    coordinates = ("position [m]",)
     outputs = ("force [N]",)
     source = "digits of t = 5 s by matrix exponentials"
     published = (
         Published("q", 5.0, (-0.0412160715525846,), 1e-14),
         Published("v", 5.0, (-0.133917365855531,), 1e-14),
     )
+    q0, _wall, _half = 1.0, -2.0, 0.2
 
     kp: float = parameter(2.0, "N/m", "proportional gain")
     kd: float = parameter(1.0, "N s/m", "derivative gain")
     delay: int = parameter(0, "1", "delay in samples: 0 or 1", low=0, high=1)
     demand: float = held(0.0, "N", "force demanded at the last sample")
     u: float = held(0.0, "N", "force of the actuator")
-
-    def mass(self, q: jax.Array) -> jax.Array:
-        return jnp.eye(1)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return -q
@@ -316,11 +289,3 @@ class SampledPd(SampledSystem):
     def sample(self, z: Variables) -> dict[str, jax.Array | float]:
         demand = -self.kp * z.q[0] - self.kd * z.v[0]
         return {"demand": demand, "u": demand if self.delay == 0 else self.demand}
-
-    def initial_state(self) -> State:
-        return State(q=np.ones(1), v=np.zeros(1))
-
-    def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        x, wall = float(q[0]), -2.0
-        spring = drawing.spring(wall, x - 0.2, reach=0.1)
-        return [np.array([[wall, -0.3], [wall, 0.3]]), spring, drawing.box(x, 0.2)]

@@ -8,10 +8,11 @@ import numpy as np
 
 from problems import MechatronicSystem, State, Variables, jax, jnp, parameter
 from problems.mechanics import drawing
+from problems.mechanics.points import PointMasses
 
 
 @dataclass(frozen=True)
-class Pendulum(MechatronicSystem):
+class Pendulum(PointMasses):
     """A point mass on a massless rod: a small index-3 system with an exact solution.
 
     Released at rest at angle th0 from the downward vertical; by default the run starts 0.35 s
@@ -46,9 +47,6 @@ class Pendulum(MechatronicSystem):
     radial: float = parameter(
         0.0, "m/s", "velocity along the rod at the start; all but zero contradicts the constraint"
     )
-
-    def mass(self, q: jax.Array) -> jax.Array:
-        return self.m * jnp.eye(2)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return jnp.stack([0.0 * self.m, -self.m * self.g])
@@ -214,7 +212,7 @@ class DoublePendulumControlled(TwoRods):
 
 
 @dataclass(frozen=True)
-class Chain(MechatronicSystem):
+class Chain(PointMasses):
     """Point masses on massless links, one after the other from a fixed pivot: 2N coordinates, N
     constraints, index 3.
 
@@ -245,9 +243,6 @@ class Chain(MechatronicSystem):
     th0: float = parameter(np.pi / 4, "rad", "initial angle from the downward vertical")
     w0: float = parameter(1.0, "rad/s", "initial angular velocity of the whole chain")
 
-    def mass(self, q: jax.Array) -> jax.Array:
-        return self.m * jnp.eye(2 * self.links)
-
     def mass_product(self, q: jax.Array, a: jax.Array) -> jax.Array:
         return self.m * a
 
@@ -272,7 +267,7 @@ class Chain(MechatronicSystem):
 
 
 @dataclass(frozen=True)
-class StiffBar(MechatronicSystem):
+class StiffBar(PointMasses):
     """A mass on a pinned, nearly rigid elastic bar that rotates without gravity.
 
     Tests stability in a nonlinear stiff system: slow rotation (2.4777 s a turn) beside an axial
@@ -310,9 +305,6 @@ class StiffBar(MechatronicSystem):
 
     def _strain(self, q: jax.Array) -> jax.Array:
         return 0.5 * (q @ q - self.length**2) / self.length**2
-
-    def mass(self, q: jax.Array) -> jax.Array:
-        return self.m * jnp.eye(2)
 
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         return -self.ea / self.length * self._strain(q) * q
