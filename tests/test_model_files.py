@@ -88,7 +88,7 @@ def test_each_has_mujocos_numbers_starts_closed_and_keeps_its_energy(tmp_path, n
 @pytest.mark.parametrize("wrong", ["mass", *long("gravity", "place")])
 def test_a_number_that_is_not_read_refuses_the_model(tmp_path, wrong):
     model = from_mjcf(saved(tmp_path, "four bar turned ")).model
-    number = getattr(model.tree, wrong)[-1:]
+    number = getattr(model, wrong)[-1:]
     number *= 1 + 1e-6
     number += 1e-6
     with pytest.raises(SpecError, match="MuJoCo computes other"):

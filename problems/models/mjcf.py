@@ -76,7 +76,7 @@ class MujocoScene(MechatronicSystem):
 
     # ---- blocks
     def mass(self, q: Array) -> Array:
-        return self.model.mass(q)
+        return self.model.mass_matrix(q)
 
     def mass_product(self, q: Array, a: Array) -> Array:
         return self.model.mass_product(q, a)
@@ -94,12 +94,11 @@ class MujocoScene(MechatronicSystem):
         return self.model.equalities(q)[np.array(self.at_start.rows)]
 
     def energy(self, q: Array, v: Array) -> Array:
-        potential = self.model.tree.weight_energy(q) + self.model.spring_energy(q)
-        return 0.5 * v @ self.mass(q) @ v + potential
+        return 0.5 * v @ self.mass(q) @ v + self.model.potential(q)
 
     def points(self, q: Array) -> dict[str, Array]:
         """Centres of mass of the bodies, by their names."""
-        centres, links = self.model.tree.centres(q), self.model.link
+        centres, links = self.model.centres(q), self.model.link
         return {called(self.model.m, "BODY", k): centres[n] for k, n in enumerate(links) if k}
 
     # ---- the same model in MuJoCo
@@ -114,7 +113,7 @@ class MujocoScene(MechatronicSystem):
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
         """Lines between the origins of neighbouring bodies, and to the centres of the last."""
-        tree = self.model.tree
+        tree = self.model
         origins = np.asarray(tree.poses(jnp.asarray(q)).origins)
         centres, lines = np.asarray(tree.centres(jnp.asarray(q))), []
         for k, parent in enumerate(tree.parent):

@@ -154,7 +154,7 @@ def compare(model: Model, q: Float[np.ndarray, " nq"], control: Float[np.ndarray
 
     @partial(jax.jit, compiler_options=FEW_CALLS)
     def ours(q: Array, v: Array, control: Array) -> tuple[Array, ...]:
-        own = model.mass(q), model.mass_product(q, v), model.force(q, v, control)
+        own = model.mass_matrix(q), model.mass_product(q, v), model.force(q, v, control)
         return *own, model.equalities(q)
 
     for _ in range(STATES):

@@ -1,24 +1,229 @@
-"""Equations of a model of MuJoCo: its tree, forces of joints and actuators, equalities."""
+"""Equations of a model of MuJoCo: its tree of links, forces of joints and actuators, equalities.
+
+A joint hangs below another one; poses are composed in the logarithm of the depth by jumping to
+the ancestor of the ancestor. All else are sums over ancestors or descendants, that is, products
+with constant matrices: the recursive Newton-Euler algorithm (Featherstone 2008,
+doi:10.1007/978-1-4899-7560-7) as a few array operations, which compile in a moment. Vectors are
+in space axes, and moments about the origin.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from functools import cache, wraps
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from problems.base.runtime import Array, Float, jnp
+from problems.base.runtime import Array, Float, jax, jnp
 from problems.base.spec import SpecError
-from problems.mechanics.rotations import quaternion_rate
+from problems.mechanics.rotations import quaternion_rate, rotation_matrix
 from problems.models.mjcf_parts import acting, called, numbers, settled, without
-from problems.models.trees import Tree, traced_once
 
 #: Most links: the matrices of ancestors grow with the square.
 MOST_LINKS = 400
 
 
-class Model:
+def _turn(matrices: Any, vectors: Any) -> Any:
+    """Products of matrices ``(n, 3, 3)`` and vectors ``(n, 3)``."""
+    return jnp.einsum("nij,nj->ni", matrices, vectors)
+
+
+def traced_once(method: Callable) -> Callable:
+    """Return a method of arrays that JAX traces once for each object.
+
+    Steps, starts, references and tangents call the same equations, whose tracing takes as long as
+    all else before the first number.
+    """
+
+    @cache  # JAX is loaded late
+    def traced() -> Callable:
+        return jax.jit(method, static_argnums=0)
+
+    return wraps(method)(lambda self, *arrays: traced()(self, *arrays))
+
+
+class Poses(NamedTuple):
+    """Axes ``(n, 3, 3)`` and origins ``(n, 3)`` of links, and motions by velocities ``(nv, 3)``:
+    angular velocities, and velocities of the point that is at the origin."""
+
+    axes: Float[Array, "n 3 3"]
+    origins: Float[Array, "n 3"]
+    turning: Float[Array, "nv 3"]
+    moving: Float[Array, "nv 3"]
+
+
+class Tree:
+    """Links of a model, each with at most one joint, parents first.
+
+    A free joint is three slides and a ball.
+
+    Attributes
+    ----------
+    m
+        The model.
+    link
+        The link that is each body; -1: the ground.
+    balls
+        First coordinate and velocity of each quaternion.
+    parent
+        Number of the link above ``(n,)``; -1: the ground.
+    place
+        Of the link in that above at qpos0, in m ``(n, 3)``.
+    mass, centre, inertia
+        In kg, m, and kg m^2 about the centre in the axes of the link: ``(n,)``, ``(n, 3)``,
+        ``(n, 3, 3)``.
+
+    Raises
+    ------
+    SpecError
+        If nothing moves, or the model has more than `MOST_LINKS` links.
+    """
+
+    def __init__(self, m: Any) -> None:
+        kinds = {number: kind.lower() for kind, number in vars(numbers("mjtJoint")).items()}
+        none, rows = np.zeros(3), []
+        self.m, self.link, self.balls = m, [-1], []
+        for body in range(1, m.nbody):
+            above, joints = self.link[m.body_parentid[body]], []
+            place, axes = m.body_pos[body], _matrix(m.body_quat[body])
+            for j in range(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body]):
+                kind, at_q, at_v = kinds[m.jnt_type[j]], int(m.jnt_qposadr[j]), int(m.jnt_dofadr[j])
+                anchor = m.jnt_pos[j]
+                if kind == "free":
+                    joints += [("slide", x, none, at_q + k, 0.0) for k, x in enumerate(np.eye(3))]
+                    kind, at_q, at_v = "ball", at_q + 3, at_v + 3
+                    anchor, place, axes = none, none, np.eye(3)
+                if kind == "ball":
+                    self.balls.append((at_q, at_v))
+                joints.append((kind, m.jnt_axis[j], anchor, at_q, m.qpos0[at_q]))
+            for joint in joints or [("fixed", none, none, 0, 0.0)]:
+                rows.append((above, place, axes, *joint))
+                above, place, axes = len(rows) - 1, none, np.eye(3)
+            self.link.append(above)
+        if len(rows) > MOST_LINKS:
+            raise SpecError(f"The model has {len(rows)} links; a scene has at most {MOST_LINKS}.")
+        if not m.nv:
+            raise SpecError("The model has no joint: nothing moves.")
+
+        def of_links(values: Any) -> np.ndarray:
+            found = np.zeros((len(rows), *np.shape(values)[1:]))
+            found[self.link[1:]] = values[1:]
+            return found
+
+        turns = np.stack([_matrix(quaternion) for quaternion in m.body_iquat])
+        inertia = turns * m.body_inertia[:, None] @ turns.swapaxes(1, 2)
+        self.mass, self.centre, self.inertia = map(of_links, (m.body_mass, m.body_ipos, inertia))
+        self.gravity, columns = np.array(m.opt.gravity), map(np.array, zip(*rows, strict=True))
+        self.parent, self.place, self._axes, self._kind, *joint = columns
+        self._axis, self._anchor, self._at_q, self._zero = joint
+        # 1 where the second link is the first one or above it; the link of each velocity.
+        self._above = np.eye(len(rows))
+        for k in np.flatnonzero(self.parent >= 0):
+            self._above[k] += self._above[self.parent[k]]
+        sizes = [{"fixed": 0, "ball": 3}.get(kind, 1) for kind in self._kind]
+        self._of = np.repeat(np.arange(len(rows)), sizes)
+
+    def _moved(self, kind: str, q: Array) -> Any:
+        """How far links with a joint of this kind have moved, others zero ``(n,)``."""
+        picks, own = np.zeros((len(self._kind), len(q))), np.flatnonzero(self._kind == kind)
+        picks[own, self._at_q[own]] = 1.0
+        return picks @ q - picks.any(1) * self._zero
+
+    @traced_once
+    def poses(self, q: Float[Array, " nq"]) -> Poses:
+        """Return the poses of the links at coordinates q."""
+        angle = self._moved("hinge", q)[:, None, None]
+        across = np.cross(np.eye(3), self._axis[:, None])
+        turned: Any = np.eye(3) + jnp.sin(angle) * across + (1 - jnp.cos(angle)) * across @ across
+        for k in np.flatnonzero(self._kind == "ball"):
+            ball = rotation_matrix(q[self._at_q[k] : self._at_q[k] + 4])
+            turned += np.eye(len(self._kind))[k][:, None, None] * (ball - np.eye(3))
+        way = self._moved("slide", q)[:, None] * self._axis
+        origins = self.place + _turn(self._axes, way + self._anchor - _turn(turned, self._anchor))
+        axes: Any = jnp.einsum("nij,njk->nik", self._axes, turned)
+        above = self.parent
+        while (above >= 0).any():
+            below = np.flatnonzero(above >= 0)
+            up = axes[above[below]]
+            moved = origins[above[below]] + _turn(up, origins[below])
+            origins = origins.at[below].set(moved)
+            axes = axes.at[below].set(jnp.einsum("nij,njk->nik", up, axes[below]))
+            above = np.where(above >= 0, above[above], -1)
+        kinds = self._kind[self._of]
+        own, turns = self._axis[self._of], (kinds != "slide")[:, None] * 1.0
+        own[kinds == "ball"] = np.tile(np.eye(3), (len(self.balls), 1))
+        along = _turn(axes[self._of], own)
+        anchors = origins[self._of] + _turn(axes[self._of], self._anchor[self._of])
+        moving = turns * jnp.cross(anchors, along) + (1 - turns) * along
+        return Poses(axes, origins, jnp.asarray(turns * along), jnp.asarray(moving))
+
+    def _bodies(self, at: Poses) -> tuple[Array, Array]:
+        """Centres of mass ``(n, 3)``, and inertias about them in space axes ``(n, 3, 3)``."""
+        centres = at.origins + _turn(at.axes, self.centre)
+        return centres, jnp.einsum("nij,njk,nlk->nil", at.axes, self.inertia, at.axes)
+
+    @traced_once
+    def mass_matrix(self, q: Float[Array, " nq"]) -> Float[Array, "nv nv"]:
+        """Return M(q) with the armatures, in kg (or kg m^2)."""
+        at = self.poses(q)
+        centres, inertias = self._bodies(at)
+        squares = jnp.sum(centres**2, axis=1)[:, None, None] * np.eye(3)
+        around = squares - centres[:, :, None] * centres[:, None, :]
+        about = inertias + self.mass[:, None, None] * around
+        # Of all that hangs at the link of a velocity.
+        hanging, of = self._above.T[self._of], self._of
+        mass, moment = hanging @ self.mass, hanging @ (self.mass[:, None] * centres)
+        inertia = jnp.einsum("dn,nij->dij", hanging, about)
+        force = mass[:, None] * at.moving + jnp.cross(at.turning, moment)
+        torque = _turn(inertia, at.turning) + jnp.cross(moment, at.moving)
+        places = np.arange(len(of))
+        first = (of[:, None] != of) | (places[:, None] >= places)
+        lower = self._above[of][:, of] * first * (force @ at.moving.T + torque @ at.turning.T)
+        return lower + (1 - np.eye(len(of))) * lower.T + np.diag(self.m.dof_armature)
+
+    @traced_once
+    def mass_product(self, q: Float[Array, " nq"], a: Float[Array, " nv"]) -> Float[Array, " nv"]:
+        """Return M(q) a, in N (or N m), with fewer operations than by M."""
+        at = self.poses(q)
+        centres, inertias = self._bodies(at)
+        above = self._above[:, self._of]
+        spin = jnp.matmul(above, a[:, None] * at.turning)
+        rise = jnp.matmul(above, a[:, None] * at.moving) + jnp.cross(spin, centres)
+        moved = self._on_joints(at, centres, self.mass[:, None] * rise, _turn(inertias, spin))
+        return moved + self.m.dof_armature * a
+
+    def _on_joints(self, at: Poses, centres: Array, force: Any, spin: Array) -> Array:
+        """Forces of joints that balance forces at the centres, and moments about them."""
+        hanging = self._above.T[self._of]
+        moment = spin + jnp.cross(centres, force)
+        return (at.moving * (hanging @ force) + at.turning * (hanging @ moment)).sum(axis=1)
+
+    @traced_once
+    def bias(self, q: Float[Array, " nq"], v: Float[Array, " nv"]) -> Float[Array, " nv"]:
+        """Return the gyroscopic forces and weights, in N (or N m), on the side of M a."""
+        at = self.poses(q)
+        centres, inertias = self._bodies(at)
+        own = self._above - np.eye(len(self.parent))
+        belongs = np.eye(len(self.parent))[:, self._of]
+        w, u = belongs @ (v[:, None] * at.turning), belongs @ (v[:, None] * at.moving)
+        w_above, u_above = own @ w, own @ u
+        # A joint's axes move with the link above it.
+        angular = self._above @ jnp.cross(w_above, w)
+        linear = self._above @ (jnp.cross(w_above, u) + jnp.cross(u_above, w))
+        w, u = w_above + w, u_above + u
+        rise = linear + jnp.cross(angular, centres) + jnp.cross(w, u + jnp.cross(w, centres))
+        force = self.mass[:, None] * (rise - self.gravity)
+        spin = _turn(inertias, angular) + jnp.cross(w, _turn(inertias, w))
+        return self._on_joints(at, centres, force, spin)
+
+    def centres(self, q: Float[Array, " nq"]) -> Float[Array, "n 3"]:
+        """Return the centres of mass, in m."""
+        return self._bodies(self.poses(q))[0]
+
+
+class Model(Tree):
     """Equations of a compiled model, without those parts that a scene cannot state.
 
     Attributes
@@ -27,11 +232,6 @@ class Model:
         The model without these parts, as MuJoCo steps it.
     m
         The same, with the numbers that its flags leave.
-    tree, balls
-        Links, and the first coordinate and velocity of each quaternion; a free joint is three
-        slides and a ball.
-    link
-        The link that is each body; -1: the ground.
     rows
         Names of the equations of all equalities.
     in_bodies
@@ -41,8 +241,7 @@ class Model:
 
     def __init__(self, compiled: Any) -> None:
         self.engine, self.in_bodies = without(compiled), False
-        self.m = m = settled(self.engine)
-        self.tree, self.link, self.balls = _branches(m)
+        super().__init__(m := settled(self.engine))
         self._sprung = np.flatnonzero(m.jnt_stiffness)
         self._acting, self._tied = np.flatnonzero(acting(m)), np.flatnonzero(m.eq_active0).tolist()
         kinds = numbers("mjtEq")
@@ -57,14 +256,6 @@ class Model:
     def dissipates(self) -> bool:
         """Whether the energy changes: there are dampers or actuators."""
         return bool(len(self._acting) or self.m.dof_damping.any())
-
-    def mass(self, q: Float[Array, " nq"]) -> Float[Array, "nv nv"]:
-        """Return M(q) with the armatures."""
-        return self.tree.mass_matrix(q) + np.diag(self.m.dof_armature)
-
-    def mass_product(self, q: Array, a: Array) -> Float[Array, " nv"]:
-        """Return M(q) a with the armatures, with fewer operations."""
-        return self.tree.mass_product(q, a) + self.m.dof_armature * a
 
     def moved(
         self, q: Array, w: Array, turn: Callable[[Array, Array], Array]
@@ -81,7 +272,7 @@ class Model:
     # ---- forces
     def force(self, q: Array, v: Array, control: Float[Array, " nu"]) -> Array:
         """Return all forces beside M a, in N (or N m)."""
-        return self._passive(q, v) + self._actuators(q, v, control) - self.tree.bias(q, v)
+        return self._passive(q, v) + self._actuators(q, v, control) - self.bias(q, v)
 
     def _stretched(self, q: Array) -> Array:
         """How far springs are from their rest, in m or rad."""
@@ -98,9 +289,11 @@ class Model:
             force = force.at[at_v].add(-self._stretched(q) * m.jnt_stiffness[self._sprung])
         return force
 
-    def spring_energy(self, q: Array) -> Any:
-        """Return the energy of the springs in J."""
-        return 0.5 * jnp.sum(self.m.jnt_stiffness[self._sprung] * self._stretched(q) ** 2)
+    def potential(self, q: Array) -> Any:
+        """Return the energy of weights and springs in J."""
+        weights = -jnp.sum(self.mass * (self.centres(q) @ self.gravity))
+        stiffness = self.m.jnt_stiffness[self._sprung]
+        return weights + 0.5 * jnp.sum(stiffness * self._stretched(q) ** 2)
 
     @traced_once
     def _actuators(self, q: Array, v: Array, control: Float[Array, " nu"]) -> Array:
@@ -129,7 +322,7 @@ class Model:
     def equalities(self, q: Array) -> Array:
         """Return the residuals of all equalities, in m and rad."""
         m, ties, parts = self.m, numbers("mjtEq"), []
-        at = self.tree.poses(q)
+        at = self.poses(q)
         for k in self._tied:
             data = np.array(m.eq_data[k])
             if m.eq_type[k] == ties.JOINT:
@@ -166,53 +359,6 @@ class Model:
         at = m.jnt_qposadr[[one, other]]
         way = q[at] - m.qpos0[at]
         return (way[0] - (polyval(way[1], data[:5]) if other >= 0 else data[0]))[None]
-
-
-def _branches(m: Any) -> tuple[Tree, list[int], list[tuple[int, int]]]:
-    """The tree of a model, the links of its bodies, and the quaternions.
-
-    Raises
-    ------
-    SpecError
-        If nothing moves, or the model has more than `MOST_LINKS` links.
-    """
-    kinds = {number: kind.lower() for kind, number in vars(numbers("mjtJoint")).items()}
-    none, rows, last, balls = np.zeros(3), [], [-1], []
-    for body in range(1, m.nbody):
-        above, joints = last[m.body_parentid[body]], []
-        place, axes = m.body_pos[body], _matrix(m.body_quat[body])
-        for j in range(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body]):
-            kind, at_q, at_v = kinds[m.jnt_type[j]], int(m.jnt_qposadr[j]), int(m.jnt_dofadr[j])
-            anchor = m.jnt_pos[j]
-            if kind == "free":
-                for axis in np.eye(3):
-                    joints.append(("slide", axis, none, at_q, at_v, 0.0))
-                    at_q, at_v = at_q + 1, at_v + 1
-                kind, anchor, place, axes = "ball", none, none, np.eye(3)
-            if kind == "ball":
-                balls.append((at_q, at_v))
-            joints.append((kind, m.jnt_axis[j], anchor, at_q, at_v, m.qpos0[at_q]))
-        for joint in joints or [("fixed", none, none, 0, 0, 0.0)]:
-            rows.append((above, place, axes, *joint))
-            above, place, axes = len(rows) - 1, none, np.eye(3)
-        last.append(above)
-    if len(rows) > MOST_LINKS:
-        raise SpecError(f"The model has {len(rows)} links; a scene has at most {MOST_LINKS}.")
-    if not m.nv:
-        raise SpecError("The model has no joint: nothing moves.")
-
-    def of_links(values: Any) -> np.ndarray:
-        found = np.zeros((len(rows), *np.shape(values)[1:]))
-        found[last[1:]] = values[1:]
-        return found
-
-    turns = np.stack([_matrix(quaternion) for quaternion in m.body_iquat])
-    inertia = turns * m.body_inertia[:, None] @ turns.swapaxes(1, 2)
-    parent, place, axes, kind, axis, anchor, at_q, at_v, zero = zip(*rows, strict=True)
-    values = [*map(np.array, (parent, place, axes, axis, anchor, at_q, at_v, zero))]
-    values += map(of_links, (m.body_mass, m.body_ipos, inertia))
-    tree = Tree(kind, *values, gravity=np.array(m.opt.gravity), nq=m.nq, nv=m.nv)
-    return tree, last, balls
 
 
 def _matrix(quaternion: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "3 3"]:
