@@ -143,8 +143,6 @@ class Integrator(ABC):
         "baumgarte"; empty if there are none, or it is not stated.
     takes_redundant
         Whether it takes scenes with redundant constraints; methods on the explicit ODE do.
-    partial
-        Whether its rows may lack components, which are NaN in all rows.
     passes_impacts
         Whether its steps pass the impacts of a scene with ``gaps``; runs of others end a phase
         there.
@@ -159,7 +157,6 @@ class Integrator(ABC):
     controls = "step"
     drift = ""
     takes_redundant = False
-    partial: ClassVar[bool] = False
     passes_impacts = False
     formulation = _stated_by_subclass()
 

@@ -1,16 +1,14 @@
-"""Judgement of runs of other programs: files of a method become an integrator with their rows."""
+"""Judgement of runs of other programs: rows of files are measured as runs of a method."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 
-from bench.plugins.registry import Plugin
 from bench.results.records import TOLD, Environment, MethodFacts, Plan, SceneRecord, Study
 from bench.results.store import Store
 from bench.running.plan import Cell
@@ -18,49 +16,12 @@ from bench.running.process import PREPARING
 from bench.running.profiles import FIGURES
 from bench.running.told import FACTS, Told, read_told, trajectory_of
 from bench.running.worker import CellResult, Worker
-from integrators.contract import WIDER, Integrator, PreparedRun, Trajectory
+from integrators.contract import Trajectory
 from integrators.resolutions import Steps, Tolerances
 from problems.base.spec import SpecError, convert, is_name, options_of, suggest
 from problems.system import MechatronicSystem
 
 Resolution = Steps | Tolerances
-
-
-@dataclass
-class _Rows(PreparedRun):
-    """A run that has been done: its rows."""
-
-    rows: Trajectory
-
-    def measure(self) -> Trajectory:
-        return self.rows
-
-    def execute(self) -> None:
-        raise SpecError("The times of another program are not taken here.")
-
-
-@dataclass(frozen=True)
-class ToldMethod(Integrator):
-    """Another program, whose rows are judged; seconds and counts are as told by its author."""
-
-    formulation = TOLD
-    takes: ClassVar = tuple(WIDER)
-    takes_redundant = True
-    partial: ClassVar[bool] = True
-    runs: ClassVar[Mapping[Resolution, Trajectory]] = {}
-
-    def prepare(
-        self, scene: MechatronicSystem, t_end: float, resolution: Resolution
-    ) -> PreparedRun:
-        """Return the rows of a file; raise SpecError for a later start, which no file has."""
-        rows = self.runs[resolution]
-        if rows.t[0] != scene.interval[0]:
-            raise SpecError("No file has another start.")
-        return _Rows(rows)
-
-
-# Rows where values jump lie in the phases of their times: no phase is run by itself.
-ToldMethod.prepare = ToldMethod.prepare.__wrapped__  # type: ignore[attr-defined]
 
 
 class Judgement(NamedTuple):
@@ -118,8 +79,8 @@ def judge_job(
     facts = _method(worker, names.pop(), runs, told)
     results = []
     for one, resolution in zip(told, runs, strict=True):
-        record, rows = worker.measure(Cell(scene.spec, facts.spec, t_end, resolution))
-        record.compile_s = None
+        cell = Cell(scene.spec, facts.spec, t_end, resolution)
+        record, rows = worker.judge(cell, facts, runs[resolution])
         seconds = one.number("seconds")
         record.run_s = [seconds] if seconds else []
         results.append(CellResult(record, rows))
@@ -130,7 +91,7 @@ def judge_job(
 def _method(
     worker: Worker, name: str, runs: Mapping[Resolution, Trajectory], told: Sequence[Told]
 ) -> MethodFacts:
-    """Put the integrator with these runs among those of the worker."""
+    """The facts of the method that made these runs."""
     if not is_name(name) or name in worker.registry.integrators:
         raise SpecError(
             f"The method {name!r} is not allowed: it is a method of stepbench, or no word of "
@@ -141,19 +102,16 @@ def _method(
     kinds = {type(resolution) for resolution in runs}
     if len(kinds) > 1:
         raise SpecError("Some files have steps and others tolerances; judge them one by one.")
-    own = {
-        "name": name,
-        "family": name,
-        "source": f"{TOLD}: seconds, counts; rows of {', '.join(files)}",
-        "controls": "step" if kinds == {Steps} else "tolerance",
-        "runs": runs,
-        "source_text": digest,
-        "__doc__": ToldMethod.__doc__,
-        "__module__": __name__,
-    }
-    cls = type("Told", (ToldMethod,), own)
-    worker.registry.integrators[name] = Plugin("integrators", name, files[0], lambda: cls)
-    return worker.inventory.integrator(name)
+    return MethodFacts(
+        spec=name,
+        name=name,
+        title="Another program, whose rows are judged.",
+        family=name,
+        formulation=TOLD,
+        controls="step" if kinds == {Steps} else "tolerance",
+        source=f"{TOLD}: seconds, counts; rows of {', '.join(files)}",
+        fingerprint=digest[:12],
+    )
 
 
 def _resolution(told: Told, given: Mapping[str, float]) -> Resolution:

@@ -166,16 +166,12 @@ def end_at_overlap(run: Trajectory, scene: MechatronicSystem, passes_impacts: bo
     return f"Bodies overlap by up to {below.max():.2g}, as steps pass impacts."
 
 
-def checked(trajectory: Trajectory, t_end: float, partial: bool = False) -> Trajectory:
-    """Hold an integrator to its word: "ok" means finite values up to the end, ``t_end`` in s.
-
-    In ``partial`` rows others stand for components that are not known.
-    """
+def checked(trajectory: Trajectory, t_end: float) -> Trajectory:
+    """Hold an integrator to its word: "ok" means finite values up to the end, ``t_end`` in s."""
     if trajectory.status != "ok":
         return trajectory
     y = trajectory
-    values = () if partial else (y.q, y.v, y.a, y.lam, y.x, y.xdot, y.y)
-    if not all(np.isfinite(part).all() for part in values):
+    if not all(np.isfinite(part).all() for part in (y.q, y.v, y.a, y.lam, y.x, y.xdot, y.y)):
         y.status, y.message = "diverged", "It reported success with values that are not finite."
     elif abs(y.t[-1] - t_end) > 1e-9 * max(1.0, abs(t_end)):
         said = f"It reported success at t={y.t[-1]:.9g} s instead of {t_end:.9g} s."

@@ -18,7 +18,7 @@ import numpy as np
 
 from bench.plugins.registry import Registry, Sources, why
 from bench.results.quantities import PARTS, point_notes
-from bench.results.records import Record, Rows, SceneRecord
+from bench.results.records import MethodFacts, Record, Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import (
     constraint_errors,
@@ -103,24 +103,35 @@ class Worker:
         No reference is made without ``errors``, or if ``lacking`` says why there is none.
         """
         self.notify(PREPARING, "tracing and compiling")
-        trajectory, compile_s = self.run(cell)
+        run, compile_s = self.run(cell)
         self.notify(MEASURING, "measuring")
-        facts = cell.facts(self.inventory)
-        record = cell.record(*facts, trajectory.status, trajectory.message)
-        record.work, record.rows = asdict(trajectory.work), max(0, len(trajectory.t) - 1)
+        record = cell.record(*cell.facts(self.inventory), run.status, run.message)
         record.compile_s = compile_s
-        if trajectory.status == "ok":
-            if lacking:
-                _add(record, f"No errors are known. {lacking}")
-                record.stopped = REFERENCE
-            self._compare(cell, record, trajectory, errors and not lacking)
-        partial = self.registry.integrator(cell.integrator).partial
-        return CellResult(record, measure.stored_rows(trajectory, partial))
+        self._compare(record, run, cell, errors, lacking)
+        return CellResult(record, measure.stored_rows(run))
 
-    def _compare(self, cell: Cell, record: Record, run: Trajectory, errors: bool) -> None:
-        """Find all that is known of a good run; a failure costs a part, and is not the run's."""
-        scene, method = self.problem(cell.problem), self.registry.integrator(cell.integrator)
-        prepared, reference = self.prepared[record.key], None
+    def judge(self, cell: Cell, method: MethodFacts, run: Trajectory) -> CellResult:
+        """Measure a run that reached the end of a cell in another program; components that it does
+        not tell are NaN in all rows."""
+        record = cell.record(self.inventory.problem(cell.problem), method, run.status)
+        self._compare(record, run)
+        return CellResult(record, measure.stored_rows(run, partial=True))
+
+    def _compare(
+        self,
+        record: Record,
+        run: Trajectory,
+        cell: Cell | None = None,
+        errors: bool = True,
+        lacking: str = "",
+    ) -> None:
+        """Find all that is known of a run, of the ``cell`` if it is one of our methods; a failure
+        costs a part, and is not the run's."""
+        record.work, record.rows = asdict(run.work), max(0, len(run.t) - 1)
+        if run.status != "ok":
+            return
+        scene, reference = self.problem(record.problem), None
+        method = self.registry.integrator(cell.integrator) if cell else None
         unknown = "errors are known, the reference failed"
 
         def part(what: str, find: Callable[[], Any], otherwise: Any) -> Any:
@@ -130,7 +141,10 @@ class Worker:
                 _add(record, f"No {what}: {why(error)}")
                 return otherwise
 
-        if errors:
+        if lacking:
+            _add(record, f"No errors are known. {lacking}")
+            record.stopped = REFERENCE
+        elif errors:
             reference = part(unknown, lambda: self.reference(scene, record.t_end), None)
         if reference and reference.missing:
             _add(record, f"No errors are known. {reference.missing}")
@@ -173,8 +187,8 @@ class Worker:
             return measure.violations(scene, run)
 
         def cautions() -> str:
-            caution = checks.caution(method, scene) or ""
-            overlap = measure.end_at_overlap(run, scene, bool(method.passes_impacts))
+            caution = (checks.caution(method, scene) if method else None) or ""
+            overlap = measure.end_at_overlap(run, scene, bool(method and method.passes_impacts))
             return f"{caution} {overlap} {uncontrolled(scene, run, record.rtol)}"
 
         noted = part(unknown, lambda: histories(reference), {}) if reference else {}
@@ -185,18 +199,19 @@ class Worker:
         run.notes |= noted | drift
         if whole:
             run.notes |= part("named points or published digits are known", points, {})
-        bill = lambda: checks.checked_bill(prepared.bill(run), PARTS)  # noqa: E731
-        record.operations = part("operations are known", bill, {})
-        claims = lambda: checks.checked_orders(method.claims(scene), "claims()")  # noqa: E731
-        record.claims = part("claimed orders are known", claims, None)
-        # A run that takes longer than its preparation would double the time of the suite.
-        quick = self._seconds[record.key] < max(record.compile_s or 0.0, 1.0)
-        if reference and record.errors and quick:
-            with suppress(BaseException):  # a plugin's; `check` asks it for starts at any time
-                record.later, failed = measure.errors_from_later_starts(
-                    method, cell.resolution, reference
-                )
-                _add(record, " ".join(failed))
+        if cell and method:
+            bill = lambda: checks.checked_bill(self.prepared[cell.key].bill(run), PARTS)  # noqa: E731
+            record.operations = part("operations are known", bill, {})
+            claims = lambda: checks.checked_orders(method.claims(scene), "claims()")  # noqa: E731
+            record.claims = part("claimed orders are known", claims, None)
+            # A run that takes longer than its preparation would double the time of the suite.
+            quick = self._seconds[cell.key] < max(record.compile_s or 0.0, 1.0)
+            if reference and record.errors and quick:
+                with suppress(BaseException):  # a plugin's; `check` asks it for starts at any time
+                    record.later, failed = measure.errors_from_later_starts(
+                        method, cell.resolution, reference
+                    )
+                    _add(record, " ".join(failed))
         _add(record, part("cautions are known", cautions, "") if whole else "")
 
     def run(self, cell: Cell) -> tuple[Trajectory, float | None]:
@@ -221,8 +236,7 @@ class Worker:
             measured = run.measure()
             seconds = computed_seconds() - measuring
             trajectory = checks.checked_trajectory(measured, scene.sizes, *span)
-            if not integrator.partial:
-                measure.end_at_overlap(trajectory, scene, bool(integrator.passes_impacts))
+            measure.end_at_overlap(trajectory, scene, bool(integrator.passes_impacts))
         except (InconsistentStart, NoConsistentStart, SpecError) as error:
             return Trajectory.failed("crashed", f"{said(error)}."), None
         except BaseException as error:  # of a plugin, which may even raise SystemExit
@@ -232,7 +246,7 @@ class Worker:
         self.prepared[cell.key], self._seconds[cell.key] = run, seconds
         if fault := measure.ignored_pattern(trajectory, cell.resolution, *span):
             trajectory.status, trajectory.message = "crashed", fault
-        return measure.checked(trajectory, cell.t_end, integrator.partial), compile_s
+        return measure.checked(trajectory, cell.t_end), compile_s
 
     def time(self, cell: Cell) -> float:
         """Take a timing sample: processor seconds of a bare run, by `measure.least_seconds`.
