@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from bench.commands.options import BUDGET_S, RESULTS, budget_of, usable_registry
+from bench.commands.options import BUDGET_S, RESULTS, Given, budget_of
 from bench.commands.suite import run_suite, suite_of_orders, write_reports
 from bench.results.flat_rows import flatten
 from bench.results.orders import Fit
@@ -207,11 +207,10 @@ def order(
     """
     from reports.series import groups_of, series_of
 
-    registry = usable_registry(plugins)
-    scene = registry.problem(problem, **(parameters or {}))
-    suite = suite_of_orders(registry, scene, [integrator], budget_of(budget), steps, pattern, t_end)
-    cells = [*suite.cells.values()]
-    records = [r for r, _ in solve_cells(cells, registry, budget, progress=OnStandardError())]
+    o = Given(problem=problem, settings=parameters or {}, plugins=plugins)
+    asked = [integrator], budget_of(budget), steps, pattern, t_end
+    cells = [*suite_of_orders(o.registry, o.asked_scene, *asked).cells.values()]
+    records = [r for r, _ in solve_cells(cells, o.registry, budget, progress=OnStandardError())]
     series, *_ = series_of(records)
     groups = groups_of(records)
     return Orders(

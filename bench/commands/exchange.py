@@ -37,65 +37,57 @@ def judge(o: Given) -> None:
       stepbench judge slider_crank coarse.csv fine.csv finest.csv --out stepbench-results
     """
     from bench.commands.suite import write_reports
-    from bench.commands.terminal import show
     from bench.results.store import Store
     from bench.running.judge import judge_job, store_judgement
     from bench.running.told import template
     from reports.series import series_of
     from reports.tables.order_table import order_table
 
-    registry = options.usable_registry(o.plugins)
-    scene = registry.problem(o.problem, **o.settings)
-    sources = scene.sources
+    scene = o.asked_scene
     if o.template:
-        text = options.guarded(o.problem, template, sources, o.budget, scene.spec)
+        text = o.guarded(o.problem, template, scene.sources, scene.spec)
         o.template.write_text(text, encoding="utf-8")
         click.echo(f"{o.template} has the head and the start of {scene.spec}.")
         return
     if not o.files:
         raise SpecError("Name files of rows; --template FILE writes an empty one.")
-    given = {"step": o.steps, "rtol": o.rtols}
+    given = {name: own for name, own in (("step", o.steps), ("rtol", o.rtols)) if own}
     for name, values in given.items():
-        if values and len(values) != len(o.files):
+        if len(values) != len(o.files):
             raise SpecError(f"--{name}s gives {len(values)} numbers for {len(o.files)} files.")
-    given = {name: values for name, values in given.items() if values}
-    task = [*map(str, o.files)], given, o.method, o.out is not None
-    found = options.guarded(o.problem, judge_job, sources, o.budget, scene.spec, *task)
+    task = scene.spec, [*map(str, o.files)], given, o.method, o.out is not None
+    found = o.guarded(o.problem, judge_job, scene.sources, *task)
     records = [result.record for result in found.results]
-    if o.as_json:
-        options.print_json(records)
-    else:
-        (series,) = series_of(records)
-        missing = sorted({name for names in found.lacking for name in names})
-        told = [f"Not told: {', '.join(missing)}."] if missing else []
-        orders = [table] if (table := order_table([series], "Orders")) else []
-        show(_judged(series), *orders, *told)
+    (series,) = series_of(records)
+    missing = sorted({name for names in found.lacking for name in names})
+    told = [f"Not told: {', '.join(missing)}."] if missing else []
+    orders = order_table([series], "Orders")
+    o.answer(records, _judged(series), *filter(None, [orders]), *told)
     if o.out:
         with Store(o.out, create=True) as store:
             store_judgement(store, found)
         write_reports(o.out, False)
-    bad = [f"{r.resolution}: {r.status}: {r.message}" for r in records if r.status != "ok"]
-    options.fail_with(bad)
+    o.faults += [f"{r.resolution}: {r.status}: {r.message}" for r in records if r.status != "ok"]
 
 
 def _judged(series: Series) -> Table:
     """A row per run from coarse to fine: the error of each group, and the time as it was told."""
-    groups = [g for g in ASKED if any(g in r.errors for r in series.records)]
+    records, note = series.records, "Seconds: as told by the author."
+    columns = {
+        ERROR_NAMES[group].split()[-1]: [record.error(group, NORM) for record in records]
+        for group in ASKED
+        if any(group in record.errors for record in records)
+    }
+    if any(record.history_error is not None for record in records):
+        columns["points"] = [record.history_error for record in records]
+        note = f"Points: by the rule of the IFToMM library. {note}"
+    columns["seconds"] = [record.seconds for record in records]
     rows = [
-        [
-            r.resolution,
-            *(formatted(r.error(g, NORM), ".3g") for g in groups),
-            *([formatted(r.history_error, ".3g")] if r.history_error is not None else []),
-            formatted(r.seconds, ".3g"),
-        ]
-        for r in series.records
+        [record.resolution, *(formatted(value, ".3g") for value in values)]
+        for record, *values in zip(records, *columns.values(), strict=True)
     ]
-    points = ["points"] * any(r.history_error is not None for r in series.records)
-    title = f"{series.label} on {series.records[0].problem}: errors, {NORMS[NORM]}"
-    note = "Seconds: as told by the author."
-    note = "Points: by the rule of the IFToMM library. " * len(points) + note
-    heads = [ERROR_NAMES[g].split()[-1] for g in groups]
-    return Table(title, ["run", *heads, *points, "seconds"], rows, note=note)
+    title = f"{series.label} on {records[0].problem}: errors, {NORMS[NORM]}"
+    return Table(title, ["run", *columns], rows, note=note)
 
 
 # ---- certain digits ----------------------------------------------------------------------
@@ -115,28 +107,25 @@ def truth(o: Given) -> None:
       stepbench truth slider_crank --at 0,0.5,1 --json
       stepbench truth duffing --every 0.5 --csv > duffing.csv
     """
-    from bench.commands.terminal import show
     from bench.running.truth import truth_job
 
     if o.every is not None:
         options.refuse("does not go with --every; give one of them.", "at")
     if o.as_json:
         options.refuse("does not go with --json; give one of them.", "as_csv")
-    scene = options.usable_registry(o.plugins).problem(o.problem, **o.settings)
-    task = scene.sources, o.budget, scene.spec, o.every, o.at
-    found = options.guarded(o.problem, truth_job, *task)
+    scene = o.asked_scene
+    found = o.guarded(o.problem, truth_job, scene.sources, scene.spec, o.every, o.at)
     rows, named = found["rows"], found["components"]
     places = [(g, i, name) for g, names in named.items() for i, name in enumerate(names)]
-    if o.as_json:
-        options.print_json(found)
-    elif o.as_csv:
+    if o.as_csv:
         table = [{"t": r["t"], **{f"{g}{i + 1}": r[g][i] for g, i, _ in places}} for r in rows]
         click.echo(csv_text(table), nl=False)
-    else:
-        values = [[f"{g} {n}", f"{r['t']:g}", r[g][i]] for g, i, n in places for r in rows]
-        digits = [[f"{r['t']:g}", *(str(r["digits"][g]) for g in named)] for r in rows]
-        show(
-            Table(f"{found['scene']}: certain digits", ["component", "t [s]", "value"], values),
-            Table("Number of certain digits", ["t [s]", *named], digits),
-            *(f"How: {found['how']}.", *found["remarks"]),
-        )
+        return
+    values = [[f"{g} {n}", f"{r['t']:g}", r[g][i]] for g, i, n in places for r in rows]
+    digits = [[f"{r['t']:g}", *(str(r["digits"][g]) for g in named)] for r in rows]
+    o.answer(
+        found,
+        Table(f"{found['scene']}: certain digits", ["component", "t [s]", "value"], values),
+        Table("Number of certain digits", ["t [s]", *named], digits),
+        *(f"How: {found['how']}.", *found["remarks"]),
+    )

@@ -16,6 +16,7 @@ import msgspec
 
 from bench.commands import options
 from bench.commands.options import BUDGET_S, Given
+from bench.commands.terminal import RunProgress, say, show
 from bench.plugins.registry import KINDS, SUFFIXES, Plugin
 from bench.results.table import Table
 from bench.running.inventory import Inventory
@@ -60,9 +61,7 @@ def list_(o: Given) -> None:
       stepbench list pendulum --set th0=3.0
       stepbench list pendulum car_axis --draw --out mechanisms
     """
-    from bench.commands.terminal import RunProgress, say, show
-
-    registry = options.usable_registry(o.plugins) if o.draw else Inventory(o.plugins)
+    registry = o.registry if o.draw else Inventory(o.plugins)
     every = {kind: getattr(registry, kind, built_in_profiles()) for kind in WORDS}
     words = [*_ALL_OF, *(name for own in every.values() for name in own)]
     for text in o.listed:
@@ -96,7 +95,7 @@ def list_(o: Given) -> None:
     options.refuse("goes with --draw.", "out")
     if o.as_json:
         shown = {kind: every[kind] if kind in whole else names[kind] for kind in WORDS}
-        options.print_json(
+        o.answer(
             {kind: [_row(kind, n, every[kind]) for n in own] for kind, own in shown.items() if own}
         )
         return
@@ -182,12 +181,12 @@ def show_(o: Given) -> None:
     from bench.running.worker import Worker
     from reports.pages.catalogue import write_animation, write_picture
 
-    scene = options.usable_registry(o.plugins).problem(o.problem, **o.settings)
+    scene = o.asked_scene
     start, end = scene.interval
     end = check_end(start, end if o.t_end is None else o.t_end)
     ending, count = ("html", _FRAMES) if o.animate else ("svg", GHOSTS)
     about, task = f"{scene.spec} cannot be shown", (scene.spec, end, count)
-    drawings = options.guarded(about, Worker.pictures, scene.sources, o.budget, *task)
+    drawings = o.guarded(about, Worker.pictures, scene.sources, *task)
     write = write_animation if o.animate else write_picture
     click.echo(f"Picture: {write(scene.spec, drawings, o.file or Path(f'{scene.name}.{ending}'))}")
 
@@ -272,7 +271,6 @@ def check(o: Given) -> None:
     """
     from bench.check.checker import chosen, is_file, run_checks
     from bench.check.verdicts import FAILED, NOT_APPLICABLE, PASSED
-    from bench.commands.terminal import say
 
     signs = {PASSED: ("\u2713", "green"), FAILED: ("\u2717", "red"), NOT_APPLICABLE: ("-", "dim")}
     registry = Inventory([*o.plugins, *filter(is_file, o.checked)])
@@ -291,9 +289,7 @@ def check(o: Given) -> None:
         verdicts += own
         about = {"name": text, "kind": WORDS[kind], "passed": FAILED not in own}
         answers.append(about | {"checks": [vars(result) for result in results]})
-    if o.as_json:
-        options.print_json(answers)
-    if failed := verdicts.count(FAILED):
-        raise click.ClickException(f"{failed} of {len(verdicts)} checks failed.")
-    if not o.as_json:
-        click.echo(f"All {len(verdicts)} checks passed or do not apply.")
+    failed = verdicts.count(FAILED)
+    o.answer(answers, *[f"All {len(verdicts)} checks passed or do not apply."] * (not failed))
+    if failed:
+        o.faults.append(f"{failed} of {len(verdicts)} checks failed.")

@@ -9,7 +9,7 @@ import os
 import re
 import stat
 from collections.abc import Callable, Iterator, Sequence
-from functools import wraps
+from functools import cached_property, wraps
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal, TypeVar
@@ -18,13 +18,17 @@ import click
 import msgspec
 from click.core import ParameterSource
 
+from bench.commands.terminal import show
 from bench.plugins.registry import Sources
 from bench.results.folders import read_limits
 from bench.results.quantities import COSTS
 from bench.results.records import MethodFacts
+from bench.results.table import Table
 from bench.running.inventory import Inventory, SceneFacts
+from bench.running.process import Limits
 from bench.running.profiles import LARGEST_BUDGET
 from bench.running.recommend import PARTS, RULES
+from bench.running.runner import answer_of
 from integrators.resolutions import Tolerances
 from problems.base.spec import SpecError
 
@@ -42,7 +46,75 @@ B = TypeVar("B", bound=float | None)
 
 
 class Given(SimpleNamespace):
-    """The values of a command line by the names of parameters."""
+    """The values of a command line by the names of parameters, and what they name.
+
+    A command that leaves ``faults``, a sentence each, ends with exit code 1.
+    """
+
+    faults: list[str]
+
+    @cached_property
+    def registry(self) -> Inventory:
+        """All plugins; PluginError if a file named with --plugins cannot be used."""
+        registry = Inventory(self.plugins)
+        registry.require_files()
+        return registry
+
+    @cached_property
+    def asked_scene(self) -> SceneFacts:
+        """The scene that is named, with its parameters."""
+        return self.registry.problem(self.problem, **self.settings)
+
+    @cached_property
+    def asked_methods(self) -> list[MethodFacts]:
+        """The integrators that are named; SpecError if one is named twice."""
+        names = self.names if hasattr(self, "names") else [self.integrator]
+        methods = [self.registry.integrator(name) for name in names]
+        for k, method in enumerate(methods):
+            if method in methods[:k]:
+                raise SpecError(f"{method.spec} is named twice.")
+        return methods
+
+    @property
+    def sizes(self) -> dict[str, Any]:
+        """The values of the options for steps and tolerances."""
+        return {name: getattr(self, name) for name in ("step", "pattern", "rtol", "atol")}
+
+    def guarded(
+        self,
+        about: str,
+        job: Callable[..., Any],
+        sources: Sources,
+        *arguments: Any,
+        threads: bool = False,
+    ) -> Any:
+        """Do a job of a worker in a process of its own, with plugins and within the budget.
+
+        A message on its failure begins with the words ``about`` it. A job of many ``threads`` may
+        keep all processors busy.
+        """
+        processors = (os.cpu_count() or 1) if threads else 1
+        advice = "give it less to do, or a larger --budget"
+        limits = Limits(self.budget, processors=processors, advice=advice)
+        return answer_of(about, job, arguments, sources, limits)
+
+    def measured(self, job: Callable[..., Any], *task: Any) -> Iterator[Any]:
+        """Yield what a job of a worker gives of each integrator, on the scene if one is named; the
+        reasons of those that give nothing become faults."""
+        for method in self.asked_methods:
+            parts = [self.asked_scene, method] if hasattr(self, "problem") else [method]
+            sources = Sources().union(*(part.sources for part in parts))
+            try:
+                yield self.guarded(method.spec, job, sources, *(p.spec for p in parts), *task)
+            except SpecError as error:
+                self.faults.append(str(error))
+
+    def answer(self, value: Any, *parts: Table | str) -> None:
+        """Print a value as JSON with --json, else tables and texts."""
+        if self.as_json:
+            click.echo(json_text(value))
+        else:
+            show(*parts)
 
 
 # ---- values of options -------------------------------------------------------------------
@@ -268,7 +340,13 @@ def command(
         return click.Option([*declared.split(), key], show_default=shown, **more)
 
     def made(function: Callable[[Given], None]) -> click.Command:
-        call = wraps(function)(lambda **values: function(Given(**values)))
+        @wraps(function)
+        def call(**values: Any) -> None:
+            given = Given(**values, faults=[])
+            function(given)
+            if given.faults:
+                raise click.ClickException(" ".join(dict.fromkeys(given.faults)))
+
         keys = parameters.replace("settings", "settings keyframe").split()
         return click.command(name, params=[*map(parameter, keys)])(call)
 
@@ -290,81 +368,3 @@ def json_text(value: Any) -> str:
     """Return a value as JSON; numbers that are not finite are null."""
     text = msgspec.json.encode(value, enc_hook=lambda scalar: scalar.item()).decode()
     return msgspec.json.format(text, indent=2)
-
-
-def print_json(value: Any) -> None:
-    """Print a value as JSON."""
-    click.echo(json_text(value))
-
-
-def usable_registry(plugins: Sequence[str | Path]) -> Inventory:
-    """List all plugins; raise PluginError if a file named with --plugins cannot be used."""
-    registry = Inventory(list(map(str, plugins)))
-    registry.require_files()
-    return registry
-
-
-def sizes(o: Given) -> dict[str, Any]:
-    """Return the values of the options for steps and tolerances."""
-    return {name: getattr(o, name) for name in ("step", "pattern", "rtol", "atol")}
-
-
-def asked_for(o: Given) -> tuple[SceneFacts | None, list[MethodFacts]]:
-    """Return the facts of the scene with its parameters, if there is one, and of the integrators
-    that are named; SpecError if one is named twice."""
-    registry = usable_registry(o.plugins)
-    scene = registry.problem(o.problem, **o.settings) if hasattr(o, "problem") else None
-    methods: list[MethodFacts] = []
-    for name in o.names if hasattr(o, "names") else [o.integrator]:
-        if (method := registry.integrator(name)) in methods:
-            raise SpecError(f"{method.spec} is named twice.")
-        methods.append(method)
-    return scene, methods
-
-
-def guarded(
-    about: str,
-    job: Callable[..., Any],
-    sources: Sources,
-    budget_s: float,
-    *arguments: Any,
-    threads: bool = False,
-) -> Any:
-    """Do a job of a worker in a process of its own, with plugins and within a budget in s.
-
-    A message on its failure begins with the words ``about`` it. A job of many ``threads`` may keep
-    all processors busy.
-    """
-    from bench.running.process import Limits
-    from bench.running.runner import answer_of
-
-    processors = (os.cpu_count() or 1) if threads else 1
-    advice = "give it less to do, or a larger --budget"
-    limits = Limits(budget_s, processors=processors, advice=advice)
-    return answer_of(about, job, arguments, sources, limits)
-
-
-def measured(
-    job: Callable[..., Any],
-    scene: SceneFacts | None,
-    methods: Sequence[MethodFacts],
-    budget_s: float,
-    faults: list[str],
-    *task: Any,
-) -> Iterator[Any]:
-    """Yield what a job of a worker gives of each integrator, on a scene if there is one; the
-    reasons of those that give nothing become ``faults``."""
-    for method in methods:
-        parts = [scene, method] if scene else [method]
-        sources = Sources().union(*(part.sources for part in parts))
-        named = [part.spec for part in parts]
-        try:
-            yield guarded(method.spec, job, sources, budget_s, *named, *task)
-        except SpecError as error:
-            faults.append(str(error))
-
-
-def fail_with(faults: Sequence[str]) -> None:
-    """End with exit code 1 if there are faults, and tell each once."""
-    if faults:
-        raise click.ClickException(" ".join(dict.fromkeys(faults)))

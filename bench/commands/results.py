@@ -104,7 +104,7 @@ def compare(o: Given) -> None:
     comparison = compare_folders(o.old, o.new)
     worse = regressions(comparison, o.limits)
     if o.as_json:
-        options.print_json(msgspec.structs.asdict(comparison) | {"regressions": worse})
+        o.answer(msgspec.structs.asdict(comparison) | {"regressions": worse})
     else:
         click.echo("\n".join([*comparison.state, *comparison.summary()]))
     if worse:
@@ -149,13 +149,9 @@ def versus_(o: Given) -> None:
       stepbench versus my_method "generalized_alpha[rho_inf=0.8]" --error a,lam:max --target 1e-4
       stepbench versus my_method ida stepbench-results --cost seconds
     """
-    from bench.commands.terminal import show
     from reports.versus import side_by_side
 
     group, _, norm = o.error.partition(":")
     asked = {"group": group, "targets": o.targets, "cost": o.cost, "norm": norm or NORM}
     found = side_by_side(o.first, o.second, o.folder, **asked)
-    if o.as_json:
-        options.print_json(found.plain)
-    else:
-        show(*found.sentences, found.table)
+    o.answer(found.plain, *found.sentences, found.table)

@@ -15,6 +15,7 @@ import numpy as np
 
 from bench.commands import options
 from bench.commands.options import MOST_MEMBERS, Given
+from bench.commands.terminal import RunProgress
 from bench.results.flat_rows import published_table
 from bench.results.quantities import NORMS
 from bench.results.records import Record, Rows
@@ -55,31 +56,29 @@ def solve_(o: Given) -> None:
         solve_ensemble(o)
         return
     options.refuse("is for an ensemble; give --ensemble N, too.", "vary", "seed", "cluster", "file")
-    from bench.commands.terminal import RunProgress, show
     from bench.running.session import solve
 
     asked = o.problem, o.integrator, o.plugins, o.budget
-    more = {"parameters": o.settings, "t_end": o.t_end, **options.sizes(o)}
+    more = {"parameters": o.settings, "t_end": o.t_end, **o.sizes}
     with RunProgress() as progress:
         (record, rows), names = solve(*asked, progress, **more)
-    if o.as_json:
-        last = {name: values[-1] for name, values in rows.values.items() if rows.t}
-        options.print_json({
-            **{name: getattr(record, name) for name in _BEFORE},
-            "t": rows.t[-1] if rows.t else None,
-            **{name: last.get(name, []) for name in ("q", "v", "a", "lam", "x", "xdot", "y", "xd")},
-            **{name: getattr(record, name) for name in _AFTER},
-            "published": [
-                msgspec.to_builtins(d) | {"difference": d.difference} for d in record.published
-            ],
-            "time": {"compile_s": record.compile_s, "run_s": record.run_s,
-                     "run_s_median": record.seconds},
-        })  # fmt: skip
-    else:
-        published = published_table(record.published)
-        show(_end_values(record, rows, names), *filter(None, [published]), *_facts(record))
+    last = {name: values[-1] for name, values in rows.values.items() if rows.t}
+    found = {
+        **{name: getattr(record, name) for name in _BEFORE},
+        "t": rows.t[-1] if rows.t else None,
+        **{name: last.get(name, []) for name in ("q", "v", "a", "lam", "x", "xdot", "y", "xd")},
+        **{name: getattr(record, name) for name in _AFTER},
+        "published": [
+            msgspec.to_builtins(digits) | {"difference": digits.difference}
+            for digits in record.published
+        ],
+        "time": {"compile_s": record.compile_s, "run_s": record.run_s,
+                 "run_s_median": record.seconds},
+    }  # fmt: skip
+    published = filter(None, [published_table(record.published)])
+    o.answer(found, _end_values(record, rows, names), *published, *_facts(record))
     if record.status != "ok":
-        raise click.ClickException(f"{record.status}: {record.message}")
+        o.faults.append(f"{record.status}: {record.message}")
 
 
 def _end_values(record: Record, rows: Rows, names: Mapping[str, Sequence[str]]) -> Table:
@@ -148,16 +147,14 @@ def _facts(record: Record) -> list[str]:
 # ---- ensembles ---------------------------------------------------------------------------
 def solve_ensemble(o: Given) -> None:
     """Draw and run the members, and show or write the results."""
-    from bench.commands.terminal import RunProgress, show
     from bench.running.cluster import ClusterRunner
     from bench.running.process import Limits
     from bench.running.runner import Runner
     from bench.sweeps import ensemble
     from problems.base.usage import cores
 
-    scene, (method,) = options.asked_for(o)
-    assert scene is not None
-    common = scene.spec, method.spec, options.sizes(o), o.t_end
+    scene, (method,) = o.asked_scene, o.asked_methods
+    common = scene.spec, method.spec, o.sizes, o.t_end
     request = ensemble.EnsembleRequest(*common, o.ensemble, o.vary, o.seed)
     if not o.vary:
         raise SpecError("An ensemble needs something in which its members differ; give --vary.")
@@ -168,12 +165,10 @@ def solve_ensemble(o: Given) -> None:
     make = partial(ClusterRunner, o.cluster) if o.cluster else partial(Runner, 1)
     with RunProgress() as progress, make(limits, progress) as runner:
         found, fault = ensemble.run_members(runner, request, scene.sources | method.sources)
-    if o.as_json:
-        facts = ("problem", "integrator", "t_end", "work", "compile_s", "run_s")
-        counts = {"statuses": Counter(found.status), "summary": found.summary()}
-        options.print_json({name: getattr(found, name) for name in facts} | counts)
-    else:
-        show(*_shown(found, time.perf_counter() - began))
+    names = ("problem", "integrator", "t_end", "work", "compile_s", "run_s")
+    counts = {"statuses": Counter(found.status), "summary": found.summary()}
+    facts = {name: getattr(found, name) for name in names} | counts
+    o.answer(facts, *_shown(found, time.perf_counter() - began))
     if o.file:
         found.write(o.file)
         click.echo(f"{len(found.status)} members in {o.file}", err=o.as_json)
@@ -247,29 +242,25 @@ def map_(o: Given) -> None:
                 f"--grid {o.grid!r} is not allowed; give two numbers of at least 2 as 200x200, "
                 f"and at most {MOST_MEMBERS} points."
             )
-    scene, (method,) = options.asked_for(o)
-    assert scene is not None
-
-    from bench.commands.terminal import show
     from bench.sweeps.outcome_map import outcome_map
     from bench.sweeps.variation import SweepRequest
     from reports.pages.maps import write_map_page
 
-    request = SweepRequest(scene.spec, method.spec, options.sizes(o), o.t_end)
+    scene, (method,) = o.asked_scene, o.asked_methods
+    request = SweepRequest(scene.spec, method.spec, o.sizes, o.t_end)
     task = request, names, o.ranges, counts, o.error, o.threshold
     about, sources = f"{o.integrator} on {o.problem}", scene.sources | method.sources
-    plain = options.guarded(about, outcome_map, sources, o.budget, *task, threads=True)
-    if o.as_json:
-        options.print_json(plain)
-        return
+    plain = o.guarded(about, outcome_map, sources, *task, threads=True)
     total = sum(plain["counts"].values())
     title = f"{plain['integrator']} on {plain['problem']} over {names[0]} and {names[1]}"
     rows = [
         [name, str(count), f"{100 * count / total:.1f} %", plain["reasons"].get(name, "")]
         for name, count in plain["counts"].items()
     ]
-    show(
+    o.answer(
+        plain,
         Table(f"{title}: {total} runs", ["outcome", "runs", "part", "reason"], rows),
         f"Prepared in {plain['compile_s']:.2g} s, run in {plain['run_s']:.2g} s.",
     )
-    click.echo(f"Page: {write_map_page(plain, o.out)}")
+    if not o.as_json:
+        click.echo(f"Page: {write_map_page(plain, o.out)}")

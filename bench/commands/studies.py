@@ -11,6 +11,7 @@ import click
 
 from bench.commands import options
 from bench.commands.options import SYSTEMS, Given
+from bench.commands.terminal import RunProgress, show
 from bench.running.interrupts import remark
 from integrators.resolutions import Steps, check_end
 from problems.base.spec import SpecError
@@ -36,31 +37,24 @@ def drift(o: Given) -> None:
       stepbench drift pendulum "dopri8[constraints=projected]" dopri8 --step 0.02 --out drift
       stepbench drift oscillator newmark bdf2 --json > drift.json
     """
-    scene, methods = options.asked_for(o)
-    assert scene is not None
+    scene, _ = o.asked_scene, o.asked_methods  # before there is a folder
     if o.step is not None:
         check_end(scene.interval[0], scene.interval[0] + o.count * Steps(o.step).h)
-    from bench.commands.terminal import show
     from bench.results.store import Store
     from bench.results.studies import drift_table
     from bench.running.drift import drift_job
     from reports.pages.studies import write_drift_page
 
-    results, faults = [], list[str]()
-    task = drift_job, scene, methods, o.budget, faults, o.step, o.count
+    results = []
     with Store(o.out, create=True) as store:
-        for run in options.measured(*task):
+        for run in o.measured(drift_job, o.step, o.count):
             store.keep(run)
             results.append(run)
             if run.status != "ok":
-                faults.append(f"{run.integrator}: {run.status}: {run.message}")
+                o.faults.append(f"{run.integrator}: {run.status}: {run.message}")
         if results:
-            if o.as_json:
-                options.print_json(results)
-            else:
-                show(f"{scene.spec}, h={results[0].h:g} s", drift_table(results))
+            o.answer(results, f"{scene.spec}, h={results[0].h:g} s", drift_table(results))
             click.echo(f"Page: {write_drift_page(store.long_runs(), o.out)}", err=o.as_json)
-    options.fail_with(faults)
 
 
 @options.command(
@@ -79,21 +73,14 @@ def realtime(o: Given) -> None:
       stepbench realtime quarter_car bdf2 --rate 500 --iterations 2
       stepbench realtime pendulum half_explicit_euler stormer_verlet --rate 1000 --duration 1 --json
     """
-    scene, methods = options.asked_for(o)
-    from bench.commands.terminal import show
     from bench.running.realtime import realtime_job, realtime_sentence, realtime_tables, steps_of
 
-    assert scene is not None
-    faults: list[str] = []
-    task = o.rate, steps_of(scene, o.rate, o.duration), o.iterations
-    answers = options.measured(realtime_job, scene, methods, o.budget, faults, *task)
-    runs = [run for runs in answers for run in runs]
-    if runs and o.as_json:
-        options.print_json({"runs": runs, "summary": realtime_sentence(runs)})
-    elif runs:
-        show(*realtime_tables(runs), realtime_sentence(runs))
-    faults += [f"{run.name}: {run.status}: {run.message}" for run in runs if run.status != "ok"]
-    options.fail_with(faults)
+    task = o.rate, steps_of(o.asked_scene, o.rate, o.duration), o.iterations
+    runs = [run for runs in o.measured(realtime_job, *task) for run in runs]
+    if runs:
+        summary = realtime_sentence(runs)
+        o.answer({"runs": runs, "summary": summary}, *realtime_tables(runs), summary)
+    o.faults += [f"{run.name}: {run.status}: {run.message}" for run in runs if run.status != "ok"]
 
 
 @options.command(
@@ -119,25 +106,22 @@ def stability(o: Given) -> None:
             raise SpecError(f"omega h = {value:g} is not allowed; give a positive number.")
     if o.zeta is not None and o.system != SYSTEMS[0]:
         raise SpecError(f"--zeta damps the oscillator; the system {o.system} has no such number.")
-    _, methods = options.asked_for(o)
-    from bench.commands.terminal import show
     from bench.stability.analysis import analysis_job
     from bench.stability.tables import stability_tables
     from reports.pages.maps import write_stability_page
 
-    faults: list[str] = []
     task = o.system, o.zeta, o.pattern or (1.0,), o.at or (), o.ratios
-    results = [*options.measured(analysis_job, None, methods, o.budget, faults, *task)]
-    if results and o.as_json:
-        options.print_json(results)
-    elif results:
-        facts, *tables = stability_tables(results)
-        for name, *cells in facts.rows:  # of many columns, which a terminal has no room for
-            lines = (f"  {head}: {cell}" for head, cell in zip(facts.head[1:], cells, strict=True))
-            show(f"{name}, {results[0]['system']}", *lines)
-        show(*tables)
+    results = [*o.measured(analysis_job, *task)]
+    if not results:
+        return
+    facts, *tables = stability_tables(results)
+    lines = []
+    for name, *cells in facts.rows:  # of many columns, which a terminal has no room for
+        lines.append(f"{name}, {results[0]['system']}")
+        lines += (f"  {head}: {cell}" for head, cell in zip(facts.head[1:], cells, strict=True))
+    o.answer(results, *lines, *tables)
+    if not o.as_json:
         click.echo(f"Page: {write_stability_page(results, o.out)}")
-    options.fail_with(faults)
 
 
 @options.command(
@@ -160,21 +144,19 @@ def atlas(o: Given) -> None:
     """
     from bench.atlas.experiments import read_experiments
     from bench.atlas.runs import complete_experiments
-    from bench.commands.terminal import RunProgress, show
     from bench.results.store import Store
     from bench.results.studies import part_table
     from reports.pages.studies import write_atlas_page
 
     experiments = read_experiments(o.experiments)
-    registry = options.usable_registry(o.plugins)
-    added = [registry.integrator(name).spec for name in o.integrators]
+    added = [o.registry.integrator(name).spec for name in o.integrators]
     with Store(o.out, create=True, fresh=o.fresh) as store, RunProgress() as progress:
         remark("Finished experiments are stored; the same command goes on.")
         results = complete_experiments(
-            experiments, added, store, registry, o.jobs, progress, o.budget
+            experiments, added, store, o.registry, o.jobs, progress, o.budget
         )
     if o.as_json:
-        options.print_json(results)
+        o.answer(results)
     else:
         for r in results:
             show(f"{r.number}. {r.title}: {r.verdict}", *map(part_table, r.parts))

@@ -10,6 +10,7 @@ import click
 
 from bench.commands import options
 from bench.commands.options import BUDGET_S, RESULTS, Given
+from bench.commands.terminal import RunProgress, show
 from bench.plugins.registry import SUFFIXES
 from bench.results.records import INTERRUPTED, Record, counted, endings
 from bench.results.store import Store
@@ -40,7 +41,6 @@ def run_suite(
     of its cells, and sentences that count what was run."""
     from bench.atlas.experiments import read_experiments
     from bench.atlas.runs import complete_experiments
-    from bench.commands.terminal import RunProgress
     from bench.running.session import measure_suite, runner_for, time_suite
 
     chosen = suite.atlas if isinstance(suite.atlas, list) else []
@@ -175,11 +175,9 @@ def order_(o: Given) -> None:
       stepbench order spring_mass "generalized_alpha[gamma=updated]" --pattern 0.3,0.7 --t-end 5
       stepbench order pendulum newmark bdf2 "bdf2[formulation=index2]"
     """
-    registry = options.usable_registry(o.plugins)
-    scene = registry.problem(o.problem, **o.settings)
-    suite = suite_of_orders(registry, scene, o.names, o.budget, o.steps, o.pattern, o.t_end)
-    records, told = run_suite(suite, registry, o.out, o.fresh, o.jobs)
-    from bench.commands.terminal import show
+    asked = o.names, o.budget, o.steps, o.pattern, o.t_end
+    suite = suite_of_orders(o.registry, o.asked_scene, *asked)
+    records, told = run_suite(suite, o.registry, o.out, o.fresh, o.jobs)
     from reports.tables.order_table import stored_order_tables
 
     tables = stored_order_tables(o.out)
@@ -247,21 +245,19 @@ def recommend_(o: Given) -> None:
       stepbench recommend pendulum generalized_alpha ida --error a:1e-3
       stepbench recommend iftomm --rule iftomm
     """
-    from bench.commands.terminal import RunProgress, show
-
-    name, own = o.subject, [o.subject] if o.subject.endswith((".py", *SUFFIXES)) else []
-    registry = options.usable_registry([*o.plugins, *own])
-    for path in own:
-        file = str(Path(path).absolute())
-        names = [name for name, plugin in registry.problems.items() if file in plugin.sources]
+    name = o.subject
+    if name.endswith((".py", *SUFFIXES)):
+        o.plugins = [*o.plugins, name]
+        file = str(Path(name).absolute())
+        names = [scene for scene, plugin in o.registry.problems.items() if file in plugin.sources]
         if len(names) != 1:
             there = f"the scenes {', '.join(names)}" if names else "no scene"
             raise SpecError(
-                f"{path} has {there}; name one scene, and give the file with --plugins."
+                f"{name} has {there}; name one scene, and give the file with --plugins."
             )
         (name,) = names
     asked = {"errors": o.errors, "rule": o.rule, "cost": o.ranked_by, "budget": o.budget}
-    found = Recommendation(registry, name, o.methods, **asked, t_end=o.t_end, settings=o.settings)
+    found = Recommendation(o.registry, name, o.methods, **asked, t_end=o.t_end, settings=o.settings)
     for sentence in found.remarks:
         click.echo(sentence, err=True)
     with RunProgress(lines=False) as progress:
@@ -270,13 +266,10 @@ def recommend_(o: Given) -> None:
         finally:  # what was found before an error is not lost by it
             if found.runs:
                 put(o.out / FILE, options.json_text(found.plain))
-                if o.as_json:
-                    options.print_json(found.plain)
-                else:
-                    for race in found.races:
-                        program = [race.program] if race.order else []
-                        show(race.table(), *race.sentences(), *program)
-                    show(*found.tables)
+                shown = []
+                for race in found.races:
+                    shown += [race.table(), *race.sentences(), *[race.program] * bool(race.order)]
+                o.answer(found.plain, *shown, *found.tables)
     if not o.as_json:
         write_reports(o.out)
     if not any(race.order for race in found.races):

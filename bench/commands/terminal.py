@@ -4,24 +4,13 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import Any, TextIO
-
-from rich import table as rich_table
-from rich.console import Console
-from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    SpinnerColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
-from rich.text import Text
+from typing import TYPE_CHECKING, Any, TextIO
 
 from bench.results.table import Table
 from bench.running import progress
+
+if TYPE_CHECKING:  # slow to import, and not needed for lists as JSON, help and pages
+    from rich.console import Console
 
 #: Tables are never narrower, in characters, however small COLUMNS is.
 _LEAST_WIDTH = 40
@@ -33,6 +22,8 @@ _LINE_EVERY_SECONDS = 5.0
 
 def _console(file: TextIO) -> Console:
     """A console that is never too narrow for a table."""
+    from rich.console import Console
+
     console = Console(file=file)
     console.width = max(console.width, _LEAST_WIDTH)
     return console
@@ -40,6 +31,8 @@ def _console(file: TextIO) -> Console:
 
 def say(*parts: str | tuple[str, str], cut: bool = False) -> None:
     """Print a line of texts, some with a style; it is ``cut`` where the terminal's line ends."""
+    from rich.text import Text
+
     how: dict[str, Any] = {"no_wrap": True, "overflow": "ellipsis"} if cut else {"soft_wrap": True}
     _console(sys.stdout).print(Text.assemble(*parts), highlight=False, **how)
 
@@ -49,12 +42,15 @@ def show(*parts: Table | str) -> None:
 
     Tables have no lines; a name that the row above begins with is left out.
     """
+    from rich import table
+    from rich.text import Text
+
     console = _console(sys.stdout)
     for part in parts:
         if isinstance(part, str):
             console.print(Text(part))
             continue
-        drawn = rich_table.Table(
+        drawn = table.Table(
             title=Text(part.caption) if part.caption else None, title_justify="left",
             title_style="bold", box=None, pad_edge=False, padding=(0, 2, 0, 0),
         )  # fmt: skip
@@ -87,14 +83,16 @@ class RunProgress(progress.Progress):
     """
 
     def __init__(self, lines: bool = True) -> None:
+        from rich import progress as bars
+
         super().__init__()
         self._console = _console(sys.stderr)
         self._lines = lines and not self._console.is_terminal
-        self._bar = Progress(
-            SpinnerColumn(), TextColumn("{task.fields[phase]}"), BarColumn(), MofNCompleteColumn(),
-            TimeElapsedColumn(), TimeRemainingColumn(),
-            TextColumn("[dim]{task.description}[/dim]"), console=self._console, transient=True,
-            disable=not self._console.is_terminal,
+        self._bar = bars.Progress(
+            bars.SpinnerColumn(), bars.TextColumn("{task.fields[phase]}"), bars.BarColumn(),
+            bars.MofNCompleteColumn(), bars.TimeElapsedColumn(), bars.TimeRemainingColumn(),
+            bars.TextColumn("{task.description}", style="dim", markup=False),
+            console=self._console, transient=True, disable=not self._console.is_terminal,
         )  # fmt: skip
         self._spoken = 0.0
 
@@ -116,7 +114,7 @@ class RunProgress(progress.Progress):
         """Show the name of the work in hand, which may belong to no phase."""
         if not self._bar.tasks:
             self._bar.add_task("", total=None, phase="")
-        self._bar.update(self._bar.tasks[0].id, description=escape(text))
+        self._bar.update(self._bar.tasks[0].id, description=text)
 
     def advance(self) -> None:
         """Count one step as done."""
@@ -127,7 +125,7 @@ class RunProgress(progress.Progress):
 
     def note(self, text: str) -> None:
         """Print a line."""
-        self._console.print(escape(text), soft_wrap=True)
+        self._console.print(text, markup=False, soft_wrap=True)
 
     def _say(self) -> None:
         self._spoken = time.monotonic()
