@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from helpers import errors_at, long, nothing_compiled, slope
+from helpers import errors_at, long, nothing_compiled, slope, toy
 from probe import Probe, worst
 
 from integrators import Steps, Tolerances
@@ -20,7 +20,7 @@ from integrators.adapters.diffrax_methods import (
     Kvaerno4,
     Kvaerno5,
 )
-from problems import jnp
+from problems import State, jnp
 from problems.scenes.oscillators import SpringMass
 from problems.scenes.pendulums import Pendulum
 from problems.scenes.rolling import ChaplyginSleigh
@@ -41,18 +41,12 @@ class Dopri5(DiffraxSolver):
 EXPLICIT = Dopri5(max_steps=60)
 
 
-@dataclass(frozen=True)
-class Filtered(Probe):
-    """A probe whose force stays while the rate of a state beside it ceases to exist."""
-
-    def force(self, q, v, t):
-        return -self.k * q
-
-    def state_rate(self, z):
-        return jnp.where(z.t > self.breaks_at, jnp.nan, -z.x)
-
-    def initial_state(self):
-        return super().initial_state()._replace(x=np.ones(1))
+#: A probe whose force stays while the rate of a state beside it ceases to exist.
+Filtered = toy(
+    "Filtered", base=Probe, force=lambda self, q, v, t: -self.k * q,
+    state_rate=lambda self, z: jnp.where(z.t > self.breaks_at, jnp.nan, -z.x),
+    initial_state=lambda self: State(np.ones(1), np.zeros(1), np.ones(1)),
+)  # fmt: skip
 
 
 def run(method, scene, rtol, t_end=0.0):

@@ -14,7 +14,6 @@ from problems.equations.initial_values import InconsistentStart, consistent_star
 from problems.scenes.ivp_test_set import CarAxis
 from problems.scenes.oscillators import SpringMass
 from problems.scenes.pendulums import Pendulum
-from problems.truth.reference import Reference
 
 #: m a + k q = y, xdot = a^3 - x, 0 = y - c tanh(x + a - y): implicit in y, nonlinear in a.
 NonlinearFeedback = toy(
@@ -145,15 +144,6 @@ def test_every_dae_formulation_vanishes_on_the_motion():
             assert np.abs(residual).max() < 1e-12 * max(1.0, np.abs(w).max(), np.abs(wdot).max())
             # ... and off it it does not: each row answers to some variable.
             assert (np.abs(jacobian).max(axis=1) > 0).all()
-
-
-def test_the_ode_form_agrees_with_the_closed_form():
-    scene = Pendulum()
-    t = np.linspace(*scene.interval, 15)
-    exact = Reference(scene, scene.interval[1])(t)
-    z, _ = compiled(scene).complete(scene.parameters(), exact["q"], exact["v"], exact["x"], t)
-    assert z.a == pytest.approx(exact["a"], abs=1e-12)
-    assert z.lam == pytest.approx(exact["lam"], abs=1e-12)
 
 
 def test_an_inconsistent_start_is_refused_with_its_size_and_a_wrong_shape_is_named():
