@@ -152,10 +152,9 @@ class SoftImpact(PointMasses):
         return {"q": q[:, None], "v": self.v0 * np.tanh(s)[:, None], "a": a[:, None]}
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        reach = 0.02
-        box = np.array([[0, -1], [2, -1], [2, 1], [0, 1], [0, -1]]) * reach
-        wall = np.array([[0.0, -4 * reach], [0.0, 4 * reach]])
-        return [wall, box + np.array([q[0], 0.0])]
+        half = 0.02
+        wall = np.array([[0.0, -4 * half], [0.0, 4 * half]])
+        return [wall, drawing.box(q[0] + half, half)]
 
 
 @dataclass(frozen=True)
@@ -196,10 +195,9 @@ class RockingBlock(PointMasses):
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
         angle, wide, high = float(q[0]), 0.2, 1.0
         corner = np.array([-wide if angle < 0 else wide, 0.0])
-        box = np.array([[-wide, 0], [wide, 0], [wide, high], [-wide, high], [-wide, 0]])
-        cos, sin = np.cos(angle), np.sin(angle)
+        box = drawing.rectangle(-wide, wide, 0.0, high)
         ground = np.array([[-0.6, 0.0], [0.6, 0.0]])
-        return [ground, (box - corner) @ np.array([[cos, -sin], [sin, cos]]) + corner]
+        return [ground, drawing.placed(box - corner, -angle, corner)]
 
 
 @dataclass(frozen=True)
@@ -273,9 +271,8 @@ class PainleveRod(MechatronicSystem):
 
     The normal force is (m g - m s sin(phi) w^2)/(1 + 3 cos(phi) (cos(phi) - mu sin(phi))); the
     divisor, 1.00 at the start and 0.14 at the end, vanishes at tan(phi) = 1: no force keeps the
-    contact then, and rigid bodies have no unique motion. Tests a force that depends on lam, where
-    the equations for a and lam turn singular: how long a method follows. Left out: the motion
-    behind that point, a tip that comes to rest, and one that lifts off; the default does neither.
+    contact then, and rigid bodies have no unique motion. Tests how long a method follows. Left out:
+    the motion behind that point, and a tip that comes to rest or lifts off; the default does not.
     """
 
     interval = (0.0, 0.8)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems import State, Variables, jax, jnp, parameter
-from problems.mechanics import lagrange
+from problems.mechanics import drawing, lagrange
 from problems.mechanics.lagrange import OfEnergies
 from problems.scenes.quarter_car import SemiActiveDamper
 
@@ -208,12 +208,10 @@ class _Car(OfEnergies):
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
         # Oblique, from behind; it travels with x. Heights and tilts are enlarged five times.
         view = np.array([[0.75, -0.75, 0.0], [0.35, 0.25, 1.0]])
-        c, s = np.cos(q[5]), np.sin(q[5])
-        x, y = map(np.asarray, self._places())
-        turn, enlarged = np.array([[c, -s], [s, c]]), 5.0
+        (x, y), enlarged = map(np.asarray, self._places()), 5.0
 
         def seen(points: np.ndarray) -> np.ndarray:
-            plane = points[:, :2] @ turn.T + [0.0, q[1]]
+            plane = drawing.placed(points[:, :2], q[5], (0.0, q[1]))
             return np.column_stack([plane, points[:, 2]]) @ view.T
 
         def outline(front: float, rear: float, wide: float, height: float) -> np.ndarray:
@@ -225,12 +223,10 @@ class _Car(OfEnergies):
 
         floor, roof = outline(2.0, 2.1, 0.8, 0.45), outline(0.5, 1.3, 0.6, 1.4)
         lines = [floor, roof, *(np.array(pair) for pair in zip(floor[:4], roof[:4], strict=True))]
-        angle = np.linspace(0, 2 * np.pi, 21)
+        ahead, up = drawing.circle(np.zeros(2), 0.34, 20).T
         for k, steer in enumerate([q[10], q[11], 0.0, 0.0]):
-            rim = 0.34 * np.column_stack([np.cos(angle), np.sin(angle)])
-            across = y[k] + rim[:, 0] * np.sin(steer)
-            height = 0.34 + rim[:, 1] + enlarged * q[6 + k]
-            lines.append(np.column_stack([x[k] + rim[:, 0] * np.cos(steer), across, height]))
+            plane = drawing.placed(np.column_stack([ahead, 0.0 * ahead]), steer, (x[k], y[k]))
+            lines.append(np.column_stack([plane, 0.34 + up + enlarged * q[6 + k]]))
         return [seen(line) for line in lines]
 
 
@@ -270,10 +266,8 @@ class FullCar(SemiActiveDamper, _Car):
     Against ``full_car_passive`` the controller lowers the RMS accelerations of heave, roll and
     pitch over the 12 s by 11, 2 and 3 percent, and the largest roll angle by 10.
 
-    x = [4 rebound pressures, 4 compression pressures, heave, roll and pitch velocities estimated];
-    y = [4 currents, 4 damper forces]; wheels are front left and right, rear left and right. All
-    vertical coordinates are counted from the static equilibrium. lam are the forces of the tie
-    rods, positive when compressed.
+    Vertical coordinates are counted from the static equilibrium; lam is positive when a tie rod is
+    compressed.
 
     Left out: spin and longitudinal slip of the wheels, camber, lift-off and lag of the tyres, roll
     centres above the ground, lateral play between body and axles (data set: 175 kN/m), the inertia

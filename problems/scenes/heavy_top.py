@@ -23,12 +23,10 @@ from problems.mechanics.rotations import (
 class HeavyTop(MechatronicSystem):
     """A spinning symmetric top in gravity: position and four Euler parameters, index 3.
 
-    Tests three things at once: rotation in three dimensions; order reduction of the multipliers
-    of the joint, with a mass matrix and constraints that depend on q; and a mass matrix that is
-    singular along the Euler parameters, so that the equations are regular only together with
-    the constraint of their unit norm. The position of the centre of mass is not eliminated:
-    otherwise the unit norm would be the only constraint, in whose direction there is no inertia,
-    and no order reduction would show. Left out: friction.
+    Tests rotation in space, with a mass matrix and constraints that depend on q. M is singular
+    along the Euler parameters. The position of the centre of mass is not eliminated: otherwise the
+    unit norm would be the only constraint, in whose direction there is no inertia, and no order
+    reduction of the multipliers would show. Left out: friction.
 
     The data are the literature's benchmark, with the top level at the start. ``nod`` is added,
     because steady precession hides errors of the start. -(lam1, lam2, lam3) is the force of the

@@ -44,9 +44,7 @@ class NFourBar(MechatronicSystem):
     """Uprights on pivots one length apart, joined by couplers: the benchmark A02 of the library.
 
     All uprights turn by one angle th, with B0 at length (sin th, cos th), and all couplers
-    translate. Tests singular positions: when the uprights lie in line with the couplers, the
-    constraints lose as many ranks as there are loops, reaction forces are indeterminate, and a
-    method may go on in another branch. The coordinates are those of the uprights' tips.
+    translate. Tests singular positions, in which the uprights lie in line with the couplers.
     """
 
     name = "n_four_bar"
@@ -186,9 +184,7 @@ class Bricard(OfEnergies):
     The benchmark A04 of the library. The hinges of six bodies, the ground among them, leave no
     freedom by count, yet the axes are such that the loop has one. Five joint angles of the chain
     that is cut at the last hinge are the coordinates; P5 has to stay in place and the last rod's x
-    axis, which is that of the last hinge, in its direction. Of these five constraints one depends
-    on the others at every position, so that multipliers are not unique: the least ones are taken.
-    Left out: friction.
+    axis, which is that of the last hinge, in its direction. Left out: friction.
     """
 
     interval = (0.0, 10.0)
@@ -274,11 +270,9 @@ _START = np.pi / 6, 0.5
 class FlyballGovernor(OfEnergies):
     """Two balls on hinged rods turn about a shaft and hold a slider by stiff spring-dampers.
 
-    The benchmark A05 of the library. Tests stiffness by damping: one rate of 8117 per s beside a
-    swing of 6.1 rad/s, and an angle that grows without end. Both rods move alike, so that three
-    coordinates are enough: the angle of the shaft, that of the rods below the horizontal, and the
-    height of the slider. The angular momentum about the shaft is conserved. Left out: the motor, as
-    the shaft turns freely.
+    The benchmark A05 of the library. Tests stiffness by damping beside a swing of 6.1 rad/s, and an
+    angle that grows without end. Both rods move alike, so that three coordinates are enough; alpha
+    is below the horizontal. Left out: the motor, as the shaft turns freely.
     """
 
     name = "flyball_governor"

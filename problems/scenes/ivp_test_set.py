@@ -17,11 +17,9 @@ class CarAxis(MechatronicSystem):
     """An axle between two stiff springs, one of which stands on a bumpy road.
 
     The left wheel rests on the ground, the right one moves up and down and stays at the distance
-    L; two point masses are the ends of the axle. One constraint keeps the axle's length, the
-    other the left spring perpendicular to the line between the wheels. Tests a published
-    benchmark: two constraints, one of them rheonomic, and forces that are large against the
-    masses M eps^2/2. Left out: the body's own inertia and damping, as in the source. Energy is
-    not conserved, because the road does work.
+    L; two point masses M eps^2/2 are the ends of the axle. One constraint keeps the axle's length,
+    the other the left spring perpendicular to the line between the wheels. Left out: the body's own
+    inertia and damping, as in the source. Energy is not conserved, because the road does work.
     """
 
     interval = (0.0, 3.0)
@@ -112,10 +110,10 @@ class Andrews(MechatronicSystem):
     """A motor squeezes seven bodies with three closed loops against a spring.
 
     The published benchmark by which solvers of differential-algebraic equations are compared most
-    often. Tests index 3 with six constraints on seven angles, a mass matrix that depends on q, and
-    large accelerations (14 222 rad/s^2 at the start) of light bodies; also judged are accelerations
-    and multipliers, which comparisons leave out. The motor's constant torque has the potential
-    -mom beta, so that the energy is conserved. Left out, as in the source: gravity and friction.
+    often. Tests six constraints on seven angles, and large accelerations (14 222 rad/s^2 at the
+    start) of light bodies; also judged are a and lam, which comparisons leave out. The motor's
+    constant torque has the potential -mom beta, so that the energy is conserved. Left out, as in
+    the source: gravity and friction.
 
     The published angles at t = 0.03 s differ from ours, in which three methods agree to 1e-10 rad,
     by the angular velocities times 1.0e-12 s, all seven alike, as if they were taken 1 ps later.
@@ -222,21 +220,15 @@ class Andrews(MechatronicSystem):
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
         be, th, ga, _, de, _, ep = q
-
-        def turned(angle: float, x: float, y: float) -> np.ndarray:
-            c, s = np.cos(angle), np.sin(angle)
-            return np.array([c * x - s * y, s * x + c * y])
-
-        crank = turned(be, _RR, 0.0)
-        centre = crank - turned(be + th, _D, 0.0)  # where three loops meet
-        a, b = np.array(_A), np.array(_B)
-        held, tip = b + turned(ga, _SD, -_SC), b - turned(ga, 0.0, -_SS)
+        crank = drawing.placed((_RR, 0.0), be)
+        centre = drawing.placed((-_D, 0.0), be + th, crank)  # where three loops meet
+        body = drawing.placed([(0.0, 0.0), (0.0, _SS), (_SD, -_SC), (0.0, 0.0)], ga, _B)
         return [
             np.array([[0.0, 0.0], crank, centre]),
-            np.array([b, tip, held, b]),
-            np.array([held, _C]),
-            np.array([a, a + turned(de, _ZT, 0.0), centre]),
-            np.array([a, a + turned(ep, 0.0, -_U), centre]),
+            body,
+            np.array([body[2], _C]),
+            np.array([_A, drawing.placed((_ZT, 0.0), de, _A), centre]),
+            np.array([_A, drawing.placed((0.0, -_U), ep, _A), centre]),
         ]
 
 
@@ -261,9 +253,7 @@ class SliderCrankFlexible(OfEnergies):
     """A slider crank driven at constant speed whose rod bends and stretches: stiff, index 3.
 
     Tests high frequencies beside slow motion: the elastic rod's eigenfrequencies are 1277, 5107,
-    6841 and 24613 rad/s, the crank turns at 150 rad/s, and nothing damps. The coordinates are
-    crank angle, rod angle, slider position, two amplitudes of bending, and the elongations of
-    the rod at its middle and end.
+    6841 and 24613 rad/s, the crank turns at 150 rad/s, and nothing damps.
 
     Kept from the source for the sake of its published digits: the longitudinal block of the
     elastic mass matrix lacks a factor 1/15, so that the two longitudinal frequencies are lower by
@@ -353,10 +343,9 @@ class SliderCrankFlexible(OfEnergies):
         )  # fmt: skip
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        s, (c2, s2) = np.linspace(0, 1, 21), (np.cos(q[1]), np.sin(q[1]))
-        enlarged = 20.0  # the deflections are too small to be seen
+        s, enlarged = np.linspace(0, 1, 21), 20.0  # the deflections are too small to be seen
         along = self.l2 * s + 4 * s * (1 - s) * q[5] + s * (2 * s - 1) * q[6]
         across = enlarged * (np.sin(_PI * s) * q[3] + np.sin(2 * _PI * s) * q[4])
         tip = self.l1 * np.array([np.cos(q[0]), np.sin(q[0])])
-        rod = tip + np.column_stack([c2 * along - s2 * across, s2 * along + c2 * across])
+        rod = drawing.placed(np.column_stack([along, across]), q[1], tip)
         return [np.array([[0.0, 0.0], tip]), rod, drawing.box(q[2], 0.2 * self.l1)]

@@ -103,11 +103,10 @@ class DrivenSprings(MechatronicSystem):
     second one by a soft spring.
 
     Tests methods on a frequency that their steps cannot resolve: the stiff spring stands for a
-    rigid connection, and is hit at the start, when the point moves and the mass is at rest. In
-    the exact solution the vibration dies out within milliseconds, because of a weak damper that
-    the published model does not have. An undamped method keeps it for ever: its accelerations
-    are off by many times their size while its positions look right. Left out: the massless
-    driven point, whose motion is given.
+    rigid connection. In the exact solution the vibration dies out within milliseconds, because of
+    a weak damper that the published model does not have; undamped methods have accelerations off
+    by many times their size, while positions look right. Left out: the massless driven point, whose
+    motion is given.
     """
 
     interval = (0.0, 10.0)
@@ -177,10 +176,9 @@ class DrivenSprings(MechatronicSystem):
 class Friction(_MassOnSpring):
     """An oscillator that slides on a rough plane; friction changes its sign within ``eps``.
 
-    Tests the order and step-size control under a force that jumps: friction is Coulomb's law
-    with its sign smoothed to tanh(v/eps). Steps much shorter than eps/(acceleration) resolve the
-    jump; for all others it is a discontinuity. The mass never comes to rest in the interval. Left
-    out: sticking, which is another problem (complementarity), and a larger friction at rest.
+    Tests the order and step-size control under a force that jumps. Steps much shorter than
+    eps/(acceleration) resolve the jump. The mass never comes to rest in the interval. Left out:
+    sticking, which is another problem (complementarity), and a larger friction at rest.
     """
 
     interval = (0.0, 10.0)

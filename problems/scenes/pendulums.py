@@ -155,8 +155,7 @@ class DoublePendulum(TwoRods):
 class DoublePendulumControlled(TwoRods):
     """The double pendulum with an acceleration sensor and a motor that lags behind its demand.
 
-    All groups of variables at once, and a mass matrix that depends on q, as the second rod is
-    given by its angle from the downward vertical: a scene that hides no loss of order. The
+    M depends on q, as the second rod is given by its angle from the downward vertical. The
     multiplier changes in proportion to velocities along the first rod, because these turn the
     second one. The horizontal acceleration of the first mass drives a filter, and the filter's
     state, saturated, is a force on the same mass. Left out: the inertia of the rods.
@@ -219,11 +218,9 @@ class Chain(PointMasses):
     Tests how the cost of a step grows with the size of a system whose equations each know their
     neighbours only. One link is the pendulum, two are the double pendulum. The chain starts
     straight and turns as a whole, so that velocity and jerk are not zero. Left out: inertia of
-    the links, which would add coordinates and constraints and no new coupling. The motion of a
-    chain is chaotic: the interval is short, so that errors show the method and not the chaos.
-
-    The blocks are array operations without loops over links, so that the time to compile does not
-    grow with them.
+    the links, which would add coordinates and constraints and no new coupling. The interval is
+    short, so that errors show the method and not the chaos. The blocks have no loop over links, so
+    that the time to compile does not grow with them.
     """
 
     interval = (0.0, 0.5)
@@ -270,11 +267,9 @@ class Chain(PointMasses):
 class StiffBar(PointMasses):
     """A mass on a pinned, nearly rigid elastic bar that rotates without gravity.
 
-    Tests stability in a nonlinear stiff system: slow rotation (2.4777 s a turn) beside an axial
-    vibration at 18124 rad/s that no useful step resolves. Methods without numerical damping, the
-    trapezoidal rule first of all, gain energy until Newton's method fails; damped ones go on.
-    One mass and the Green strain of one bar are the smallest system that shows it. Left out:
-    gravity and the bar's own mass.
+    Tests stability in a nonlinear stiff system, whose axial vibration no useful step resolves;
+    damped methods go on. One mass and the Green strain of one bar are the smallest system that
+    shows it. Left out: gravity and the bar's own mass.
 
     The published start, the default, has the bar unstretched. The vibration that follows is as
     large as the whole acceleration and 1.4e-4 of the velocity: with steps that do not resolve it

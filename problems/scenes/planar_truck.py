@@ -108,23 +108,18 @@ class PlanarTruck(MechatronicSystem):
         return State(q=np.array(_REST), v=np.zeros(9))
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        def turned(x: float, z: float, angle: float, *corners: tuple[float, float]) -> np.ndarray:
-            c, s = np.cos(angle), np.sin(angle)
-            return np.array([x, z]) + np.array(corners) @ np.array([[c, s], [-s, c]])
-
-        chassis = turned(0.0, q[1], q[2], (-4.0, 0.0), (4.2, 0.0))
-        cab = (-0.8, 0.0), (-0.8, 1.4), (0.9, 1.4), (0.9, 0.0), (-0.8, 0.0)
-        load = turned(*q[6:], (-2.6, 0.0), (-2.6, 1.2), (2.6, 1.2), (2.6, 0.0), (-2.6, 0.0))
+        chassis = drawing.placed([(-4.0, 0.0), (4.2, 0.0)], q[2], (0.0, q[1]))
+        cab = drawing.placed(drawing.rectangle(-0.8, 0.9, 0.0, 1.4), q[5], (2.74, q[4]))
+        load = drawing.placed(drawing.rectangle(-2.6, 2.6, 0.0, 1.2), q[8], q[6:8])
         wheels = [drawing.circle(np.array(at), 0.5) for at in ((-2.06, q[0]), (2.44, q[3]))]
-        return [chassis, turned(2.74, q[4], q[5], *cab), load, *wheels]
+        return [chassis, cab, load, *wheels]
 
 
 @dataclass(frozen=True)
 class PlanarTruckJoint(PlanarTruck):
-    """The planar truck whose load is hinged to the chassis at the rear: index 3.
+    """The planar truck with a hinge in place of the load's two rear spring-dampers: index 3.
 
-    As `planar_truck`, but a joint stands in place of the load's two rear spring-dampers. Tests the
-    same stiff system with two constraints.
+    Tests the stiff system of `planar_truck` with two constraints.
     """
 
     name = "planar_truck_joint"

@@ -153,7 +153,7 @@ class _BodyAndWheel(MechatronicSystem):
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
         # Motions are drawn four times as large: they are small against the heights.
         body, wheel = 1.1 + 4 * float(q[0]), 0.35 + 4 * float(q[1])
-        box = np.array([[-3, 0], [3, 0], [3, 2], [-3, 2], [-3, 0]]) * 0.2 + [0.0, body]
+        box = drawing.rectangle(-0.6, 0.6, body, body + 0.4)
         spring = drawing.spring(wheel, body, reach=0.06, points=12)[:, ::-1] - [0.18, 0.0]
         return [drawing.circle(np.array([0.0, wheel]), 0.34), box, spring]
 
@@ -162,16 +162,13 @@ class _BodyAndWheel(MechatronicSystem):
 class QuarterCar(SemiActiveDamper, _BodyAndWheel):
     """Body and wheel over a bump and a rough road; the damper's valve obeys a skyhook controller.
 
-    A semi-active suspension in its smallest form. Tests the difficulties of the loop: the measured
-    acceleration enters the controller's rates; the pressures are stiff (poles of 1e2 to 4e3 1/s),
-    and their output is the force on body and wheel; check valves, the current's limits and the
-    skyhook's switching are nonlinear on very different scales. The controller integrates the
-    body's acceleration to a velocity, with a leak. It asks for current if this velocity and the
-    damper's have the same sign, so that the damper can oppose it.
+    A semi-active suspension in its smallest form. Tests a loop whose check valves, limits of the
+    current and switching skyhook are nonlinear on very different scales. The controller integrates
+    the body's acceleration to a velocity, with a leak. It asks for current if this velocity and
+    the damper's have the same sign, so that the damper can oppose it.
 
-    x = [pressures of the rebound and of the compression chamber, relative to the accumulator's;
-    estimated velocity]; y = [current, damper force]. q is counted from the static equilibrium,
-    where weights and the spring's preload cancel. Left out: lift-off of the tyre and its damping,
+    Pressures are relative to the accumulator's; q is counted from the static equilibrium, where
+    weights and the spring's preload cancel. Left out: lift-off of the tyre and its damping,
     geometry of the suspension, sensor noise and delay; they would add linear states or corners.
     """
 
@@ -275,9 +272,8 @@ class SampledQuarterCar(SampledSystem, _BodyAndWheel):
     The controller is that of a real control unit: it reads the velocities every few milliseconds,
     asks for much damping where the damper can oppose the body's velocity (skyhook, on and off), in
     steps of its output, and its command acts one sample later. Tests samples in a stiff mechanical
-    system: the damper's rate jumps, and with it the accelerations. q is counted from the static
-    equilibrium. Left out: the valve's own dynamics, lift-off of the tyre and the suspension's
-    geometry.
+    system. q is counted from the static equilibrium. Left out: the valve's own dynamics, lift-off
+    of the tyre and the suspension's geometry.
     """
 
     interval = (0.0, 2.0)

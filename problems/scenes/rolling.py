@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems import MechatronicSystem, State, jax, jnp, parameter
+from problems.mechanics import drawing
 from problems.mechanics.lagrange import OfEnergies
 
 #: Nodes of Gauss' formula on each panel, and the longest panel in units of the sleigh's time.
@@ -18,15 +19,13 @@ class ChaplyginSleigh(MechatronicSystem):
     """A rigid body on a plane, on a blade at distance ``arm`` behind its centre of mass.
 
     Tests a nonholonomic constraint in its simplest setting, with coordinates of the plane and
-    velocities of the body: u along the blade, s across it at the centre of mass, and the turn rate
-    w. The start is backwards, which is unstable: the sleigh swings round and runs straight on. No
-    friction, and yet the motion has a limit, as nonholonomic systems keep no volume of states.
-    Left out: friction, and a rotor, by which such a sleigh would be steered.
+    velocities v = (u, s, w) of the body. The start is backwards, which is unstable: the sleigh
+    swings round and runs straight on. The motion has a limit, as nonholonomic systems keep no
+    volume of states. Left out: friction, and a rotor, by which such a sleigh would be steered.
 
-    With k^2 = (J + m arm^2)/m the motion keeps u^2 + k^2 w^2 = c^2 and is
-    u = c tanh(T), w = c/k sech(T), T = arm c/k^2 (t - t*); the heading follows by
-    the Gudermannian of T. The place of the blade is the integral of a smooth function, by Gauss'
-    formula to rounding.
+    With k^2 = (J + m arm^2)/m the motion keeps u^2 + k^2 w^2 = c^2 and is u = c tanh(T),
+    w = c/k sech(T), T = arm c/k^2 (t - t*); the heading follows by the Gudermannian of T, the place
+    of the blade by Gauss' formula to rounding.
     """
 
     interval = (0.0, 6.0)
@@ -97,11 +96,9 @@ class ChaplyginSleigh(MechatronicSystem):
         }
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        c, s = np.cos(q[2]), np.sin(q[2])
         body = np.array([[1.0, 0.0], [-0.6, 0.6], [-0.6, -0.6], [1.0, 0.0]])
         blade = np.array([[-1.3, 0.0], [-0.7, 0.0]])
-        turned = np.array([[c, s], [-s, c]])
-        return [q[:2] + self.arm * line @ turned for line in (body, blade)]
+        return [drawing.placed(self.arm * line, q[2], q[:2]) for line in (body, blade)]
 
 
 @dataclass(frozen=True)
@@ -171,8 +168,8 @@ class RollingDisc(OfEnergies):
         centre = np.array([x, y, self.r * cl])
         angle = np.linspace(0, 2 * np.pi, 33) + spin
         rim = centre + self.r * (np.outer(np.sin(angle), along) + np.outer(np.cos(angle), up))
-        corners = np.array([[-2, -2], [2, -2], [2, 2], [-2, 2], [-2, -2]]) * self.r
-        ground = np.column_stack([corners + centre[:2], np.zeros(5)])
+        corners = drawing.box(0.0, 2 * self.r) + centre[:2]
+        ground = np.column_stack([corners, np.zeros(5)])
         return [line @ view for line in (ground, rim, np.stack([centre, rim[0]]))]
 
 
@@ -206,9 +203,9 @@ _INERTIAS = np.stack([
 class Bicycle(MechatronicSystem):
     """The benchmark bicycle with a rigid rider, no hands, in full nonlinear motion.
 
-    Tests rolling in space with two kinds of constraints at once: both wheels stand on the ground
-    (two constraints of positions, lowest points of tilted circles in closed form), and the points
-    that touch it do not slip (four of velocities alone). Upright running at constant speed is
+    Tests rolling in space: both wheels stand on the ground (two constraints of positions, lowest
+    points of tilted circles in closed form), and the points that touch it do not slip (four of
+    velocities alone). Upright running at constant speed is
     stable between 4.292 m/s (weave) and 6.024 m/s (capsize); the start is the run M1 of the
     IFToMM library, at 4 m/s with a rate of lean, whose weave grows slowly. Left out: tyres, a
     rider who moves or steers, and drag, so that the energy is conserved.
@@ -319,6 +316,6 @@ class Bicycle(MechatronicSystem):
             lines += [centre + rim @ frame.T, np.stack([centre, centre + frame @ rim[0]])]
         head = centres[3] + front @ (_ON_AXIS - 0.9 * _STEER_AXIS - _CENTRES[3])
         lines += [np.stack([centres[2], centres[0], head, centres[3]])]
-        ground = np.array([[-0.5, -0.5], [1.5, -0.5], [1.5, 0.5], [-0.5, 0.5], [-0.5, -0.5]])
-        lines.append(np.column_stack([ground + q[:2], np.zeros(5)]))
+        ground = drawing.rectangle(-0.5, 1.5, -0.5, 0.5) + q[:2]
+        lines.append(np.column_stack([ground, np.zeros(5)]))
         return [(line - [q[0], q[1], 0.0]) @ view for line in lines]

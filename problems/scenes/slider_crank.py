@@ -64,13 +64,11 @@ class SliderCrank(_FreeCrank):
     """A slider crank in absolute coordinates, moving freely under gravity: seven coordinates,
     six constraints.
 
-    The standard mechanism: it tests index 3 with many constraints on few freedoms. The multipliers
-    are joint forces: -(lam1, lam2) and -(lam3, lam4) are the sums of the joint forces on crank and
-    rod, -lam5 is the force of the rod on the slider, -lam6 that of the guide on the rod's end.
-    Conservative: the energy shows the damping of an integrator. Left out: friction, play and a
-    drive, so that the form with one degree of freedom (``slider_crank_minimal``) is the same
-    motion by other equations; the slider's height and weight, which the guide takes. With
-    l2 <= l1 the crank can run into a singular position.
+    The standard mechanism: -(lam1, lam2) and -(lam3, lam4) are the sums of the joint forces on
+    crank and rod, -lam5 is the force of the rod on the slider, -lam6 that of the guide on the rod's
+    end. The energy shows the damping of an integrator. Left out: friction, play and a drive, so
+    that ``slider_crank_minimal`` is the same motion by other equations; the slider's height and
+    weight, which the guide takes. With l2 <= l1 the crank can run into a singular position.
     """
 
     tags = ("constrained", "index 3", "conservative", "multibody")
@@ -122,11 +120,10 @@ class SliderCrank(_FreeCrank):
 class SliderCrankFriction(SliderCrank):
     """The free slider crank whose slider rubs in its guide, by the force between both.
 
-    Tests forces that depend on multipliers: friction is mu times the size of the guide's force,
-    which is lam6 with the slider's weight, so an error of lam becomes one of the motion. The
-    friction in turn changes lam, by the slope of the rod; equations for a and lam are nonlinear.
-    Size and sign are smoothed (``soft``, ``eps``), as friction turns at both dead centres. Left
-    out: friction in the pins, sticking, and a larger friction at rest.
+    Friction is mu times the size of the guide's force, which is lam6 with the slider's weight, so
+    an error of lam becomes one of the motion. It in turn changes lam, by the slope of the rod;
+    equations for a and lam are nonlinear. Size and sign are smoothed, as friction turns at both
+    dead centres. Left out: friction in the pins, sticking, and a larger friction at rest.
     """
 
     interval = (0.0, 1.0)

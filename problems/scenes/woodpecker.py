@@ -9,6 +9,7 @@ import numpy as np
 
 from problems import MechatronicSystem, State, Variables, held, jax, jnp, parameter
 from problems.hybrid.contact import impact
+from problems.mechanics import drawing
 
 #: Distance in m by which a gap has to close again once it has opened, and velocity in m/s by which
 #: sliding has to turn round: more than rounding.
@@ -170,16 +171,11 @@ class Woodpecker(MechatronicSystem):
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
         y, tilt, lean = q
-
-        def placed(points: Any, angle: float, at: Any) -> np.ndarray:
-            cos, sin = np.cos(angle), np.sin(angle)
-            return np.asarray(points) @ np.array([[cos, sin], [-sin, cos]]) + at
-
         r, half = self.r_sleeve, self.h_sleeve
         pole = [np.array([[x, -0.12], [x, 0.05]]) for x in (-self.r_pole, self.r_pole)]
-        sleeve = placed([[-r, -half], [r, -half], [r, half], [-r, half], [-r, -half]], tilt, [0, y])
-        hinge = placed([[r, 0], [self.l_sleeve, 0]], tilt, [0, y])
+        sleeve = drawing.placed(drawing.rectangle(-r, r, -half, half), tilt, [0, y])
+        hinge = drawing.placed([[r, 0], [self.l_sleeve, 0]], tilt, [0, y])
         beak = [self.l_bird - self.l_beak, self.h_beak]
         tail = [self.l_bird + 0.006, -0.03]
-        bird = placed([[0, 0], [self.l_bird, 0], [self.l_bird, 0.02], beak, tail], lean, hinge[1])
-        return [*pole, sleeve, hinge, bird]
+        bird = [[0, 0], [self.l_bird, 0], [self.l_bird, 0.02], beak, tail]
+        return [*pole, sleeve, hinge, drawing.placed(bird, lean, hinge[1])]
