@@ -32,11 +32,12 @@ from problems.hybrid.phases import (
     crossing,
     events_at_start,
     falls,
+    followed,
     march,
     on_constraints,
     same_instant,
+    steps_over,
 )
-from problems.hybrid.sampled import followed, steps_over
 from problems.system import MechatronicSystem
 from problems.variables import VARIABLES, State, Variables
 

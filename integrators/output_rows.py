@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from problems.equations.layouts import row_layout
+from problems.variables import row_layout
 
 if TYPE_CHECKING:
     from jaxtyping import Int

@@ -24,7 +24,7 @@ from integrators.lowering.graph import ELEMENTARY, OPERATORS
 from integrators.lowering.rules import MOVES, on_numbers
 from integrators.lowering.stablehlo import Follower, Program, Step, program
 from problems.equations.compiled import compiled
-from problems.equations.named_equations import EQUATIONS, INDEX1, innermost
+from problems.equations.programs import EQUATIONS, INDEX1, innermost
 
 if TYPE_CHECKING:
     from jaxtyping import Int
@@ -93,7 +93,7 @@ class Cost(NamedTuple):
         Of the work; see `bench.results.quantities.PARTS`.
     turns
         Name of the innermost loop or branch around them whose turns a run counts (see
-        `problems.equations.named_equations.turns`); empty if there is none. Those of one name share
+        `problems.equations.programs.turns`); empty if there is none. Those of one name share
         their turns.
     inner
         Whether they arise in each iteration of Newton's method for the index-1 equations.

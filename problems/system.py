@@ -35,13 +35,20 @@ import numpy as np
 from problems import starts
 from problems.base import checks, spec
 from problems.base.runtime import Array, Float, jax
-from problems.variables import Component, Published, Sizes, State, Variables
+from problems.variables import Component, Published, Sizes, State, Variables, parameter
 
 #: Blocks, and those without which they are of no use.
 _PARTNERS = (
     ("output", "actuation"), ("actuation", "output"), ("events", "jump"), ("jump", "events"),
     ("sliding", "gaps"), ("gaps", "events"),
 )  # fmt: skip
+#: Words for what a run does at samples.
+POLICIES = {
+    "hit": "a step ends at each sample",
+    "ignore": "held values follow the motion as if there were a sample at every time",
+    "interpolate": "constant steps go over samples; held values change at the end of the step in "
+    "which a sample lies, by values between its ends",
+}
 
 
 @dataclass(frozen=True)
@@ -73,8 +80,8 @@ class MechatronicSystem:
     published
         Published digits, which runs are shown beside and the reference is checked by.
     sample_time, sampling
-        Time between two samples in s, and the policy (`problems.hybrid.sampled.POLICIES`) of a run
-        at samples; both may be parameters.
+        Time between two samples in s, and the policy (`POLICIES`) of a run at samples; both may be
+        parameters.
     restitution, friction
         Of contacts: part of the approaching velocity with which a body leaves after an impact, and
         Coulomb's coefficient; a number for all gaps or one for each, perhaps parameters.
@@ -397,3 +404,16 @@ def _is_block(name: str) -> bool:
     """Whether a method of the contract is left to the scenes: its own version only raises."""
     method = vars(MechatronicSystem)[name]
     return inspect.isfunction(method) and "NotImplementedError" in method.__code__.co_names
+
+
+@dataclass(frozen=True)
+class SampledSystem(MechatronicSystem):
+    """Base of scenes with a sampled controller, whose sample time is a parameter.
+
+    The reference has a jump at each sample, whatever runs do there.
+    """
+
+    sample_time: float = parameter(0.1, "s", "time between two samples", low=1e-9)
+    sampling: str = parameter(
+        "hit", "", "; ".join(map(": ".join, POLICIES.items())), choices=POLICIES
+    )

@@ -1,15 +1,16 @@
-"""Parameters and variables of a mechatronic system, their names, numbers and published values."""
+"""Parameters and variables of a mechatronic system: names, numbers, vectors, published values."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
+from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from problems.base import checks
-from problems.base.runtime import Array, Float
+from problems.base.runtime import Array, Float, jax, jnp
 
 #: Groups of variables, and of errors: "xd" are values that are held between samples or events.
 VARIABLES = ("q", "v", "a", "lam", "x", "y")
@@ -184,3 +185,58 @@ class Sizes(NamedTuple):
         """Number of entries of a group, or of "xdot"."""
         owner = {"q": "nq", "lam": "nl", "x": "nx", "xdot": "nx", "y": "ny", "xd": "nd"}
         return getattr(self, owner.get(group, "nv"))
+
+
+# ---- vectors of all groups -------------------------------------------------------------
+class Layout(SimpleNamespace):
+    """Groups of a vector by name: ``layout.q`` is the slice of q.
+
+    Parameters
+    ----------
+    sizes
+        Number of entries of each group, in the order of the vector.
+
+    Attributes
+    ----------
+    size
+        Number of all entries.
+    cuts
+        Indices between the groups.
+    """
+
+    def __init__(self, **sizes: int) -> None:
+        ends = np.cumsum([0, *sizes.values()]).tolist()
+        super().__init__(size=ends[-1], cuts=ends[1:-1])
+        vars(self).update(zip(sizes, map(slice, ends, ends[1:]), strict=True))
+
+    def split(self, w: Any) -> list[Any]:
+        """Return the groups of an array, whose last axis is laid out so."""
+        return (jnp if isinstance(w, jax.Array) else np).split(w, self.cuts, axis=-1)
+
+
+def state_layout(sizes: Sizes) -> Layout:
+    """Lay out s = [q, v, x], the state of the explicit ODE."""
+    return Layout(q=sizes.nq, v=sizes.nv, x=sizes.nx)
+
+
+def algebraic_layout(sizes: Sizes) -> Layout:
+    """Lay out u = [a, lam, y], the unknowns of the index-1 equations at a given state."""
+    return Layout(a=sizes.nv, lam=sizes.nl, y=sizes.ny)
+
+
+def stage_layout(sizes: Sizes, formulation: str = "index3") -> Layout:
+    """Lay out u = [a, lam, mu, xdot, y], the unknowns of a stage; mu as in `dae_layout`."""
+    mu = sizes.nh if formulation == "stabilised_index2" else 0
+    return Layout(a=sizes.nv, lam=sizes.nl, mu=mu, xdot=sizes.nx, y=sizes.ny)
+
+
+def dae_layout(sizes: Sizes, formulation: str) -> Layout:
+    """Lay out w = [q, v, x, lam, y, mu]; "stabilised_index2" alone has multipliers mu ``(nh,)``."""
+    mu = sizes.nh if formulation == "stabilised_index2" else 0
+    return Layout(q=sizes.nq, v=sizes.nv, x=sizes.nx, lam=sizes.nl, y=sizes.ny, mu=mu)
+
+
+def row_layout(sizes: Sizes, notes: int = 0) -> Layout:
+    """Lay out the row of a trajectory without its time: [q, v, a, lam, x, xdot, y, notes]."""
+    groups = ("q", "v", "a", "lam", "x", "xdot", "y")
+    return Layout(**{group: sizes.of(group) for group in groups}, notes=notes)

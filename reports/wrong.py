@@ -22,7 +22,7 @@ from reports.series import Series
 #: Names of experiments.
 PATTERN, TRANSIENT, UNDAMPED = "variable_steps", "start_transient", "undamped_index3"
 STIFF = "spurious_acceleration"
-#: Policies at samples (`problems.hybrid.sampled.POLICIES`) in the order of columns, and experiments
+#: Policies at samples (`problems.system.POLICIES`) in the order of columns, and experiments
 #: on them.
 IGNORED, OVER = "ignored_samples", "steps_over_samples"
 POLICIES = {"hit": "", "interpolate": OVER, "ignore": IGNORED}

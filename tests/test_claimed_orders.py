@@ -32,8 +32,8 @@ from integrators import (
 from integrators.methods.hht_i3 import HHTI3
 from integrators.program_costs import NotCounted
 from problems import jax, jnp
-from problems.equations.block_structure import mass_varies
 from problems.equations.formulations import complete, dae_layout, ode_rate
+from problems.equations.programs import mass_varies
 from problems.scenes.oscillators import SampledPd
 from problems.scenes.pendulums import DoublePendulum, Pendulum
 

@@ -22,7 +22,7 @@ from bench.running.worker import Worker
 from integrators.resolutions import Steps
 from problems.base.spec import SpecError
 from problems.scenes.pendulums import Pendulum
-from problems.truth.published import named_points
+from problems.truth.reference import named_points
 from problems.variables import VARIABLES
 
 GROUPS = ("q", "v", "a", "lam", "x", "y")

@@ -18,7 +18,7 @@ from problems.equations.formulations import complete
 from problems.mechanics import rotations
 from problems.scenes.heavy_top import HeavyTop, HeavyTopR3SO3, HeavyTopSE3, HeavyTopSO3
 from problems.scenes.pendulums import DoublePendulumControlled, Pendulum
-from problems.truth.published import named_points
+from problems.truth.reference import named_points
 
 SO3, R3_SO3, SE3 = HeavyTopSO3(), HeavyTopR3SO3(), HeavyTopSE3()
 T_END = 0.1

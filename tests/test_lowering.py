@@ -15,7 +15,7 @@ from integrators.lowering.to_graph import lowered
 from problems import jnp
 from problems.base.runtime import jax
 from problems.equations.formulations import Baumgarte
-from problems.equations.layouts import dae_layout
+from problems.variables import dae_layout
 
 #: Rounding of sums and elementary functions, relative to the largest entry. Near the start of
 #: heavy_top the largest entry, 313 N m, is what is left of gyroscopic terms of 20 800 N m: it is

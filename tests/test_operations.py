@@ -33,7 +33,7 @@ from integrators.native.loops.kernel import Form, loop_costs
 from integrators.program_costs import NotCounted, costs_of, dense, sparse
 from problems import jax, jnp
 from problems.equations.initial_values import consistent_start
-from problems.equations.named_equations import equation, part, turns
+from problems.equations.programs import equation, part, turns
 from problems.scenes.oscillators import Duffing, SpringMass
 from problems.scenes.pendulums import Chain, Pendulum
 from problems.system import MechatronicSystem

@@ -30,8 +30,7 @@ from problems.scenes.pendulums import Pendulum
 from problems.scenes.planar_truck import PlanarTruck, PlanarTruckJoint
 from problems.truth import reference as truth
 from problems.truth.collocation import Motion, TooSmallStep, gauss, integrate, radau
-from problems.truth.published import published_digits
-from problems.truth.reference import Reference
+from problems.truth.reference import Reference, published_digits
 
 
 @pytest.mark.parametrize(

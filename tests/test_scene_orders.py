@@ -23,10 +23,10 @@ from problems.base import checks
 from problems.base.spec import SpecError
 from problems.equations.constraints import constraint_force, projected_state
 from problems.equations.kinematics import advance, displaced
-from problems.equations.layouts import state_layout
 from problems.scenes.pendulums import Pendulum
 from problems.scenes.rolling import ChaplyginSleigh
 from problems.truth.reference import Reference
+from problems.variables import state_layout
 
 
 def at_rates(self):

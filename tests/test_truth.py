@@ -21,8 +21,7 @@ from bench.running.truth import truth_job
 from bench.running.worker import Worker
 from problems import State
 from problems.base.spec import SpecError
-from problems.truth.published import published_digits
-from problems.truth.reference import Reference
+from problems.truth.reference import Reference, published_digits
 from problems.variables import VARIABLES
 
 STORED = json.loads(digits.FILE.read_text(encoding="utf-8"))

@@ -20,7 +20,7 @@ from problems.equations.initial_values import consistent_start
 from problems.equations.kinematics import q_rate
 from problems.hybrid.phases import Samples, after
 from problems.system import MechatronicSystem
-from problems.truth.published import published_digits
+from problems.truth.reference import published_digits
 from problems.variables import INVARIANTS
 
 #: Largest estimated error of a reference in q and v, relative to their largest values.

@@ -20,8 +20,7 @@ from bench.results.quantities import (
 from integrators.contract import Trajectory
 from problems.base.runtime import Float
 from problems.equations.compiled import compiled
-from problems.truth.published import named_points
-from problems.truth.reference import Reference
+from problems.truth.reference import Reference, named_points
 
 #: "settled" is the last part of the interval, where the start transient has died out.
 SETTLED_PART = 0.25

@@ -12,9 +12,9 @@ from problems.base.runtime import Float, jax, jnp
 from problems.equations.compiled import MOST_STATES, compiled
 from problems.equations.constraints import constraint_velocity
 from problems.equations.kinematics import q_rate
-from problems.equations.layouts import state_layout
 from problems.system import MechatronicSystem
 from problems.truth.reference import Reference
+from problems.variables import state_layout
 
 #: Times at which eigenvalues are taken, and nodes of a block of linearised steps.
 _SPECTRA = 60

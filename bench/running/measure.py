@@ -23,8 +23,7 @@ from problems.base.usage import computed_seconds
 from problems.equations.compiled import compiled
 from problems.equations.initial_values import InconsistentStart, NoConsistentStart
 from problems.system import MechatronicSystem
-from problems.truth.published import published_digits
-from problems.truth.reference import Reference
+from problems.truth.reference import Reference, published_digits
 from problems.variables import INVARIANTS, State
 
 #: A run whose speed or change of energy is so many times the motion's largest has blown up.

@@ -25,7 +25,7 @@ from problems.base.spec import SpecError, suggest
 from problems.base.text import said
 from problems.equations.initial_values import consistent_start
 from problems.system import MechatronicSystem
-from problems.truth.published import named_points
+from problems.truth.reference import named_points
 from problems.variables import VARIABLES
 
 #: Most rows of a file: errors are no better known by more.

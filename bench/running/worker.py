@@ -40,8 +40,7 @@ from problems.base.text import said
 from problems.base.usage import computed_seconds, undisturbed
 from problems.equations.initial_values import InconsistentStart, NoConsistentStart
 from problems.system import MechatronicSystem
-from problems.truth.published import named_points
-from problems.truth.reference import Reference
+from problems.truth.reference import Reference, named_points
 
 #: Objects made before garbage is looked for. Tracing makes very many that stay: to look through
 #: them as often as Python does by itself takes a tenth of the time.

@@ -31,8 +31,8 @@ from integrators.resolutions import Steps
 from problems.base.runtime import Float, jax, jnp
 from problems.base.spec import SpecError
 from problems.equations.formulations import Start, with_rates
-from problems.equations.layouts import state_layout
 from problems.system import MechatronicSystem
+from problems.variables import state_layout
 
 #: Smaller entries of a matrix are rounding, at steps of about one time unit.
 _NOISE = 1e-9

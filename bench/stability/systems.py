@@ -12,9 +12,8 @@ import numpy as np
 
 from problems import State, Variables, jnp, parameter
 from problems.base.runtime import Float
-from problems.equations.layouts import Layout, state_layout
 from problems.mechanics.points import PointMasses
-from problems.variables import Sizes
+from problems.variables import Layout, Sizes, state_layout
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,9 +30,8 @@ from problems.base.runtime import Float, Int, jax, most_callers
 from problems.base.spec import SpecError
 from problems.equations.formulations import complete
 from problems.equations.initial_values import consistent_starts
-from problems.equations.layouts import row_layout
 from problems.system import MechatronicSystem
-from problems.variables import Sizes
+from problems.variables import Sizes, row_layout
 
 #: Most runs side by side, and most bytes of their tangents. On a CPU more runs save little time and
 #: overflow the caches; a GPU needs tens of thousands.

@@ -30,8 +30,8 @@ from problems.base.runtime import jax, jnp
 from problems.equations.compiled import compiled
 from problems.equations.formulations import Baumgarte, Start
 from problems.equations.initial_values import consistent_start
-from problems.equations.layouts import state_layout
 from problems.system import MechatronicSystem
+from problems.variables import state_layout
 
 if TYPE_CHECKING:
     import diffrax

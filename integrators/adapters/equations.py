@@ -23,10 +23,9 @@ from problems.equations.constraints import projected_state
 from problems.equations.formulations import Baumgarte, dae_residual, ode_rate
 from problems.equations.initial_values import consistent_start, sparse_complete
 from problems.equations.kinematics import q_rate
-from problems.equations.layouts import Layout, dae_layout, state_layout
 from problems.equations.sparsity import NoPattern, Pattern, prefers_sparse
 from problems.system import MechatronicSystem
-from problems.variables import Sizes, State
+from problems.variables import Layout, Sizes, State, dae_layout, state_layout
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int32

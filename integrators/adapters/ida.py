@@ -14,8 +14,8 @@ from integrators.contract import PreparedRun, option
 from integrators.program_costs import dense, sparse
 from integrators.resolutions import Tolerances
 from problems.equations import sparsity
-from problems.equations.block_structure import states_follow_accelerations
 from problems.equations.formulations import FORMULATIONS
+from problems.equations.programs import states_follow_accelerations
 from problems.system import MechatronicSystem
 
 

@@ -17,7 +17,6 @@ from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
 from problems.base.runtime import Array, jax, jnp
 from problems.equations import formulations
-from problems.equations.block_structure import output_takes
 from problems.equations.constraints import (
     constraint_acceleration,
     constraint_force,
@@ -25,6 +24,7 @@ from problems.equations.constraints import (
     least_multipliers,
 )
 from problems.equations.kinematics import displaced, q_rate
+from problems.equations.programs import output_takes
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

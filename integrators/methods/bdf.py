@@ -22,8 +22,8 @@ from integrators.native.step_method import ErrorControl, ImplicitStepMethod
 from problems.base.runtime import Array, Float, Int, jax, jnp
 from problems.equations.formulations import Start
 from problems.equations.kinematics import Displaced, Place, advance, displaced
-from problems.equations.layouts import state_layout
 from problems.system import MechatronicSystem
+from problems.variables import state_layout
 
 
 @dataclass(frozen=True)

@@ -55,11 +55,10 @@ from problems.base.runtime import Array, Float, jax, jnp
 from problems.equations.constraints import constraint_velocity
 from problems.equations.formulations import inertia
 from problems.equations.kinematics import advance
-from problems.equations.layouts import Layout
-from problems.equations.named_equations import equation
+from problems.equations.programs import equation
 from problems.mechanics import lagrange
 from problems.system import MechatronicSystem
-from problems.variables import Variables
+from problems.variables import Layout, Variables
 
 #: Largest part of the forces that the energies need not explain.
 _UNEXPLAINED = 1e-8

@@ -15,9 +15,9 @@ from integrators.native.step.method_options import OwnValues, StageState, rho_in
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import StepMethod
 from problems.base.runtime import Array, Float, jax, jnp
-from problems.equations.block_structure import damping_varies
 from problems.equations.formulations import Start, complete, dynamics_residual
 from problems.equations.kinematics import advance
+from problems.equations.programs import damping_varies
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

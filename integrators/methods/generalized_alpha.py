@@ -26,7 +26,7 @@ from integrators.multistep import MultistepForm
 from integrators.native.step.method_options import formulation_option, rho_inf_option
 from integrators.native.step.step_program import StepFunctions
 from integrators.native.step_method import NewtonOptions
-from problems.equations.block_structure import output_takes
+from problems.equations.programs import output_takes
 from problems.system import MechatronicSystem
 
 

@@ -26,12 +26,11 @@ from integrators.native.step_method import (
 )
 from problems.base.runtime import Array, Int, jnp
 from problems.equations import formulations
-from problems.equations.block_structure import output_takes
 from problems.equations.constraints import constraint_change, constraint_force, constraint_velocity
 from problems.equations.kinematics import advance, q_rate
-from problems.equations.layouts import Layout, algebraic_layout
+from problems.equations.programs import output_takes
 from problems.system import MechatronicSystem
-from problems.variables import Variables
+from problems.variables import Layout, Variables, algebraic_layout
 
 #: Relative error that the iteration for outputs may leave, and its most turns.
 _TOLERANCE, _MOST = 1e-12, 20

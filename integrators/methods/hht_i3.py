@@ -18,9 +18,9 @@ from integrators.native.step_method import FreeSteps, ImplicitStepMethod
 from integrators.resolutions import Steps, Tolerances
 from problems.base.runtime import Array, jnp
 from problems.base.spec import SpecError, validate
-from problems.equations.block_structure import mass_varies
 from problems.equations.formulations import Start, dynamics_residual, inertia
 from problems.equations.kinematics import displaced
+from problems.equations.programs import mass_varies
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

@@ -21,9 +21,9 @@ from integrators.native.step.stage_equations import Base, Guess, Slopes, stage_e
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
 from problems.base.runtime import Array, jnp
-from problems.equations.block_structure import output_takes
 from problems.equations.formulations import Start
 from problems.equations.kinematics import advance, displaced
+from problems.equations.programs import output_takes
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

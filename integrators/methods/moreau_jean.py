@@ -33,10 +33,9 @@ from problems.equations.formulations import (
     largest_inertia,
 )
 from problems.equations.kinematics import advance
-from problems.equations.layouts import Layout
 from problems.hybrid.contact import Contacts, ContactSystem
 from problems.system import MechatronicSystem
-from problems.variables import Variables
+from problems.variables import Layout, Variables
 
 _EPS = float(np.finfo(float).eps)
 #: Part of the velocity that its impulse takes away with which a contact gives way, so that contacts

@@ -54,13 +54,12 @@ from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import FreeSteps, ImplicitStepMethod
 from problems.base.runtime import Array, Bool, Float, jax, jnp
 from problems.equations import formulations
-from problems.equations.block_structure import output_takes
 from problems.equations.constraints import constraint_force, constraint_velocity
 from problems.equations.formulations import Start
 from problems.equations.kinematics import advance
-from problems.equations.layouts import stage_layout
+from problems.equations.programs import output_takes
 from problems.system import MechatronicSystem
-from problems.variables import Variables
+from problems.variables import Variables, stage_layout
 
 _EPS = float(np.finfo(float).eps)
 #: Part of the bound of rounding errors at which modified Newton's iteration may end. What an old

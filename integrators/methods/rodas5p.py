@@ -40,12 +40,11 @@ from integrators.native.step_method import (
 )
 from problems.base.runtime import Array, Int, jax, jnp
 from problems.equations import formulations
-from problems.equations.block_structure import output_takes
 from problems.equations.constraints import constraint_acceleration, constraint_velocity, pulled
 from problems.equations.kinematics import advance
-from problems.equations.layouts import Layout, stage_layout
+from problems.equations.programs import output_takes
 from problems.system import MechatronicSystem
-from problems.variables import Variables
+from problems.variables import Layout, Variables, stage_layout
 
 _GAMMA = 0.21193756319429014
 #: Weights a_sj of the stages before; the last row is the end of the step.

@@ -30,9 +30,8 @@ from problems.base.runtime import Array, jax, jnp
 from problems.equations.constraints import constraint_force, constraint_velocity, pulled
 from problems.equations.formulations import Start, control_residuals, inertia
 from problems.equations.kinematics import advance
-from problems.equations.layouts import stage_layout
 from problems.system import MechatronicSystem
-from problems.variables import Variables
+from problems.variables import Variables, stage_layout
 
 _Force: TypeAlias = Callable[[Array], Array]
 

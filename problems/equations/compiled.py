@@ -25,9 +25,8 @@ from problems.equations.formulations import (
     ode_rate,
     with_rates,
 )
-from problems.equations.layouts import state_layout
 from problems.system import MechatronicSystem
-from problems.variables import INVARIANTS, VARIABLES, Variables
+from problems.variables import INVARIANTS, VARIABLES, Variables, state_layout
 
 #: Rows are taken in blocks of these sizes, so that two programs serve any number of rows.
 _ROW_BLOCK, _LARGE_BLOCK = 256, 4096

@@ -11,10 +11,9 @@ from typing import Any
 
 from problems.base.runtime import Array, Float, jax, jnp
 from problems.equations.kinematics import advance, q_rate
-from problems.equations.layouts import algebraic_layout, state_layout
-from problems.equations.named_equations import equation
+from problems.equations.programs import equation
 from problems.system import MechatronicSystem
-from problems.variables import Variables
+from problems.variables import Variables, algebraic_layout, state_layout
 
 #: Part of the constraints' derivatives, squared, that is nothing beside them.
 _SMALL = 1e-8

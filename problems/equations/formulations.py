@@ -26,10 +26,9 @@ from problems.equations.constraints import (
     regular,
 )
 from problems.equations.kinematics import q_rate
-from problems.equations.layouts import algebraic_layout, dae_layout, state_layout
-from problems.equations.named_equations import EQUATIONS, INDEX1, equation, jitted
+from problems.equations.programs import EQUATIONS, INDEX1, equation, jitted
 from problems.system import MechatronicSystem
-from problems.variables import Variables
+from problems.variables import Variables, algebraic_layout, dae_layout, state_layout
 
 FORMULATIONS = ("index3", "index2", "stabilised_index2", "index1", "ode")
 

@@ -19,10 +19,9 @@ from problems.equations import sparsity
 from problems.equations.compiled import compiled
 from problems.equations.formulations import Start, algebraic_residual
 from problems.equations.kinematics import q_rate
-from problems.equations.layouts import algebraic_layout
 from problems.starts import constraints_at
 from problems.system import MechatronicSystem
-from problems.variables import State, Variables
+from problems.variables import State, Variables, algebraic_layout
 
 #: A start is consistent if its residuals, relative to the size of q or v, are below this.
 CONSISTENCY_TOLERANCE = 1e-9

@@ -13,17 +13,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from problems.base.runtime import Float, Int, jax
+from problems.base.runtime import Array, Float, Int, jax, jnp
 from problems.base.spec import SpecError, suggest
 from problems.equations.compiled import compiled
 from problems.equations.initial_values import InconsistentStart, check_constraints, consistent_start
-from problems.equations.layouts import state_layout
+from problems.equations.programs import takes
 from problems.system import MechatronicSystem
-from problems.variables import State, Variables
+from problems.variables import State, Variables, state_layout
 
 #: Most events of a motion.
 MOST_EVENTS = 10_000
@@ -281,3 +282,55 @@ def crossing(value: Callable[[float], float], t0: float, until: float) -> float 
     if f(root) < -64 * spacing * slope:
         return max(t for t, found in seen.items() if found > 0 and t < root)
     return root
+
+
+# ---- samples of which a run takes no notice ----------------------------------------------
+def followed(scene: MechatronicSystem) -> MechatronicSystem:
+    """Return the scene whose held values follow its motion at every time.
+
+    That is what a method computes that does not know of samples, and whose controller is called
+    wherever the method evaluates the equations.
+
+    Raises
+    ------
+    SpecError
+        If ``sample`` takes accelerations, multipliers, states or outputs.
+    """
+    if takes(scene.sample, scene, ("a", "lam", "x", "y")):
+        raise SpecError(
+            f"{scene.spec}: samples can be ignored only if sample() takes q, v, t and held values "
+            f"alone; take sampling=hit."
+        )
+    return scene.with_parameters({}, _followed(type(scene)))
+
+
+@cache
+def _followed(cls: type[MechatronicSystem]) -> type[MechatronicSystem]:
+    """The class of such scenes."""
+
+    def of(scene: Any, q: Array, v: Array, t: Any) -> MechatronicSystem:
+        sizes = scene.sizes
+        a, lam, x, y = (jnp.zeros(sizes.of(group)) for group in ("a", "lam", "x", "y"))
+        now = scene.with_parameters({}, cls)
+        # A chain of held values, as of a delay, is followed to its end.
+        for _ in now.held_values():
+            new: Mapping[str, Any] = now.sample(Variables(q, v, a, lam, x, y, t))
+            now = now.with_parameters({n: new[n] for n in now.held_values() if n in new})
+        return now
+
+    def of_motion(block: str) -> Any:
+        return lambda self, q, v, t: getattr(of(self, q, v, t), block)(q, v, t)
+
+    def of_all(block: str) -> Any:
+        return lambda self, z: getattr(of(self, z.q, z.v, z.t), block)(z)
+
+    blocks = {b: of_motion(b) for b in ("force", "velocity_constraint") if cls.has(b)}
+    blocks |= {b: of_all(b) for b in ("coupled_force", "state_rate", "output") if cls.has(b)}
+    named = {"name": cls.name, "sample": None, "__module__": cls.__module__}
+    return type(f"{cls.__name__}Followed", (cls,), blocks | named)
+
+
+def steps_over(scene: MechatronicSystem, t: float, h: float) -> float:
+    """Return the end in s of the first step of size h, from the start on, at or after a time."""
+    t0 = scene.interval[0]
+    return t0 + h * max(1, round((t - t0) / h + 0.5 - 1e-9))

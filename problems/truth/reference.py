@@ -3,13 +3,13 @@
 The integration is Gauss' method of order 24 (`problems.truth.collocation`) on the ODE form at a
 tolerance near round-off; no integrator of the bench is of this family, or of such an order. Its
 error is estimated by another integration: by the Radau IIA method of order 23, with other steps. It
-may be kept for later runs, with its error.
+may be kept for later runs, with its error. Published digits stand beside it.
 """
 
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -22,11 +22,10 @@ from problems.base.cache import cached
 from problems.base.runtime import Float, Int
 from problems.equations.compiled import compiled
 from problems.equations.initial_values import consistent_start, rests
-from problems.equations.layouts import state_layout
 from problems.hybrid.phases import Cut, EndlessEvents, crossing, falls, march
 from problems.system import MechatronicSystem
 from problems.truth.collocation import Motion, TooSmallStep, gauss, integrate, radau, terms
-from problems.variables import GROUPS, VARIABLES, State, Variables
+from problems.variables import GROUPS, VARIABLES, Published, State, Variables, state_layout
 
 _TOLERANCE = 3e-14
 #: Longest steps of the two integrations, in nominal steps: no event lasts so short that it falls
@@ -357,3 +356,57 @@ def _known(
         {g: np.abs(ours[g]).max(axis=0) for g in GROUPS},
         {g: np.linalg.norm(ours[g], axis=1).max() for g in GROUPS},
     )
+
+
+# ---- named points and published digits -------------------------------------------------
+#: Rows belong to a published time if they differ from it by this part of the interval.
+_SAME_TIME = 1e-9
+
+
+def named_points(
+    scene: MechatronicSystem, q: Float[np.ndarray, "k nq"]
+) -> dict[str, Float[np.ndarray, "k n"]]:
+    """Return the coordinates in m of each named point in k rows; nothing if the scene names none.
+
+    Raises
+    ------
+    FalseAnswer
+        If they are no points.
+    """
+    if not scene.has("points"):
+        return {}
+    return checks.points(compiled(scene).points(scene.parameters(), q), len(q))
+
+
+def published_digits(
+    scene: MechatronicSystem, t: Float[np.ndarray, " k"], values: Mapping[str, np.ndarray]
+) -> list[tuple[Published, Float[np.ndarray, " n"]]]:
+    """Return the published digits that have a row, with the values of that row.
+
+    There are none for other parameters or another start than the scene's own.
+
+    Parameters
+    ----------
+    t, values
+        Times of k rows in s, and the values of each group in them, ``(k, n)``.
+
+    Raises
+    ------
+    FalseAnswer
+        If an entry of `published` is none, or names another quantity or number of values.
+    """
+    own = checks.published(scene.published)
+    if scene.spec != scene.name or "interval" in vars(scene) or not own or not len(t):
+        return []
+    place = [int(np.abs(t - each.t).argmin()) for each in own]
+    near = _SAME_TIME * (scene.interval[1] - scene.interval[0])
+    known = {group: np.asarray(values[group]) for group in GROUPS if scene.sizes.of(group)}
+    if not all(each.quantity in known for each in own):
+        known |= named_points(scene, known["q"])
+    found = []
+    for each, k in zip(own, place, strict=True):
+        checks.one_of(each.quantity, "a quantity of published", known)
+        checks.array(each.values, f"published {each.quantity}", known[each.quantity].shape[1:])
+        if abs(t[k] - each.t) <= near:
+            found.append((each, known[each.quantity][k]))
+    return found

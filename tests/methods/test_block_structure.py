@@ -16,7 +16,7 @@ from integrators.methods.rodas5p import Rodas5P
 from integrators.methods.symplectic import StormerVerlet
 from problems import jax, jnp
 from problems.base.spec import SpecError
-from problems.equations.block_structure import (
+from problems.equations.programs import (
     damping_varies,
     force_takes_velocities,
     mass_varies,

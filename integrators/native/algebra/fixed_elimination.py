@@ -25,7 +25,7 @@ import numpy as np
 from integrators.native.algebra import small_matrices
 from integrators.native.algebra.step_records import PIVOTS
 from problems.base.runtime import Array, Bool, Float, Int, jax, jnp, on_gpu
-from problems.equations.named_equations import part, turns
+from problems.equations.programs import part, turns
 
 #: Entries of a matrix, by row and column.
 _Numbers: TypeAlias = dict[tuple[int, int], Array]

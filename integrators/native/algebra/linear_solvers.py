@@ -30,7 +30,7 @@ from integrators.native.algebra.jaxpr_tools import (
 )
 from problems.base import runtime
 from problems.base.runtime import Array, Bool, Float, jax, jnp
-from problems.equations.named_equations import part
+from problems.equations.programs import part
 from problems.equations.sparsity import Pattern
 
 if TYPE_CHECKING:

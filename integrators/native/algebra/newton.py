@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 from integrators.native.algebra.linear_solvers import LinearSolver
 from integrators.native.algebra.step_records import PIVOTS, TINY, Scalar, StepReport, largest
 from problems.base.runtime import Array, Bool, Float, Int, jax, jnp
-from problems.equations.named_equations import part, turns
+from problems.equations.programs import part, turns
 
 #: Updates that stop shrinking below this relative size have met round-off.
 _STAGNANT = 1e-7

@@ -15,7 +15,7 @@ from typing import Any
 
 from integrators.native.algebra.jaxpr_tools import bound, evaluated, is_program, with_constants
 from problems.base.runtime import Array, Float, Int, jax, jnp
-from problems.equations.named_equations import part
+from problems.equations.programs import part
 
 #: Largest size of a matrix for these functions; the libraries are faster with larger ones.
 MOST = 32

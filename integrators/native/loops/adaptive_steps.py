@@ -55,7 +55,7 @@ from integrators.output_rows import EVERY_STEP, is_row, row_times, width_of
 from integrators.resolutions import Tolerances
 from problems.base.runtime import Array, Bool, Float, Int, jax, jnp
 from problems.equations.formulations import Start
-from problems.equations.named_equations import turns, with_named_blocks
+from problems.equations.programs import turns, with_named_blocks
 from problems.system import MechatronicSystem
 
 _OK, _MOST_STEPS, _ERROR = map(int, (Ending.OK, Ending.BUDGET_EXCEEDED, Ending.ERROR_TEST_FAILED))

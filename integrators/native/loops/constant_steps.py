@@ -37,7 +37,7 @@ from integrators.resolutions import Steps
 from problems.base.runtime import Array, Float, Int, jax, jnp
 from problems.equations.formulations import Start
 from problems.equations.initial_values import consistent_start
-from problems.equations.named_equations import turns, with_named_blocks
+from problems.equations.programs import turns, with_named_blocks
 from problems.system import MechatronicSystem
 
 _OK, _REFUSED, _DIVERGED = map(int, (Ending.OK, Ending.REFUSED, Ending.DIVERGED))

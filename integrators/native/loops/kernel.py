@@ -20,8 +20,8 @@ from integrators.program_costs import Cost, bill, costs_of, sparse
 from problems.base.runtime import Array, Bool, Float, Int, jax, jnp
 from problems.equations.formulations import Start
 from problems.equations.initial_values import consistent_start, missing_rank
-from problems.equations.layouts import row_layout
 from problems.system import MechatronicSystem
+from problems.variables import row_layout
 
 #: Names of the loops over steps, and over rows, which is no work of a method.
 STEPS, ROWS = "steps", "rows"

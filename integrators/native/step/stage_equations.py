@@ -32,9 +32,8 @@ from problems.base.runtime import Array, Bool, Float, jnp
 from problems.equations import formulations
 from problems.equations.constraints import constraint_force, constraint_rows
 from problems.equations.kinematics import Place, advance, origin
-from problems.equations.layouts import Layout, stage_layout
 from problems.system import MechatronicSystem
-from problems.variables import Variables
+from problems.variables import Layout, Variables, stage_layout
 
 _EPS = float(np.finfo(float).eps)
 #: Largest relative rounding of accelerations that counts in the controller's tolerances.

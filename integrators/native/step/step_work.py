@@ -14,7 +14,7 @@ from integrators.native.algebra.linear_solvers import DENSE, LinearSolver, Resid
 from integrators.native.algebra.newton import Bounds, newton
 from integrators.native.algebra.step_records import COUNTS, PIVOTS, Scalar, StepReport
 from problems.base.runtime import Array, Bool, Float, Int, jax, jnp
-from problems.equations.named_equations import turns
+from problems.equations.programs import turns
 
 Stage: TypeAlias = Callable[[Any, Any], tuple[Any, Any]]
 
