@@ -134,29 +134,25 @@ class NFourBar(MechatronicSystem):
         a = size * (rate2 * across - rate**2 * along).T
         pivots = np.kron(size * np.arange(n + 1), [1.0, 0.0])
         q, v, a = pivots + np.tile(tip, n + 1), np.tile(v, n + 1), np.tile(a, n + 1)
-        return {"q": q, "v": v, "a": a, "lam": self._multipliers(tip, a)}
+        return {"q": q, "v": v, "a": a, "lam": self._multipliers(q, a)}
 
-    def _multipliers(self, tip: np.ndarray, a: np.ndarray) -> np.ndarray:
+    def _multipliers(self, q: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Multipliers (k, nl) at the accelerations a, of least norm in singular positions.
 
         Elsewhere the force along y at each tip gives that of its upright, the one along x those of
         the couplers, from one tip to the next.
         """
-        n, size = self.loops, self.length
-        zero = jnp.zeros(2 * (n + 1))
+        size, tip = self.length, q[:, :2]
+        zero = jnp.zeros(q.shape[1])
         mass, force = map(np.asarray, (self.mass(zero), self.force(zero, zero, jnp.zeros(()))))
-        load = (force - a @ mass).reshape(-1, n + 1, 2)
+        load = (force - a @ mass).reshape(len(q), -1, 2)
         singular = np.abs(tip[:, 1]) <= 1e-12 * size
         along = np.where(singular[:, None], [0.0, size], tip)
         uprights = load[..., 1] / along[:, 1:]
         couplers = -np.cumsum(load[..., 0] - along[:, :1] * uprights, axis=1)[:, :-1] / size
         found = np.hstack([uprights, couplers])
         for k in np.flatnonzero(singular):
-            gradient = np.zeros((2 * n + 1, n + 1, 2))
-            gradient[np.arange(n + 1), np.arange(n + 1)] = tip[k]
-            gradient[np.arange(n + 1, 2 * n + 1), np.arange(1, n + 1)] = [size, 0.0]
-            gradient[np.arange(n + 1, 2 * n + 1), np.arange(n)] = [-size, 0.0]
-            rows = gradient.reshape(2 * n + 1, -1)
+            rows = np.asarray(jax.jacfwd(self.constraint)(q[k], jnp.zeros(())))
             found[k] = np.linalg.lstsq(rows.T, load[k].ravel(), rcond=1e-12)[0]
         return found
 

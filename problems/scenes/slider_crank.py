@@ -20,6 +20,14 @@ def _polylines(l1: float, tip: np.ndarray, slider: float) -> list[np.ndarray]:
     return [guide, np.array([[0.0, 0.0], tip, [slider, 0.0]]), drawing.box(slider, half)]
 
 
+def _check_reach(l1: float, l2: float, angle: float) -> None:
+    if not l2 > l1 * abs(np.sin(angle)):
+        raise SpecError(
+            f"The rod (l2={l2:g} m) does not reach the guide from a crank of l1={l1:g} m at the "
+            f"angle of {angle:g} rad; give l2 > l1 |sin(angle)|, and l2 > l1 for full turns."
+        )
+
+
 @dataclass(frozen=True)
 class _FreeCrank(MechatronicSystem):
     """Data that the two forms of the free slider crank share."""
@@ -37,11 +45,7 @@ class _FreeCrank(MechatronicSystem):
     w0: float = parameter(10.0, "rad/s", "initial angular velocity of the crank")
 
     def __post_init__(self) -> None:
-        if not self.l2 > self.l1 * abs(np.sin(self.th0)):
-            raise SpecError(
-                f"The rod (l2={self.l2:g} m) does not reach the guide from a crank of "
-                f"l1={self.l1:g} m at th0={self.th0:g} rad; give l2 > l1 |sin(th0)|."
-            )
+        _check_reach(self.l1, self.l2, self.th0)
 
     def _inertias(self) -> jax.Array:
         """The diagonal mass matrix of the bodies in absolute coordinates, shape ``(7,)``."""
@@ -210,12 +214,7 @@ class SliderCrankDriven(MechatronicSystem):
     m3: float = parameter(0.075, "kg", "mass of the slider", low=1e-12)
 
     def __post_init__(self) -> None:
-        if not self.l2 > self.l1 * abs(np.sin(self.omega * self.interval[0])):
-            raise SpecError(
-                f"The rod (l2={self.l2:g} m) does not reach the guide at the start, where "
-                f"phi={self.omega * self.interval[0]:g} rad; give l2 > l1 |sin(phi)|, and "
-                f"l2 > l1={self.l1:g} m for full turns."
-            )
+        _check_reach(self.l1, self.l2, self.omega * self.interval[0])
 
     def mass(self, q: jax.Array) -> jax.Array:
         return jnp.diag(jnp.stack([self.j1, self.m3]))
