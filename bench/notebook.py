@@ -210,7 +210,7 @@ def order(
     o = Given(problem=problem, settings=parameters or {}, plugins=plugins)
     asked = [integrator], budget_of(budget), steps, pattern, t_end
     cells = [*suite_of_orders(o.registry, o.asked_scene, *asked).cells.values()]
-    records = [r for r, _ in solve_cells(cells, o.registry, budget, progress=OnStandardError())]
+    records = [r for r, _ in solve_cells(cells, budget, progress=OnStandardError())]
     series, *_ = series_of(records)
     groups = groups_of(records)
     return Orders(

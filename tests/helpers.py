@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 
 from bench.plugins.registry import Registry
+from bench.running.inventory import Inventory
+from bench.running.plan import Cell
 from integrators import Integrator, Steps
 from problems import MechatronicSystem, State, jnp
 from problems.truth.reference import Reference
@@ -25,6 +27,12 @@ def long(*parameters: object) -> list:
     """Parameters (tuples for several names) that only the long tests take."""
     each = (p if isinstance(p, tuple) else (p,) for p in parameters)
     return [pytest.param(*values, marks=pytest.mark.long) for values in each]
+
+
+def cell_of(registry: Registry, scene: str, method: str, t_end: float, resolution: Any) -> Cell:
+    """A cell of these names."""
+    known = Inventory(registry=registry)
+    return Cell(known.problem(scene), known.integrator(method), t_end, resolution)
 
 
 #: Scenes whose equations together take every operation and every kind of block.

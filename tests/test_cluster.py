@@ -9,15 +9,17 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import pytest
+from helpers import cell_of
 
-from bench.plugins.registry import Sources
+from bench.plugins.registry import Registry, Sources
 from bench.results.store import Store
 from bench.running.cluster import ClusterRunner
-from bench.running.plan import Cell
 from bench.running.process import Limits, NoAnswer
-from bench.running.runner import Runner, measure_task
+from bench.running.runner import Runner, cell_task
+from bench.running.worker import Worker
 from integrators.resolutions import Steps
 from problems.base.spec import SpecError
 
@@ -69,13 +71,15 @@ def test_an_encrypted_address_needs_certificates_that_can_be_read(tmp_path):
         ClusterRunner("tls://127.0.0.1:9", Limits(1.0, 1.0))
 
 
-def cells(integrator, *steps):
-    return [Cell("spring_mass", integrator, 1.0, Steps(h)) for h in steps]
+def tasks_of(*steps, integrator="newmark", plugins=()):
+    registry = Registry(plugins)
+    cells = [cell_of(registry, "spring_mass", integrator, 1.0, Steps(h)) for h in steps]
+    return [cell_task(Worker.measure, cell) for cell in cells]
 
 
 @pytest.mark.long
 def test_a_cluster_gives_the_answers_of_this_machine(cluster):
-    tasks = [measure_task(cell, Sources()) for cell in cells("newmark", 0.1, 0.05)]
+    tasks = tasks_of(0.1, 0.05)
     with Runner(1, Limits(60.0, 4.0)) as here:
         expected = dict(here.run([tasks]))
     with ClusterRunner(cluster.scheduler_address, Limits(60.0, 4.0)) as there:
@@ -101,8 +105,7 @@ def test_a_worker_that_is_killed_costs_nothing(cluster, tmp_path):
 
     killer = threading.Thread(target=kill)
     killer.start()
-    needed = Sources({str(plugin)})
-    tasks = [measure_task(cell, needed) for cell in cells("slow", 0.1, 0.05)]
+    tasks = tasks_of(0.1, 0.05, integrator="slow", plugins=[plugin])
     with ClusterRunner(cluster.scheduler_address, Limits(60.0, 4.0)) as runner:
         answers = dict(runner.run([tasks]))
     killer.join()
@@ -131,7 +134,7 @@ def lonely(tmp_path, monkeypatch):
 @pytest.mark.long
 def test_a_scheduler_that_dies_costs_what_it_had(lonely):
     process, address = lonely
-    tasks = [measure_task(cell, Sources()) for cell in cells("newmark", 0.1, 0.05)]
+    tasks = tasks_of(0.1, 0.05)
     with ClusterRunner(address, Limits(60.0, 4.0)) as runner:
         process.kill()
         for _ in range(3):  # while the client connects anew, and when it has given up
@@ -149,7 +152,7 @@ def test_budgets_hold_on_a_cluster_and_a_plugin_that_it_lacks_is_named(cluster, 
         # It says nothing of the method: the run is made when the cluster has the plugin.
         (0.1, missing, 30.0, "interrupted"),
     ):
-        tasks = [measure_task(cell, sources) for cell in cells("newmark", step)]
+        tasks = [replace(task, sources=sources) for task in tasks_of(step)]
         with ClusterRunner(cluster.scheduler_address, Limits(seconds, 4.0)) as runner:
             ((_, answer),) = runner.run([tasks])
         assert (type(answer), answer.status) == (NoAnswer, status)

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import long, slope, toy
+from helpers import cell_of, long, slope, toy
 
 from bench.plugins.registry import Registry
 from bench.running.errors import event_errors, relative_errors
 from bench.running.measure import end_at_overlap
-from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators.methods.half_explicit import PHEM56
 from integrators.methods.moreau_jean import MoreauJean
@@ -241,7 +240,7 @@ def test_no_run_is_ok_whose_bodies_overlap():
     rests = np.where(np.arange(10) < 5, 1.0, -5e-4 - 1e-6 * np.arange(10))[:, None]
     assert "by up to 0.00051, as" in end_at_overlap(replace(kept, q=rests), BouncingBall(), True)
     # A worker notes how far steps pass impacts.
-    asked = Cell("bouncing_ball", "moreau_jean", 2.0, Steps(0.05))
+    asked = cell_of(Registry(), "bouncing_ball", "moreau_jean", 2.0, Steps(0.05))
     record = Worker(Registry()).measure(asked, errors=False).record
     assert record.status == "ok"
     assert "Bodies overlap by up to 0.015, as steps pass impacts." in record.message

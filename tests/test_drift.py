@@ -7,7 +7,7 @@ import json
 import msgspec
 import numpy as np
 import pytest
-from helpers import long, toy
+from helpers import cell_of, long, toy
 from planted import Document, chart_rows, plant, planted
 from small_stores import A_LONG_RUN
 
@@ -18,7 +18,6 @@ from bench.running.drift import course, drift_job
 from bench.running.errors import scales
 from bench.running.linearisation import growth
 from bench.running.measure import LATER, errors_from_later_starts
-from bench.running.plan import Cell
 from integrators.contract import Trajectory
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.resolutions import Steps
@@ -54,8 +53,9 @@ def test_a_run_that_blows_up_says_so_and_is_not_measured_by_its_own_energy(worke
     assert 10 < found.drifts["energy"].largest <= measure.BLOWN_UP
     assert {row[-1] for row in drift_table([found]).rows} == {"blew up"}
     # In other commands, too; shorter runs end as ok, whatever energy they have gained so far.
+    pair = "pendulum", "half_explicit_euler"
     for t_end, status, gain in ((20.0, "diverged", 0.0), (10.0, "ok", 5.0)):
-        run, _ = worker.measure(Cell("pendulum", "half_explicit_euler", t_end, Steps(found.h)))
+        run, _ = worker.measure(cell_of(worker.registry, *pair, t_end, Steps(found.h)))
         assert (run.status, not run.errors) == (status, status == "diverged")
         assert (run.energy_drift or 0.0) >= gain
         assert run.message.startswith("It blew up: at t=18.") == (status == "diverged")

@@ -6,7 +6,7 @@ import re
 from itertools import product
 
 import pytest
-from helpers import long, reference, scene_or_skip, toy
+from helpers import cell_of, long, reference, scene_or_skip, toy
 from planted import planted
 
 from bench.check.integrators import check_scenes
@@ -104,7 +104,7 @@ def test_a_refusal_is_no_crash(worker):
         ("ida", "sampled_pd[sampling=interpolate]"),
     ]:
         resolution = Steps(0.01) if method == "energy_momentum" else Tolerances(1e-3)
-        run, _ = worker.run(Cell(scene, method, 0.1, resolution))
+        run, _ = worker.run(cell_of(REGISTRY, scene, method, 0.1, resolution))
         assert run.status == "unsupported"
         _is_ours(run.message)
         if method == "energy_momentum":
@@ -150,8 +150,7 @@ def formulation(text: str, constrained: bool = True) -> str:
         spec="s", name="s", interval=(0.0, 1.0), nominal_step=0.1, constrained=constrained,
         fingerprint="",
     )  # fmt: skip
-    cell = Cell("s", text, 1.0, Steps(0.1))
-    return cell.record(scene, INVENTORY.integrator(text), "ok").formulation
+    return Cell(scene, INVENTORY.integrator(text), 1.0, Steps(0.1)).record("ok").formulation
 
 
 def form(text: str, **changes) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import long, reference
+from helpers import cell_of, long, reference
 from planted import STEPS, edited, everything, page_data, plant, planted
 from small_stores import atlas_with
 
@@ -12,7 +12,6 @@ from bench.results.quantities import TRUST, WRONG
 from bench.results.records import Record, SceneRecord, endings
 from bench.results.store import Store
 from bench.running.linearisation import uncontrolled
-from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators import Tolerances, Trajectory
 from integrators.checks import caution
@@ -83,7 +82,7 @@ def test_a_vibration_that_dies_out_adds_up_no_longer():
 
 
 def measured(worker: Worker, scene: str, method: str, t_end: float, resolution) -> Record:
-    record = worker.measure(Cell(scene, method, t_end, resolution)).record
+    record = worker.measure(cell_of(worker.registry, scene, method, t_end, resolution)).record
     assert record.status == "ok", record.message
     return record
 

@@ -6,12 +6,12 @@ import json
 import sys
 
 import pytest
-from helpers import long
+from helpers import cell_of, long
 
 from bench.plugins.registry import Registry, Unavailable
 from bench.running import worker
 from bench.running.inventory import Inventory
-from bench.running.plan import Cell, make_suite
+from bench.running.plan import make_suite
 from bench.running.profiles import built_in_profiles, read_profile
 from integrators import Steps
 from problems.base.spec import SpecError
@@ -107,7 +107,8 @@ def test_a_broken_plugin_is_listed_with_its_reason_and_stops_nothing(
 @pytest.mark.long
 def test_programs_are_forgotten_before_memory_mappings_run_out(monkeypatch):
     bench = worker.Worker(Registry())
-    first, second = (Cell("pendulum", "newmark", 1.0, Steps(h)) for h in (0.1, 0.05))
+    pair = bench.registry, "pendulum", "newmark"
+    first, second = (cell_of(*pair, 1.0, Steps(h)) for h in (0.1, 0.05))
     before = bench.measure(first)
     # Of all steps of this short run the errors are stored: the largest is that of the record.
     noted = {g: before.rows.notes[f"error_{g}"] for g in ("q", "v", "a", "lam")}

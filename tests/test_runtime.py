@@ -10,10 +10,9 @@ import warnings
 import jax
 import numpy as np
 import pytest
-from helpers import long
+from helpers import cell_of, long
 
 from bench.plugins.registry import Registry
-from bench.running.plan import Cell
 from bench.running.progress import Progress
 from bench.running.worker import Worker
 from integrators import Integrator, Steps, Tolerances
@@ -207,7 +206,7 @@ def test_what_one_cell_traced_no_other_traces_again(problem, integrator, first, 
     """Not even to find out the dimensions of the scene."""
     registry = Registry()
     bench, spec = Worker(registry), registry.integrator(integrator).spec
-    cells = [Cell(problem, spec, 1.0, resolution) for resolution in (first, *others)]
+    cells = [cell_of(registry, problem, spec, 1.0, resolution) for resolution in (first, *others)]
     assert bench.measure(cells[0]).record.status == "ok"
     events = []
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import long, toy
+from helpers import cell_of, long, toy
 
 from bench.commands import suite
 from bench.plugins.registry import Registry
-from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators import Steps
 from problems import State, jnp, parameter
@@ -134,7 +133,7 @@ def test_a_run_at_rest_has_no_errors_and_asks_for_a_start(tmp_path, off):
     file = written(tmp_path, "standing.xml", STANDING.format(off=off))
     worker = Worker(Registry([file]))
     for spec, is_judged in (("standing", False), ("standing[start.foot=0.3]", True)):
-        record, _ = worker.measure(Cell(spec, "newmark", 0.5, Steps(0.01)))
+        record, _ = worker.measure(cell_of(worker.registry, spec, "newmark", 0.5, Steps(0.01)))
         assert record.status == "ok"
         assert bool(record.errors) is is_judged
         words = "standing rests at its start: nothing moves that could be judged. Give another "

@@ -350,7 +350,7 @@ def keep(store: Store, stopped: bool = True, **more: object) -> None:
     fate = NoAnswer(
         status="budget_exceeded" if stopped else "crashed", message="m", phase="running"
     )
-    record, rows = result_of(cell, fate, *cell.facts(REGISTRY))
+    record, rows = result_of(cell, fate)
     scene = msgspec.structs.replace(
         A_SCENE,
         t_end=cell.t_end,
@@ -364,7 +364,7 @@ def keep(store: Store, stopped: bool = True, **more: object) -> None:
 def missing(store: Store, **more: float) -> tuple[int, int]:
     """Count the cells and scenes of a suite with these budgets that are missing."""
     asked = suite(**more)
-    cells, scenes = missing_cells(asked, store, REGISTRY), missing_scenes(asked, store, REGISTRY)
+    cells, scenes = missing_cells(asked, store), missing_scenes(asked, store)
     return len(cells), len(scenes)
 
 

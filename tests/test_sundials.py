@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 import odd_forces
 import pytest
-from helpers import long
+from helpers import cell_of, long
 from probe import Probe
 from scipy.sparse import csc_matrix
 from sksundae import cvode
 from sksundae import ida as ida_of_sundae
 
-from bench.running.inventory import Inventory
-from bench.running.plan import Cell
+from bench.plugins.registry import Registry
 from bench.running.session import solve_cells
 from integrators import Tolerances
 from integrators.adapters import sundials, sundials_runs
@@ -211,8 +210,9 @@ FATES = {
 def test_a_worker_is_ended_with_the_status_that_python_would_give(method, callbacks):
     names = (*FATES, "ceasing_force", "ceasing_force[breaks_at=9]")
     integrator = f"{method}[callbacks={callbacks}]"
-    cells = [Cell(name, integrator, 1.0, Tolerances(1e-6)) for name in names]
-    results = solve_cells(cells, Inventory([Path(odd_forces.__file__)]), budget_s=2.0)
+    registry = Registry([Path(odd_forces.__file__)])
+    cells = [cell_of(registry, name, integrator, 1.0, Tolerances(1e-6)) for name in names]
+    results = solve_cells(cells, budget_s=2.0)
     records = {record.problem: record for record, _ in results}
     for name, (status, words) in FATES.items():
         assert (records[name].status, name) == (status, name)

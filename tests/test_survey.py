@@ -6,14 +6,15 @@ from collections import defaultdict
 from importlib.metadata import entry_points
 
 import pytest
+from helpers import cell_of
 
 from bench.plugins.registry import Registry
 from bench.results.quantities import WRONG
-from bench.running.inventory import Inventory
-from bench.running.plan import Cell, resolution_of
+from bench.running.plan import resolution_of
 from bench.running.process import Limits
-from bench.running.runner import Runner, measure_task
+from bench.running.runner import Runner, cell_task
 from bench.running.session import result_of
+from bench.running.worker import Worker
 
 INTEGRATORS = sorted(entry.name for entry in entry_points(group="stepbench.integrators"))
 #: Kinds of scenes by what goes wrong there; of those that fit, the first counts.
@@ -65,15 +66,15 @@ def runner():
 def test_no_default_run_ends_well_and_is_wrong_without_a_note(runner, scenes, name, kind):
     """Default options, and the scene's own step or the default tolerance; methods take the scenes
     of a kind in turns."""
-    method, inventory = Registry().integrator(name), Inventory()
+    method = Registry().integrator(name)
     if not (taken := [scene for scene in scenes[kind] if not method.why_not(scene)]):
         pytest.skip("It takes no scene of the kind.")
     scene = taken[INTEGRATORS.index(name) % len(taken)]
     t0, t_end = scene.interval
     end = min(t_end, t0 + STEPS * scene.nominal_step)
-    cell = Cell(scene.spec, method.spec, end, resolution_of(scene, method))
-    ((_, answer),) = runner.run([[measure_task(cell, cell.sources(inventory))]])
-    record = result_of(cell, answer, *cell.facts(inventory)).record
+    cell = cell_of(Registry(), scene.spec, method.spec, end, resolution_of(scene, method))
+    ((_, answer),) = runner.run([[cell_task(Worker.measure, cell)]])
+    record = result_of(cell, answer).record
     if record.status != "ok":
         assert record.message
         return

@@ -14,17 +14,18 @@ from types import SimpleNamespace
 
 import msgspec
 import pytest
+from helpers import cell_of
 from small_stores import NO_ROWS, a_record
 
 from bench.plugins.fingerprint import environment
-from bench.plugins.registry import Registry, Sources
+from bench.plugins.registry import Registry
 from bench.results.store import Store
 from bench.results.timings import median_interval, quotient
 from bench.running.inventory import Inventory
-from bench.running.plan import Cell, make_suite
+from bench.running.plan import make_suite
 from bench.running.process import Limits
 from bench.running.profiles import ProfileFile, StudyFile
-from bench.running.runner import Runner, time_task
+from bench.running.runner import Runner, cell_task
 from bench.running.session import time_suite
 from bench.running.worker import Worker
 from integrators.resolutions import Steps
@@ -36,6 +37,9 @@ def test_the_interval_of_the_median_is_that_of_the_sign_test():
     for n, place in table.items():
         assert median_interval(range(n, 0, -1)) == (place, n + 1 - place)
     assert median_interval([3.0, 1.0, 2.0]) == (1.0, 3.0)
+
+
+PENDULUM = cell_of(Registry([]), "pendulum", "newmark", 1.0, Steps(0.1))
 
 
 class _Clock(Runner):
@@ -55,14 +59,14 @@ class _Clock(Runner):
 
 def test_the_cells_of_a_scene_are_neighbours_in_every_round():
     cells = [
-        Cell(scene, name, 1.0, Steps(h, (1.0,)))
+        cell_of(Registry([]), scene, name, 1.0, Steps(h, (1.0,)))
         for h in (0.1, 0.05)
         for name in ("newmark", "hht")
         for scene in ("pendulum", "oscillator")
     ]
     long, known = cells[1].key, cells[2].key
     runner = _Clock({long: 0.6})
-    tasks = [time_task(cell, Sources()) for cell in cells]
+    tasks = [cell_task(Worker.time, cell) for cell in cells]
     taken = list(runner.time(tasks, 7, {known: dict.fromkeys((0, 1, 3), 1e-3)}))
     for number in range(7):
         scenes = [task.scene for task, n, _ in taken if n == number]
@@ -86,7 +90,7 @@ def test_a_sample_has_one_processor_and_no_old_garbage_to_look_through():
         seen.append((os.sched_getaffinity(0), os.sched_getaffinity(thread.native_id)))
         seen.append(gc.get_freeze_count() > 1000)
 
-    worker, cell = Worker(Registry([])), Cell("pendulum", "newmark", 1.0, Steps(0.1))
+    worker, cell = Worker(Registry([])), PENDULUM
     worker.prepared[cell.key] = SimpleNamespace(execute=execute)
     try:
         worker.time(cell)
@@ -124,7 +128,7 @@ def test_a_sample_counts_what_a_run_computes_and_not_what_it_waits(monkeypatch):
         (start_a_program, 0.005, math.inf),
     ]:
         monkeypatch.setattr("bench.running.measure.TIMING_SECONDS", 0.1)
-        worker, cell = Worker(Registry([])), Cell("pendulum", "newmark", 1.0, Steps(0.1))
+        worker, cell = Worker(Registry([])), PENDULUM
         worker.prepared[cell.key] = SimpleNamespace(execute=execute)
         assert low <= worker.time(cell) < high
 
@@ -153,7 +157,7 @@ class _Machine:
             self.runs += 1
             self.compute(seconds)
 
-        worker, cell = Worker(Registry([])), Cell("pendulum", "newmark", 1.0, Steps(0.1))
+        worker, cell = Worker(Registry([])), PENDULUM
         worker.prepared[cell.key] = SimpleNamespace(execute=execute)
         return worker.time(cell)
 
@@ -192,15 +196,14 @@ def test_samples_are_paired_by_their_round_and_not_by_their_place(tmp_path):
 def test_the_rounds_that_are_missing_are_taken_once(tmp_path):
     for taken in [(0, 1, 3), (0, 3, 4), (0, 2, 3, 4, 8)]:
         study = StudyFile(problems=["pendulum"], integrators=["newmark"], steps=[0.01])
-        registry = Inventory()
-        suite = make_suite("x", ProfileFile(study=[study], samples=5), registry)
+        suite = make_suite("x", ProfileFile(study=[study], samples=5), Inventory())
         (cell,) = suite.cells.values()
         runner = _Clock()
         with Store(tmp_path / str(taken), create=True) as store:
             machine = environment()
             store.keep(machine)
             first = machine.number
-            record = cell.record(*cell.facts(registry), "ok")
+            record = cell.record("ok")
             record.environment = first
             store.save(record, NO_ROWS)
             for number in taken:
@@ -209,7 +212,7 @@ def test_the_rounds_that_are_missing_are_taken_once(tmp_path):
             store.keep(later)
             second = later.number
             for _ in range(2):
-                time_suite(suite, store, registry, runner)
+                time_suite(suite, store, runner)
             (found,) = store.records().values()
         missing = set(range(5)) - set(taken)
         assert found.rounds == sorted(
@@ -230,18 +233,18 @@ def test_long_runs_that_may_win_get_as_many_samples_as_an_interval_takes(tmp_pat
         0.004: (None, None, 0.4, 3),
     }
     study = StudyFile(problems=["pendulum"], integrators=["newmark"], steps=[*found])
-    registry, runner = Inventory(), _Clock()
-    suite = make_suite("x", ProfileFile(study=[study], samples=7), registry)
+    runner = _Clock()
+    suite = make_suite("x", ProfileFile(study=[study], samples=7), Inventory())
     cells = {cell.resolution.h: cell for cell in suite.cells.values()}
     with Store(tmp_path, create=True) as store:
         store.keep(environment())
         for h, (q, a, seconds, _) in found.items():
-            record = cells[h].record(*cells[h].facts(registry), "ok")
+            record = cells[h].record("ok")
             record.errors = {"q": {"max": q}, "a": {"max": a}}
             store.save(record, NO_ROWS)
             runner.seconds[record.key] = seconds
         for _ in range(2):
-            time_suite(suite, store, registry, runner)
+            time_suite(suite, store, runner)
         counts = {r.h: len(r.run_s) for r in store.records().values()}
     assert counts == {h: n + (h == 0.1) for h, (*_, n) in found.items()}
     assert len(runner.asked) == sum(counts.values())

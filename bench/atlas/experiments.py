@@ -254,7 +254,7 @@ def sweep_of(s: Settings, integrator: MethodFacts | None, registry: Inventory) -
                 if integrator.controls == "step"
                 else Tolerances(value)
             )
-            cells.append(Cell(scene.spec, integrator.spec, check_end(t0, t_end), resolution))
+            cells.append(Cell(scene, integrator, check_end(t0, t_end), resolution))
     if s.over:
         return Sweep(s.over, tuple(s.values or ()), tuple(cells))
     return Sweep("h" if integrator.controls == "step" else "rtol", tuple(grid), tuple(cells))

@@ -22,7 +22,7 @@ from bench.running.errors import finite
 from bench.running.inventory import Inventory
 from bench.running.process import Limits, NoAnswer
 from bench.running.progress import Progress
-from bench.running.runner import Runner, Task, measure_task
+from bench.running.runner import Runner, Task, cell_task
 from bench.running.session import result_of
 from bench.running.worker import Worker
 from bench.stability.matrices import matrices, steppable
@@ -169,7 +169,7 @@ class _Trial:
     sweep: Sweep
     message: str = ""
 
-    def tasks(self, registry: Inventory) -> list[Task]:
+    def tasks(self) -> list[Task]:
         s, x = self.case, self.sweep.x
         if s.measure == "condition":
             return [Task(conditions, (s.problem, x, s.name))]
@@ -177,7 +177,7 @@ class _Trial:
             name, pattern = self.integrator.spec, s.pattern or (1.0,)
             return [Task(linear_response, (name, x, pattern), sources=self.integrator.sources)]
         return [
-            measure_task(cell, cell.sources(registry), s.measure in ("error", "events"))
+            cell_task(Worker.measure, cell, s.measure in ("error", "events"))
             for cell in self.sweep.cells
         ]
 
@@ -258,7 +258,7 @@ def _run(
     groups = defaultdict(list)
     for _, trials in plans:
         for trial in trials:
-            for task in trial.tasks(registry):
+            for task in trial.tasks():
                 shared = trial.integrator.affinity if trial.integrator else ""
                 group = groups[trial.case.problem, shared, task.sources]
                 if task not in group:
@@ -275,7 +275,7 @@ def _run(
                 take=part.take or "last",
                 healthy=_bounds(part.healthy),
                 show=part.show or "",
-                cases=[_case(part, trial, answers, registry) for trial in trials],
+                cases=[_case(part, trial, answers) for trial in trials],
             )
             for part, trials in plans
         ],
@@ -304,15 +304,14 @@ def _trials(part: Part, added: Sequence[str], registry: Inventory) -> list[_Tria
     return trials
 
 
-def _case(part: Part, trial: _Trial, answers: dict[Task, Any], registry: Inventory) -> CaseResult:
+def _case(part: Part, trial: _Trial, answers: dict[Task, Any]) -> CaseResult:
     method, sweep, case = trial.integrator, trial.sweep, trial.case
     y: list[float | None] = []
     messages, shown, rounding, stopped = [trial.message], None, 0.0, False
-    for task in trial.tasks(registry):
+    for task in trial.tasks():
         answer = answers[task]
         if task.job is Worker.measure:
-            cell = task.arguments[0]
-            record, rows = result_of(cell, answer, *cell.facts(registry))
+            record, rows = result_of(task.arguments[0], answer)
             stopped = stopped or bool(record.stopped) or record.status == INTERRUPTED
             y.append(value_of(case, record, rows))
             rounding = max(rounding, rounding_of(case, record))

@@ -54,8 +54,8 @@ def run_suite(
         remark("Finished runs are stored; the same command goes on.")
         for sentence in suite.lost:
             progress.note(sentence)
-        measured = measure_suite(suite, store, registry, runner)
-        time_suite(suite, store, registry, runner)
+        measured = measure_suite(suite, store, runner)
+        time_suite(suite, store, runner)
         runner.end_workers()
         stored = store.records()
         limits = suite.plan.budget_s, suite.memory_gib

@@ -46,7 +46,8 @@ def drift_job(
         )
     resolution = Steps(scene.nominal_step if h is None else h)
     t_end = check_end(scene.interval[0], scene.interval[0] + steps * resolution.h)
-    run, _ = worker.run(Cell(scene.spec, constant.spec, t_end, resolution))
+    facts = worker.inventory.problem(problem), worker.inventory.integrator(constant.spec)
+    run, _ = worker.run(Cell(*facts, t_end, resolution))
     reference = None
     with suppress(Exception):  # its integration failed, or the closed form is false
         if (found := worker.reference(scene, scene.interval[1])) and not found.missing:

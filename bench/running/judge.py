@@ -76,11 +76,11 @@ def judge_job(
         if len(several := [*found]) > 1:
             raise SpecError(f"The files have {word} {', '.join(several)}; judge one.")
     t_end = float(next(iter(runs.values())).t[-1])
-    facts = _method(worker, names.pop(), runs, told)
+    of_scene, facts = worker.inventory.problem(problem), _method(worker, names.pop(), runs, told)
     results = []
     for one, resolution in zip(told, runs, strict=True):
-        cell = Cell(scene.spec, facts.spec, t_end, resolution)
-        record, rows = worker.judge(cell, facts, runs[resolution])
+        cell = Cell(of_scene, facts, t_end, resolution)
+        record, rows = worker.judge(cell, runs[resolution])
         seconds = one.number("seconds")
         record.run_s = [seconds] if seconds else []
         results.append(CellResult(record, rows))

@@ -9,10 +9,10 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from bench.plugins.registry import Sources, Unavailable
+from bench.plugins.registry import Unavailable
 from bench.results.records import MethodFacts, Plan, Record, Study
 from bench.running.inventory import Inventory, SceneFacts
 from bench.running.profiles import FIGURES, ProfileFile, StudyFile
@@ -30,12 +30,22 @@ DEFAULT_RTOL = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 
 @dataclass(frozen=True)
 class Cell:
-    """One run to be measured: a scene, an integrator, an end time and a resolution."""
+    """One run to be measured: a scene, an integrator, an end time in s and a resolution."""
 
-    problem: str
-    integrator: str
+    scene: SceneFacts
+    method: MethodFacts = field(hash=False)
     t_end: float
     resolution: Steps | Tolerances
+
+    @property
+    def problem(self) -> str:
+        """Return the printed name of the scene."""
+        return self.scene.spec
+
+    @property
+    def integrator(self) -> str:
+        """Return the printed name of the integrator."""
+        return self.method.spec
 
     @property
     def key(self) -> str:
@@ -47,10 +57,14 @@ class Cell:
             refined = f"rtol={r.rtol!r} atol={r.atol!r}"
         return f"{self.problem} | {self.integrator} | {refined} | t_end={self.t_end!r}"
 
-    def record(
-        self, scene: SceneFacts, method: MethodFacts, status: str, message: str = ""
-    ) -> Record:
+    @property
+    def fingerprint(self) -> str:
+        """Return the fingerprints of the scene and the integrator."""
+        return f"{self.scene.fingerprint}-{self.method.fingerprint}"
+
+    def record(self, status: str, message: str = "") -> Record:
         """Make the record of this cell with all that is known without a run."""
+        scene, method = self.scene, self.method
         if method.fault:
             status, message = "crashed", method.fault
         form, t0, r = method.formulation, scene.interval[0], self.resolution
@@ -72,27 +86,15 @@ class Cell:
             t_end=self.t_end,
             status=status,
             message=tidy(message),
-            fingerprint=f"{scene.fingerprint}-{method.fingerprint}",
+            fingerprint=self.fingerprint,
             **known,
         )
-
-    def facts(self, inventory: Inventory) -> tuple[SceneFacts, MethodFacts]:
-        """Return the facts of the cell's scene and integrator."""
-        return inventory.problem(self.problem), inventory.integrator(self.integrator)
-
-    def fingerprint(self, inventory: Inventory) -> str:
-        """Return the fingerprints of the cell's scene and integrator."""
-        return "-".join(facts.fingerprint for facts in self.facts(inventory))
-
-    def sources(self, inventory: Inventory) -> Sources:
-        """Return the plugins from outside that a run needs."""
-        scene, method = self.facts(inventory)
-        return scene.sources | method.sources
 
 
 @dataclass(frozen=True)
 class Suite:
-    """A plan, the part that is stored, with its cells by key in the order of the studies.
+    """A plan, the part that is stored, with its cells by key in the order of the studies, and its
+    scenes by name and end time in s.
 
     A cell may take ``memory_gib`` of memory. Experiments of the failure ``atlas`` belong to it
     (True: all, False: none). ``lost`` are sentences on plugins that have no cells, as they gave no
@@ -101,6 +103,7 @@ class Suite:
 
     plan: Plan
     cells: dict[str, Cell]
+    scenes: dict[tuple[str, float], SceneFacts]
     memory_gib: float
     atlas: bool | list[str] = False
     lost: tuple[str, ...] = ()
@@ -185,13 +188,11 @@ def make_suite(
         samples=profile.samples,
         budget_s=budget_s or profile.budget_s,
         studies=studies,
-        integrators={
-            text: registry.integrator(text)
-            for text in dict.fromkeys(cell.integrator for cell in cells.values())
-        },
+        integrators={cell.integrator: cell.method for cell in cells.values()},
         mine=own_method[0].spec if own_method else "",
     )
-    return Suite(plan, cells, profile.memory_gib, not part and profile.atlas, told)
+    places = {(cell.problem, cell.t_end): cell.scene for cell in cells.values()}
+    return Suite(plan, cells, places, profile.memory_gib, not part and profile.atlas, told)
 
 
 def _of_scenes(entries: list[_Entry], scenes: Collection[SceneFacts]) -> list[_Entry]:
@@ -224,7 +225,7 @@ def _expand(
         cell.key: cell
         for integrator in (registry.integrator_on(method, scene) for method in integrators)
         for resolution in resolutions[integrator.controls]
-        if (cell := Cell(scene.spec, integrator.spec, t_end, resolution))
+        if (cell := Cell(scene, integrator, t_end, resolution))
     }
     names = registry.components(scene.spec) if file.components else {}  # loads JAX
     for part in (part for text in file.components for part in text.split(":", 1)):

@@ -88,8 +88,7 @@ class Recommendation:
         self.remarks: list[str] = []
         self.candidates: list[Candidate] = []
         self.races: list[Race] = []
-        for place in dict.fromkeys((c.problem, c.t_end) for c in suite.cells.values()):
-            scene = registry.problem(place[0])
+        for place, scene in suite.scenes.items():
             demands = self._demands_on(scene, errors, rule)
             if self.of_all and len(demands) > 1:
                 raise SpecError(
@@ -193,20 +192,20 @@ class Recommendation:
                     runner.progress.note(f"{time.monotonic() - self.began:.0f} s: {race.first}")
             while cells := self._next():
                 suite = self._restricted({cell.key: cell for cell in cells})
-                if missing := missing_cells(suite, store, self._registry):
+                if missing := missing_cells(suite, store):
                     store.keep(suite.plan)
                     return missing
                 self._take(store)
             return []
 
-        measure_suite(self._restricted({}), store, self._registry, runner, further)
+        measure_suite(self._restricted({}), store, runner, further)
         self._take(store)
 
     def _time(self, best: Collection[str], store: Store, runner: Runner) -> None:
         """Take the times of the best runs, and of no others."""
         cells = {cell.key: cell for c in self.candidates for cell in c.cells.values()}
         suite = self._restricted({key: cells[key] for key in cells if key in best})
-        time_suite(suite, store, self._registry, runner)
+        time_suite(suite, store, runner)
         self._take(store)
 
     def _take(self, store: Store) -> None:

@@ -10,6 +10,7 @@ from typing import Any, Self
 
 from bench.plugins.registry import Sources
 from bench.results.records import TIMING_SECONDS
+from bench.running.inventory import SceneFacts
 from bench.running.plan import Cell
 from bench.running.process import REFERENCE, GuardedProcess, Limits, NoAnswer, wait_for_any
 from bench.running.progress import OnStandardError, Progress
@@ -41,19 +42,16 @@ class Task:
     programs: str = ""
 
 
-def measure_task(cell: Cell, sources: Sources, errors: bool = True, programs: str = "") -> Task:
-    """Make the task that measures a cell; its answer is a `CellResult`."""
-    return Task(Worker.measure, (cell, errors), cell.key, cell.problem, sources, programs)
+def cell_task(job: Callable[..., Any], cell: Cell, *more: Any) -> Task:
+    """Make the task of a cell: to measure it (`Worker.measure`), or to time it (`Worker.time`)."""
+    sources = cell.scene.sources | cell.method.sources
+    return Task(job, (cell, *more), cell.key, cell.problem, sources, cell.method.affinity)
 
 
-def time_task(cell: Cell, sources: Sources) -> Task:
-    """Make the task that times a cell once; its answer is in s."""
-    return Task(Worker.time, (cell,), cell.key, cell.problem, sources)
-
-
-def scene_task(problem: str, t_end: float, sources: Sources) -> Task:
+def scene_task(scene: SceneFacts, t_end: float) -> Task:
     """Make the task that describes a scene up to ``t_end`` in s; it answers a `SceneRecord`."""
-    return Task(Worker.scene, (problem, t_end), f"reference of {problem}", problem, sources)
+    about = f"reference of {scene.spec}"
+    return Task(Worker.scene, (scene.spec, t_end), about, scene.spec, scene.sources)
 
 
 class _WorkerProcess(GuardedProcess):

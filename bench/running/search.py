@@ -150,7 +150,7 @@ class Candidate:
         if size is None:
             return None
         resolution = Tolerances(size) if sizes.length is None else Steps(size)
-        cell = Cell(self.scene.spec, self.method.spec, self.t_end, resolution)
+        cell = Cell(self.scene, self.method, self.t_end, resolution)
         return self.cells.setdefault(size, cell)
 
     def errors(self, asked: Demand) -> dict[float, float]:

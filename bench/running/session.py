@@ -7,6 +7,7 @@ compiler; it may have started the other one ahead.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,6 @@ from bench.plugins.registry import Sources, plugin_files
 from bench.results.records import (
     INTERRUPTED,
     TIMING_SECONDS,
-    MethodFacts,
     Record,
     Rows,
     SceneRecord,
@@ -26,11 +26,11 @@ from bench.results.records import (
 from bench.results.store import Store
 from bench.results.timings import FEWEST, contenders
 from bench.running.cluster import ClusterRunner
-from bench.running.inventory import Inventory, SceneFacts
+from bench.running.inventory import SceneFacts
 from bench.running.plan import Cell, Suite, resolution_of
 from bench.running.process import PREPARING, Limits, NoAnswer
 from bench.running.progress import Progress
-from bench.running.runner import Runner, Task, measure_task, scene_task, time_task
+from bench.running.runner import Runner, Task, cell_task, scene_task
 from bench.running.worker import CellResult, Worker
 from integrators.resolutions import Steps, check_end
 from problems.base.spec import SpecError
@@ -48,30 +48,32 @@ def runner_for(suite: Suite, jobs: int, progress: Progress, cluster: str | None 
     return ClusterRunner(cluster, limits, progress) if cluster else Runner(jobs, limits, progress)
 
 
-def missing_cells(suite: Suite, store: Store, registry: Inventory) -> list[Cell]:
+def missing_cells(suite: Suite, store: Store) -> list[Cell]:
     """List the cells to be run: those without a readable record of this source, and those that
     were interrupted or ran out of a smaller budget."""
-    cells, stored = suite.cells.values(), store.records()
+    stored = store.records()
     cut = {key for key, record in stored.items() if record.status == INTERRUPTED}
     return [
         cell
-        for cell in cells
-        if cell.key in cut or _is_due(suite, stored.get(cell.key), cell.fingerprint(registry))
+        for key, cell in suite.cells.items()
+        if key in cut or _is_due(suite, stored.get(key), cell.fingerprint)
     ]
 
 
-def missing_scenes(suite: Suite, store: Store, registry: Inventory) -> list[tuple[str, float]]:
-    """List the scenes, by name and end time in s, that have no record of this source, or whose
+def missing_scenes(suite: Suite, store: Store) -> dict[tuple[str, float], SceneFacts]:
+    """Return the scenes, by name and end time in s, that have no record of this source, or whose
     reference ran out of a smaller budget."""
-    stored, asked = store.scenes(), {(s.problem, s.t_end) for s in suite.plan.studies}
-    made = {scene: registry.problem(scene[0]).fingerprint for scene in asked}
-    return sorted(s for s in asked if _is_due(suite, stored.get(s), made[s]))
+    stored = store.scenes()
+    return {
+        place: scene
+        for place, scene in sorted(suite.scenes.items())
+        if _is_due(suite, stored.get(place), scene.fingerprint)
+    }
 
 
 def measure_suite(
     suite: Suite,
     store: Store,
-    registry: Inventory,
     runner: Runner,
     further: Callable[[], list[Cell]] | None = None,
 ) -> int:
@@ -81,52 +83,45 @@ def measure_suite(
     ``further`` is called whenever a process is free, and gives all cells that are worth a run now,
     the best first.
     """
-    cells, scenes = missing_cells(suite, store, registry), missing_scenes(suite, store, registry)
+    cells, scenes = missing_cells(suite, store), missing_scenes(suite, store)
     records, before = store.records(), store.plan()
     # Runs of an earlier plan are still shown, and so are the facts of their methods.
     kept = {record.integrator for record in records.values()}
     known = before.integrators if before else {}
     facts = {name: own for name, own in known.items() if name in kept} | suite.plan.integrators
     store.keep(replace(suite.plan, integrators=facts))
-    number = 0
-    due = any(_samples_due(suite, records, last) for last in (False, True))
-    if cells or further or due:
+    number, searches = 0, further is not None
+    if cells or searches or any(_samples_due(suite, records, last) for last in (False, True)):
         machine = environment()
         number = machine.number
         store.keep(machine)
-
-    def keep(cell: Cell, answer: CellResult | NoAnswer) -> None:
-        record, rows = result_of(cell, answer, *cell.facts(registry))
-        record.environment = number
-        record.budget_s, record.memory_gib = suite.plan.budget_s, suite.memory_gib
-        store.save(record, rows)
+    if not (cells or scenes or searches):
+        return 0
 
     def offers() -> list[list[Task]]:
         begun = runner.begun
-        cells = [cell for cell in further() if cell.key not in begun] if further else []
-        return _groups(cells, [], registry)
+        return _groups([cell for cell in further() if cell.key not in begun] if further else [])
 
-    if cells or scenes or further:
-        groups = _groups(cells, scenes, registry)
-        # Scenes are counted if there is nothing else to do: people ask for cells.
-        counted = Worker.measure if cells or further else Worker.scene
-        progress = runner.progress
-        name = "searching" if further else "measuring" if cells else "describing scenes"
-        progress.phase(name, None if further else len(cells) or len(scenes))
-        answers = runner.run(groups, offers if further else list)
-        for task, answer in answers:
-            if task.job is Worker.scene:
-                if record := _described(task, answer, progress):
-                    record.budget_s, record.memory_gib = suite.plan.budget_s, suite.memory_gib
-                    store.keep(record)
-            else:
-                keep(task.arguments[0], answer)
-            if task.job is counted:
-                progress.advance()
+    # Scenes are counted if there is nothing else to do: people ask for cells.
+    counted = Worker.measure if cells or searches else Worker.scene
+    name = "searching" if searches else "measuring" if cells else "describing scenes"
+    runner.progress.phase(name, None if searches else len(cells) or len(scenes))
+    for task, answer in runner.run(_groups(cells, scenes), offers):
+        found = _finished(task, answer, runner.progress)
+        record = found.record if isinstance(found, CellResult) else found
+        if record:
+            record.budget_s, record.memory_gib = suite.plan.budget_s, suite.memory_gib
+        if isinstance(found, CellResult):
+            found.record.environment = number
+            store.save(*found)
+        elif found:
+            store.keep(found)
+        if task.job is counted:
+            runner.progress.advance()
     return len(cells)
 
 
-def time_suite(suite: Suite, store: Store, registry: Inventory, runner: Runner) -> None:
+def time_suite(suite: Suite, store: Store, runner: Runner) -> None:
     """Take the timing samples that the store lacks, of the cells that reached the end.
 
     Runs that last long have few of them; in the end those that may win get more.
@@ -138,9 +133,7 @@ def time_suite(suite: Suite, store: Store, registry: Inventory, runner: Runner) 
             continue
         have = {key: _samples_of(records[key]) for key in due}
         invocation = [*store.environments()][-1]  # kept as there are samples to be taken
-        tasks = [
-            time_task(cell, cell.sources(registry)) for cell in (suite.cells[key] for key in due)
-        ]
+        tasks = [cell_task(Worker.time, suite.cells[key]) for key in due]
         runner.progress.phase("timing, one run at a time", sum(due.values()))
         samples = FEWEST if last else suite.plan.samples
         for task, sample, seconds in runner.time(tasks, samples, have, most):
@@ -150,18 +143,14 @@ def time_suite(suite: Suite, store: Store, registry: Inventory, runner: Runner) 
 
 
 def solve_cells(
-    cells: list[Cell],
-    registry: Inventory,
-    budget_s: float,
-    memory_gib: float = 4.0,
-    progress: Progress | None = None,
+    cells: list[Cell], budget_s: float, memory_gib: float = 4.0, progress: Progress | None = None
 ) -> list[CellResult]:
     """Measure a few cells without a store and times: programs are compiled quickly, not well."""
-    groups = [[measure_task(cell, cell.sources(registry)) for cell in cells]]
+    groups = [[cell_task(Worker.measure, cell) for cell in cells]]
     with Runner(1, Limits(budget_s, memory_gib), progress) as runner:
         runner.draft = True
         found = {task.label: answer for task, answer in runner.run(groups)}
-    return [result_of(cell, found[cell.key], *cell.facts(registry)) for cell in cells]
+    return [result_of(cell, found[cell.key]) for cell in cells]
 
 
 def describe_scenes(
@@ -169,22 +158,20 @@ def describe_scenes(
 ) -> list[SceneRecord]:
     """Make records of scenes over their own intervals; one that fails is noted and left out."""
     records = {}
-    groups = [[scene_task(scene.spec, scene.interval[1], scene.sources)] for scene in scenes]
+    groups = [[scene_task(scene, scene.interval[1])] for scene in scenes]
     progress.phase("references", len(groups))
     with Runner(2, Limits(budget_s, memory_gib=4.0), progress) as runner:
         for task, answer in runner.run(groups):
-            if record := _described(task, answer, progress):
+            if record := _finished(task, answer, progress):
                 records[record.problem] = record
             progress.advance()
     return [records[scene.spec] for scene in scenes if scene.spec in records]
 
 
-def result_of(
-    cell: Cell, answer: CellResult | NoAnswer, scene: SceneFacts, method: MethodFacts
-) -> CellResult:
+def result_of(cell: Cell, answer: CellResult | NoAnswer) -> CellResult:
     """Return the result of a cell; one that has no answer has a record with the reason."""
     if isinstance(answer, NoAnswer):
-        record = cell.record(scene, method, answer.status, answer.message)
+        record = cell.record(answer.status, answer.message)
         record.stopped = answer.phase if answer.status == "budget_exceeded" else ""
         return CellResult(record, Rows(t=[]))
     return answer
@@ -200,14 +187,14 @@ def _is_due(suite: Suite, record: Record | SceneRecord | None, fingerprint: str)
     return record.stopped != "" and more
 
 
-def _described(
-    task: Task, answer: SceneRecord | NoAnswer, progress: Progress
-) -> SceneRecord | None:
-    """Return the record of a scene; if there is none, note the reason."""
-    if isinstance(answer, SceneRecord):
-        return answer
-    progress.note(f"No picture of {task.arguments[0]}: {answer.message}")
-    return None
+def _finished(task: Task, answer: Any, progress: Progress) -> Any:
+    """The result of a cell, or the record of a scene; None, with a note, if there is none."""
+    if task.job is Worker.measure:
+        return result_of(task.arguments[0], answer)
+    if isinstance(answer, NoAnswer):
+        progress.note(f"No picture of {task.arguments[0]}: {answer.message}")
+        return None
+    return answer
 
 
 def _samples_due(suite: Suite, records: Mapping[str, Record], last: bool) -> dict[str, int]:
@@ -226,18 +213,14 @@ def _samples_of(record: Record) -> dict[int, float]:
 
 
 def _groups(
-    cells: list[Cell], scenes: list[tuple[str, float]], registry: Inventory
+    cells: list[Cell], scenes: Mapping[tuple[str, float], SceneFacts] | None = None
 ) -> list[list[Task]]:
     """Group cells that share compiled code; the record of a scene comes before its cells."""
-    groups: dict[tuple, list[Task]] = {}
-    for problem, t_end in scenes:
-        groups[problem, t_end] = [scene_task(problem, t_end, registry.problem(problem).sources)]
-    for cell in cells:
-        sources = cell.sources(registry)
-        programs = registry.integrator(cell.integrator).affinity
-        task = measure_task(cell, sources, programs=programs)
-        groups.setdefault((cell.problem, programs, sources), []).append(task)
-    return list(groups.values())
+    groups = [[scene_task(scene, t_end)] for (_, t_end), scene in (scenes or {}).items()]
+    shared: defaultdict[tuple, list[Task]] = defaultdict(list)
+    for task in (cell_task(Worker.measure, cell) for cell in cells):
+        shared[task.scene, task.programs, task.sources].append(task)
+    return [*groups, *shared.values()]
 
 
 # ---- one run -----------------------------------------------------------------------------
@@ -273,11 +256,12 @@ def solve(
         ((_, planned),) = runner.run([[Task(plan_run, asked, sources=sources)]])
         if isinstance(planned, NoAnswer):
             raise SpecError(planned.message)
-        cell, scene, method, names = planned
+        cell, names = planned
         count = 0
         if isinstance(cell.resolution, Steps):
-            length = cell.t_end - scene.interval[0]
-            count = cell.resolution.count(scene.interval[0], cell.t_end)
+            t0 = cell.scene.interval[0]
+            length = cell.t_end - t0
+            count = cell.resolution.count(t0, cell.t_end)
             if abs(length / count - cell.resolution.h) > 1e-9 * length / count:
                 progress.note(
                     f"Step {cell.resolution.h:g} s does not divide the interval; {count} steps of "
@@ -286,10 +270,10 @@ def solve(
         if samples is None and count >= _TIMED:  # another process compiles well
             samples, runner.draft = _SAMPLES, False
             runner.end_workers()
-        ((_, measured),) = runner.run([[measure_task(cell, sources)]])
-        result = result_of(cell, measured, scene, method)
+        ((_, measured),) = runner.run([[cell_task(Worker.measure, cell)]])
+        result = result_of(cell, measured)
         if result.record.status == "ok":
-            for _, _, seconds in runner.time([time_task(cell, sources)], samples or 0, {}):
+            for _, _, seconds in runner.time([cell_task(Worker.time, cell)], samples or 0, {}):
                 result.record.run_s.append(seconds)
     return result, names
 
@@ -301,9 +285,9 @@ def plan_run(
     parameters: Mapping[str, Any],
     t_end: float | None,
     sizes: Mapping[str, Any],
-) -> tuple[Cell, SceneFacts, MethodFacts, dict[str, list[str]]]:
+) -> tuple[Cell, dict[str, list[str]]]:
     """Do a job of a worker: plan a run with the plugins that its process has loaded, in a budget
-    beside that of the run; return its cell, facts, and names of components."""
+    beside that of the run; return its cell and the names of components."""
     worker.notify(PREPARING, "planning")
     registry = worker.inventory
     registry.require_files()
@@ -313,5 +297,4 @@ def plan_run(
     resolution = resolution_of(scene, method, **sizes)
     if isinstance(resolution, Steps):
         resolution.count(scene.interval[0], end)  # refuses a step that does not fit the interval
-    cell = Cell(scene.spec, method.spec, end, resolution)
-    return cell, scene, method, registry.components(scene.spec)
+    return Cell(scene, method, end, resolution), registry.components(scene.spec)

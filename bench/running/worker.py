@@ -18,7 +18,7 @@ import numpy as np
 
 from bench.plugins.registry import Registry, Sources, why
 from bench.results.quantities import PARTS, point_notes
-from bench.results.records import MethodFacts, Record, Rows, SceneRecord
+from bench.results.records import Record, Rows, SceneRecord
 from bench.running import measure
 from bench.running.errors import (
     constraint_errors,
@@ -104,15 +104,15 @@ class Worker:
         self.notify(PREPARING, "tracing and compiling")
         run, compile_s = self.run(cell)
         self.notify(MEASURING, "measuring")
-        record = cell.record(*cell.facts(self.inventory), run.status, run.message)
+        record = cell.record(run.status, run.message)
         record.compile_s = compile_s
         self._compare(record, run, cell, errors, lacking)
         return CellResult(record, measure.stored_rows(run))
 
-    def judge(self, cell: Cell, method: MethodFacts, run: Trajectory) -> CellResult:
+    def judge(self, cell: Cell, run: Trajectory) -> CellResult:
         """Measure a run that reached the end of a cell in another program; components that it does
         not tell are NaN in all rows."""
-        record = cell.record(self.inventory.problem(cell.problem), method, run.status)
+        record = cell.record(run.status)
         self._compare(record, run)
         return CellResult(record, measure.stored_rows(run, partial=True))
 

@@ -8,6 +8,7 @@ import false_plugins as false
 import msgspec
 import numpy as np
 import pytest
+from helpers import cell_of
 
 from bench.check.checker import examine
 from bench.check.verdicts import FAILED
@@ -59,7 +60,8 @@ def stored(kind, value):
 
 def row(worker, how, scene="oscillator"):
     """The record of a cell, and its rows, without errors."""
-    result = worker.measure(Cell(scene, f"lying[how={how}]", 20.0, Steps(0.1)), errors=False)
+    cell = cell_of(worker.registry, scene, f"lying[how={how}]", 20.0, Steps(0.1))
+    result = worker.measure(cell, errors=False)
     record, _ = stored(Record, result.record), stored(Rows, result.rows)
     assert "Traceback" not in record.message
     assert record.message.isprintable()
@@ -167,7 +169,7 @@ def test_false_starts_energies_and_closed_forms_cost_their_part(registry, worker
         record = row(worker, "well", snake_case(name))
         assert (record.status, record.energy_drift) == ("ok", None)
         assert "No energy drift is known: " in record.message
-    cell = Cell("nan", "lying[how=well]", 20.0, Steps(0.1))
+    cell = cell_of(registry, "nan", "lying[how=well]", 20.0, Steps(0.1))
     record = stored(Record, worker.measure(cell).record)
     assert (record.status, record.errors) == ("ok", {})
     assert "the reference failed: exact()['q'][0, 0] is nan, expected finite" in record.message
@@ -182,12 +184,12 @@ def test_scenes_are_turned_into_own_types(registry, inventory, monkeypatch):
     assert type(scene.nominal_step) is float
     assert (record.tags, record.faults) == (["smooth"], [])
     facts = inventory.problem("numpy_step"), inventory.integrator("lying")
-    cell = Cell("numpy_step", "lying", 20.0, Steps(np.float64(0.1), (np.float64(1.0),)))
-    stored(Record, cell.record(*facts, "ok"))
+    cell = Cell(*facts, 20.0, Steps(np.float64(0.1), (np.float64(1.0),)))
+    stored(Record, cell.record("ok"))
     assert "np." not in cell.key
-    assert cell.record(*facts, "crashed", "\x1b[31m\n").message == "\N{REPLACEMENT CHARACTER}[31m"
+    assert cell.record("crashed", "\x1b[31m\n").message == "\N{REPLACEMENT CHARACTER}[31m"
     liar = inventory.integrator("lying[how=orders_half]")
-    assert cell.record(facts[0], liar, "ok").status == "crashed"
+    assert Cell(facts[0], liar, 20.0, Steps(0.1)).record("ok").status == "crashed"
 
 
 def test_an_energy_that_is_lost_in_motion_is_false():

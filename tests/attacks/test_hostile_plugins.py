@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 import hostile_plugins as hostile
 import pytest
+from helpers import cell_of
 from processes import Started
 
 from bench.plugins.registry import Registry
 from bench.results.records import INTERRUPTED, Record
 from bench.results.store import Store
-from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators import Steps
 
@@ -84,7 +84,9 @@ def run(folder: Path, names: Sequence[str], samples: int, controls: list[str]) -
 @cache
 def alone(scene: str) -> tuple:
     """A control without plugins, measured here."""
-    record, rows = Worker(Registry()).measure(Cell(scene, NEWMARK, 1.0, Steps(0.1)))
+    registry = Registry()
+    cell = cell_of(registry, scene, NEWMARK, 1.0, Steps(0.1))
+    record, rows = Worker(registry).measure(cell)
     with TemporaryDirectory() as folder, Store(Path(folder), create=True) as store:
         store.save(record, rows)  # which has fewer digits of the rows
         rows = store.rows(record.key)
