@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from bench.results.quantities import ASKED, COSTS, NORM, RANKED_COSTS, TRUST, parts
 from bench.results.records import NOT_TRIED, Record
-from bench.results.timings import quotient
+from bench.results.timings import by_round, quotient
 from reports.questions import TARGETS, Question
 from reports.series import Series, groups_of, ok_runs, reference_error
 
@@ -253,7 +253,7 @@ def told_apart(one: Record, two: Record, cost: str) -> bool:
     Times by their quotient within rounds (`bench.results.timings`), others by `Cost.tie`.
     """
     if COSTS[cost].is_time:
-        found = quotient(one, two)
+        found = quotient(by_round(one), by_round(two))
         return found is not None and found.differs
     values = [v for r in (one, two) if (v := r.cost(cost)) is not None]
     return len(values) == 2 and max(values) > COSTS[cost].tie * min(values)

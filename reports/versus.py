@@ -18,14 +18,7 @@ from typing import Any, NamedTuple
 from bench.results.quantities import COSTS, NORM, NORMS, TRUST, checked_group
 from bench.results.records import NOT_TRIED, counted
 from bench.results.table import Table
-from bench.results.timings import (
-    LEVEL,
-    Quotient,
-    Samples,
-    by_round,
-    median_interval,
-    quotient_by_round,
-)
+from bench.results.timings import LEVEL, Quotient, Samples, by_round, median_interval, quotient
 from problems.base.spec import SpecError, one_of
 from reports.formatting import number
 from reports.names import named_labels, scene_name
@@ -172,8 +165,8 @@ def _duel(pair: Sequence[Series], question: Question) -> Duel:
             lines.append([*zip(errors, samples, strict=True)])
         reached = [any(e <= target for e, _ in line) for line in lines]
         if all(reached):
-            quotient, why = _quotient(lines, question)
-            found += [quotient] if quotient else []
+            whole, why = _quotient(lines, question)
+            found += [whole] if whole else []
         elif any(reached):
             ratio = math.inf if reached[0] else 0.0
             found.append(Quotient(ratio, ratio, ratio, 1.0))
@@ -191,7 +184,7 @@ def _quotient(lines: Sequence[_Line], question: Question) -> tuple[Quotient | No
     if not a or not b:
         return None, "cost unknown"
     if cost.is_time:
-        found = quotient_by_round(a, b)
+        found = quotient(a, b)
     else:
         found = Quotient(b[0] / a[0], b[0] / a[0], b[0] / a[0], cost.tie)
     # The coarsest run is better already: a coarser one would cost less.

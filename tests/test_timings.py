@@ -20,7 +20,7 @@ from small_stores import NO_ROWS, a_record
 from bench.plugins.fingerprint import environment
 from bench.plugins.registry import Registry
 from bench.results.store import Store
-from bench.results.timings import median_interval, quotient
+from bench.results.timings import by_round, median_interval, quotient
 from bench.running.inventory import Inventory
 from bench.running.plan import make_suite
 from bench.running.process import Limits
@@ -189,7 +189,7 @@ def test_samples_are_paired_by_their_round_and_not_by_their_place(tmp_path):
     # Each round is another time of the machine; the second cell takes three times as long.
     one = [(n, 10.0**-n, 1) for n in (0, 1, 3, 4, 5, 6, 7)]
     two = [(n, 3 * 10.0**-n, 1) for n in range(8)]
-    found = quotient(*two_records(tmp_path, one, two))
+    found = quotient(*map(by_round, two_records(tmp_path, one, two)))
     assert found == pytest.approx((3.0, 3.0, 3.0, 1.1))
 
 

@@ -83,28 +83,19 @@ LEVELS = ("position", "velocity", "acceleration")
 class Cost(NamedTuple):
     """A cost of a run: its name in records, and the words by which pages speak of it.
 
-    The ``title`` stands in charts and menus, the ``noun`` in sentences (the title if it is empty),
-    the ``verb`` is that of the plural: several integrators "take" the fewest operations. ``tie`` is
-    the quotient up to which two costs are equal; times have intervals of their own, too.
-    Integrators are ``ranked`` by some.
+    The ``title`` stands in charts and menus, the ``words`` in sentences. ``tie`` is the quotient up
+    to which two costs are equal; times have intervals of their own, too.
     """
 
     name: str
     title: str
-    noun: str = ""
-    verb: str = "need"
+    words: str
     tie: float = 1.0
-    ranked: bool = False
 
     @property
     def is_time(self) -> bool:
         """Whether it is measured in s; all others are counts."""
         return self.name == "seconds"
-
-    @property
-    def words(self) -> str:
-        """The cost in a sentence: "operations", "time"."""
-        return self.noun or self.title
 
     @property
     def unit(self) -> str:
@@ -116,37 +107,21 @@ class Cost(NamedTuple):
         """The least of it in words: "fewest operations"."""
         return f"least {self.words}" if self.is_time else f"fewest {self.words}"
 
-    @property
-    def counted(self) -> str:
-        """The noun behind a value, which a time with its unit does not need."""
-        return "" if self.is_time else f" {self.words}"
-
-    @property
-    def unknown(self) -> str:
-        """The lack of it in words."""
-        return f"the {self.words} {'is not measured' if self.is_time else 'are not counted'}"
-
 
 #: Costs of a run by name: operations of its bill, the time in s, and counts of
 #: `integrators.contract.Work`.
 COSTS = {
-    cost.name: cost
-    for cost in (
-        # The model of operations is no more exact than 10 %. One program takes several per cent
-        # more or less time in another process, because its memory lies elsewhere.
-        Cost("operations", "floating-point operations", "operations", "take", 1.1, ranked=True),
-        Cost("seconds", "median seconds per run", "time", "take", 1.1, ranked=True),
-        Cost("residuals", "residual evaluations", ranked=True),
-        Cost("jacobians", "Jacobian evaluations"),
-        Cost("factorisations", "factorisations"),
-        Cost("newton", "Newton iterations"),
-        Cost("steps", "steps"),
-        Cost("solves", "linear solves"),
-        Cost("rejected", "rejected steps"),
-    )
+    # The model of operations is no more exact than 10 %. One program takes several per cent
+    # more or less time in another process, because its memory lies elsewhere.
+    "operations": Cost("operations", "floating-point operations", "operations", 1.1),
+    "seconds": Cost("seconds", "median seconds per run", "time", 1.1),
 }
+_COUNTS = {"residuals": "residual evaluations", "jacobians": "Jacobian evaluations",
+           "factorisations": "factorisations", "newton": "Newton iterations", "steps": "steps",
+           "solves": "linear solves", "rejected": "rejected steps"}  # fmt: skip
+COSTS |= {name: Cost(name, words, words) for name, words in _COUNTS.items()}
 #: Names of the costs by which integrators are ranked.
-RANKED_COSTS = tuple(cost.name for cost in COSTS.values() if cost.ranked)
+RANKED_COSTS = ("operations", "seconds", "residuals")
 #: Parts of a run's bill of operations; see `integrators.program_costs.bill`.
 PARTS = ("residuals", "Jacobians", "inner solves", "factorisations", "solves", "method")
 #: Cost by which runs are compared unless another is asked for.

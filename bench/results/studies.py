@@ -187,25 +187,26 @@ class ExperimentResult(msgspec.Struct, kw_only=True):
     digest: str = ""
 
     @property
+    def cases(self) -> list[CaseResult]:
+        """The cases of all parts."""
+        return [case for part in self.parts for case in part.cases]
+
+    @property
     def as_predicted(self) -> bool:
         """Whether every number was found as expected."""
-        return self.measured and not self._differs
+        return self.verdict == "as predicted"
 
     @property
     def measured(self) -> bool:
         """Whether no run was stopped by its budget or from outside."""
-        return not any(case.stopped for part in self.parts for case in part.cases)
+        return not any(case.stopped for case in self.cases)
 
     @property
     def verdict(self) -> str:
         """Verdict on the prediction: "as predicted", "not as predicted" or "not measured"."""
-        if self._differs:
+        if any(case.as_expected is False for case in self.cases):
             return "not as predicted"
         return "as predicted" if self.measured else "not measured"
-
-    @property
-    def _differs(self) -> bool:
-        return any(case.as_expected is False for part in self.parts for case in part.cases)
 
 
 def bounds(interval: tuple[float | None, float | None]) -> str:
@@ -218,16 +219,11 @@ def bounds(interval: tuple[float | None, float | None]) -> str:
 
 def experiments_table(found: Sequence[ExperimentResult]) -> Table:
     """A row per experiment, with a column per method that was added."""
-    added = list(
-        dict.fromkeys(
-            c.label for f in found for p in f.parts for c in p.cases if c.expected is None
-        )
-    )
+    added = {c.label: None for f in found for c in f.cases if c.expected is None}
+    differs = {"not as predicted": "DIFFERS: ", "not measured": "not measured: "}
     rows = []
     for f in found:
-        differs = {"not as predicted": "DIFFERS: ", "not measured": "not measured: "}
-        cases = [case for part in f.parts for case in part.cases]
-        cells = [spared(c for c in cases if c.label == label) for label in added]
+        cells = [spared(c for c in f.cases if c.label == label) for label in added]
         said = differs.get(f.verdict, "") + expected_counts(f)
         rows.append([f"{f.number}. {f.title}", said, *cells])
     note = "Numbers found where theory, a publication or an earlier measurement says, of all."
@@ -239,7 +235,7 @@ def experiments_table(found: Sequence[ExperimentResult]) -> Table:
 
 def expected_counts(f: ExperimentResult) -> str:
     """The count of numbers found as expected: "5 of 6 as expected"."""
-    held = [bool(c.as_expected) for part in f.parts for c in part.cases if c.expected]
+    held = [bool(case.as_expected) for case in f.cases if case.expected]
     return f"{sum(held)} of {len(held)} as expected"
 
 

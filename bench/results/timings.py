@@ -104,9 +104,8 @@ def contenders(records: Iterable[Record]) -> list[Record]:
     timed = [r for r in records if r.status == "ok" and r.run_s and r.errors]
 
     def errors(record: Record) -> list[float]:
-        return [
-            math.inf if (e := norms.get(NORM)) is None else e for norms in record.errors.values()
-        ]
+        each = (norms.get(NORM) for norms in record.errors.values())
+        return [math.inf if error is None else error for error in each]
 
     def beaten(one: Record) -> bool:
         return any(
@@ -120,19 +119,14 @@ def contenders(records: Iterable[Record]) -> list[Record]:
     return [r for r in long if max(r.run_s) <= LONGEST and not beaten(r)]
 
 
-def quotient(one: Record, two: Record) -> Quotient | None:
+def quotient(one: Samples, two: Samples) -> Quotient | None:
     """Time of ``two`` over that of ``one``, within rounds if all that one has are common to both.
 
     None if a run has no samples, or a short one has a single sample in another round.
     """
-    return quotient_by_round(by_round(one), by_round(two))
-
-
-def quotient_by_round(a: Samples, b: Samples) -> Quotient | None:
-    """Time of ``b`` over that of ``a``, as `quotient`."""
-    quotients = [b[place] / a[place] for place in a if place in b]
-    if not quotients or len(quotients) < min(len(a), len(b)):
-        return quotient_of_medians([*a.values()], [*b.values()])
+    quotients = [two[place] / one[place] for place in one if place in two]
+    if not quotients or len(quotients) < min(len(one), len(two)):
+        return quotient_of_medians([*one.values()], [*two.values()])
     return Quotient(statistics.median(quotients), *median_interval(quotients), _least(quotients))
 
 
