@@ -1,4 +1,4 @@
-"""The commands on scenes and integrators themselves: `list`, `show`, `new` and `check`."""
+"""The commands on scenes and integrators themselves: `list`, `show`, `truth`, `new`, `check`."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from bench.commands import options
 from bench.commands.options import BUDGET_S, Given
 from bench.commands.terminal import RunProgress, say, show
 from bench.plugins.registry import KINDS, SUFFIXES, Plugin
+from bench.results.flat_rows import csv_text
 from bench.results.table import Table
 from bench.running.inventory import Inventory
 from bench.running.profiles import built_in_profiles, read_profile, suite_titles
@@ -189,6 +190,46 @@ def show_(o: Given) -> None:
     drawings = o.guarded(about, Worker.pictures, scene.sources, *task)
     write = write_animation if o.animate else write_picture
     click.echo(f"Picture: {write(scene.spec, drawings, o.file or Path(f'{scene.name}.{ending}'))}")
+
+
+@options.command(
+    "truth", "problem every at settings budget plugins as_json as_csv",
+    at={"help": "These instants in s.", "metavar": "T1,..."},
+    as_csv={"help": "Print comma-separated rows, as `judge` reads them."},
+)  # fmt: skip
+def truth(o: Given) -> None:
+    """Print the certain digits of a scene.
+
+    A number is printed as far as independent ways agree: a closed form or Gauss collocation, and
+    Radau IIA, also with changed data. It is off by at most one unit of its last digit.
+
+    \b
+    Examples:
+      stepbench truth slider_crank --at 0,0.5,1 --json
+      stepbench truth duffing --every 0.5 --csv > duffing.csv
+    """
+    from bench.running.truth import truth_job
+
+    if o.every is not None:
+        options.refuse("does not go with --every; give one of them.", "at")
+    if o.as_json:
+        options.refuse("does not go with --json; give one of them.", "as_csv")
+    scene = o.asked_scene
+    found = o.guarded(o.problem, truth_job, scene.sources, scene.spec, o.every, o.at)
+    rows, named = found["rows"], found["components"]
+    places = [(g, i, name) for g, names in named.items() for i, name in enumerate(names)]
+    if o.as_csv:
+        table = [{"t": r["t"], **{f"{g}{i + 1}": r[g][i] for g, i, _ in places}} for r in rows]
+        click.echo(csv_text(table), nl=False)
+        return
+    values = [[f"{g} {n}", f"{r['t']:g}", r[g][i]] for g, i, n in places for r in rows]
+    digits = [[f"{r['t']:g}", *(str(r["digits"][g]) for g in named)] for r in rows]
+    o.answer(
+        found,
+        Table(f"{found['scene']}: certain digits", ["component", "t [s]", "value"], values),
+        Table("Number of certain digits", ["t [s]", *named], digits),
+        *(f"How: {found['how']}.", *found["remarks"]),
+    )
 
 
 @options.command(
