@@ -15,7 +15,6 @@ import re
 import sys
 import sysconfig
 import traceback
-import types
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass, field, replace
@@ -37,10 +36,6 @@ _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "
 _FRAME = re.compile(r'^ *File "(.+)", line (\d+), in .+$', re.MULTILINE)
 #: XLA and NumPy say how much memory they did not get.
 _LACKING = re.compile(r"RESOURCE_EXHAUSTED\D*(\d+ bytes)|Unable to allocate ([\d.]+ \w+)")
-#: Name of the package of this project.
-PROJECT = "stepbench"
-#: Modules of plugin files have names that begin with this.
-FILE_PREFIX = "stepbench_plugin_"
 #: Endings of files that MuJoCo reads.
 SUFFIXES = (".xml", ".urdf", ".mjcf")
 #: The kinds of plugins, with their base classes.
@@ -161,7 +156,7 @@ class Registry:
             entries = [
                 (_origin(e.dist), e.name, e) for e in entry_points(group=f"stepbench.{kind}")
             ]
-            entries.sort(key=lambda e: (e[0].split()[0] != PROJECT, *e[:2]))
+            entries.sort(key=lambda e: (e[0].split()[0] != "stepbench", *e[:2]))
             for origin, name, entry in entries:
                 self._add(Plugin(kind, name, origin, entry.load))
         for file in plugin_files(paths):
@@ -201,28 +196,19 @@ class Registry:
         plugins[plugin.name] = plugin
 
     def _add_file(self, file: Path) -> None:
-        module: Any = None
-        sources = Sources({str(file)})
+        sources, classes = Sources({str(file)}), list[Any]()
         fault = "it defines no MechatronicSystem and no Integrator."
         try:
-            module = _import_file(file)
+            classes = [_model(file)] if file.suffix in SUFFIXES else _classes(file)
         except BaseException as error:  # a plugin may even call sys.exit
             fault = explain(error)
-        own: list[tuple[str, Any]] = [
-            (kind, cls)
-            for cls in (vars(module).values() if module else ())
-            if inspect.isclass(cls)
-            and cls.__module__ == module.__name__
-            and not inspect.isabstract(cls)
-            for kind, base in KINDS.items()
-            if issubclass(cls, base)
-        ]
-        for kind, cls in own:
-            # A class whose name is of no use is listed, with the reason, under its own.
-            name = cls.name if spec.is_name(cls.name) else cls.__name__
-            self._add(Plugin(kind, name, str(file), lambda cls=cls: cls, sources))
-        for kind in () if own else KINDS:  # its kind is not known: it is listed under both
-            self._add(Plugin(kind, file.stem, str(file), None, sources, fault))
+        for kind, base in KINDS.items():
+            for cls in (cls for cls in classes if issubclass(cls, base)):
+                # A class whose name is of no use is listed, with the reason, under its own.
+                name = cls.name if spec.is_name(cls.name) else cls.__name__
+                self._add(Plugin(kind, name, str(file), lambda cls=cls: cls, sources))
+            if not classes:  # its kind is not known: it is listed under both
+                self._add(Plugin(kind, file.stem, str(file), None, sources, fault))
 
 
 def plugin_files(paths: Sequence[str | Path]) -> list[str]:
@@ -250,31 +236,31 @@ def plugin_files(paths: Sequence[str | Path]) -> list[str]:
     return list(dict.fromkeys(files))
 
 
-def _import_file(file: Path) -> Any:
-    digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
-    name = f"{FILE_PREFIX}{file.stem}_{digest}"
-    if name in sys.modules:
-        return sys.modules[name]
-    if file.suffix in SUFFIXES:
-        from problems.models.mjcf import from_mjcf
+@cache
+def _model(file: Path) -> type[MechatronicSystem]:
+    from problems.models.mjcf import from_mjcf
 
-        cls = from_mjcf(file)
-        module, cls.__module__ = types.ModuleType(name), name
-        setattr(module, cls.__name__, cls)
-        sys.modules[name] = module
-        return module
-    loader = importlib.util.spec_from_file_location(name, file)
-    assert loader is not None and loader.loader is not None  # noqa: PT018 - it ends with .py
-    module = importlib.util.module_from_spec(loader)
-    sys.modules[name] = module  # dataclasses look their module up
-    try:
-        # Prints of a plugin must not get into the JSON on the standard output.
-        with redirect_stdout(sys.stderr):
-            loader.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
+    return from_mjcf(file)
+
+
+def _classes(file: Path) -> list[Any]:
+    """The scenes and integrators of a Python file, which is imported once."""
+    digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
+    name = f"stepbench_plugin_{file.stem}_{digest}"
+    if name not in sys.modules:
+        loader = importlib.util.spec_from_file_location(name, file)
+        assert loader is not None and loader.loader is not None  # noqa: PT018 - it ends with .py
+        sys.modules[name] = importlib.util.module_from_spec(loader)  # dataclasses look it up
+        try:
+            # Prints of a plugin must not get into the JSON on the standard output.
+            with redirect_stdout(sys.stderr):
+                loader.loader.exec_module(sys.modules[name])
+        except BaseException:
+            del sys.modules[name]
+            raise
+    defined = [c for c in vars(sys.modules[name]).values() if inspect.isclass(c)]
+    own = [c for c in defined if c.__module__ == name and issubclass(c, (*KINDS.values(),))]
+    return [cls for cls in own if not inspect.isabstract(cls)]
 
 
 @cache  # a package reads its metadata anew each time, and has many entry points
