@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from helpers import long
 
-from bench.check.blocks import alike
 from bench.check.checker import CHECKS, examine, run_checks
+from bench.check.scenes import alike
 from bench.check.trials import ForcedOscillator, Trial, check_order
 from bench.check.verdicts import FAILED, NOT_APPLICABLE, PASSED
 from bench.plugins.registry import Registry

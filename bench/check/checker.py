@@ -36,9 +36,8 @@ CHECKS: dict[str, dict[str, Callable[[Registry, Any], str]]] = {
     "problems": scenes.SCENE_CHECKS,
     "integrators": integrators.INTEGRATOR_CHECKS,
 }
-#: Advice where a check has no end, or its process none of its own.
+#: Advice where a check has no end.
 _ADVICE = "end such a run with the status budget_exceeded, or raise --budget"
-_CRASHED = "Look for a crash in compiled code or for an exit."
 
 
 def examine_job(worker: Worker, kind: str, text: str, check: str) -> CheckResult:
@@ -109,6 +108,7 @@ def run_checks(registry: Inventory, kind: str, text: str, budget_s: float) -> It
     with Runner(1, Limits(budget_s, advice=_ADVICE)) as runner:
         for task, answer in runner.run([tasks]):
             if isinstance(answer, NoAnswer):
-                advice = "" if answer.status == "budget_exceeded" else f" {_CRASHED}"
+                crashed = answer.status != "budget_exceeded"
+                advice = " Look for a crash in compiled code or for an exit." * crashed
                 answer = CheckResult(task.label, FAILED, f"{answer.message}{advice}")
             yield answer

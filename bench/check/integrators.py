@@ -211,9 +211,9 @@ def check_endings(registry: Registry, method: Integrator) -> str:
     ):
         if checks.refusal(method, scene):
             continue
-        trial, end = Trial(method, scene), scene.interval[1]
+        trial = Trial(method, scene, scene.interval[1])
         try:  # behind the blow-up, however many steps that takes
-            run = trial.trajectory(trial.prepared(trial.resolution(), end), end)
+            run = trial.trajectory(trial.prepared(trial.resolution()))
         except (Failed, SpecError):
             raise
         except Exception as error:

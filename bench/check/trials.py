@@ -109,19 +109,19 @@ def reference(scene: MechatronicSystem, t_end: float) -> Reference:
 
 @dataclass(frozen=True)
 class Trial:
-    """Runs of a method on a scene over `TRIAL_STEPS` nominal steps, or as long as the scene lasts.
-
-    Its step or tolerance is made finer by a factor ``finer``.
-    """
+    """Runs of a method on a scene up to an ``end`` in s, or over `TRIAL_STEPS` nominal steps, or as
+    long as the scene lasts; their step or tolerance is made finer by a factor ``finer``."""
 
     method: Integrator
     scene: MechatronicSystem
+    end: float | None = None
 
     @property
     def t_end(self) -> float:
         """End time in s."""
         t0, t_end = self.scene.interval
-        return min(t_end, t0 + TRIAL_STEPS * self.scene.nominal_step)
+        short = min(t_end, t0 + TRIAL_STEPS * self.scene.nominal_step)
+        return short if self.end is None else self.end
 
     def resolution(self, finer: float = 1.0) -> Steps | Tolerances:
         """Return the step or tolerances of a run."""
@@ -134,17 +134,15 @@ class Trial:
         refined = self.resolution(finer)
         return f"h={refined.h:g} s" if isinstance(refined, Steps) else f"rtol={refined.rtol:g}"
 
-    def prepared(self, refined: Steps | Tolerances, t_end: float | None = None) -> PreparedRun:
-        """Prepare a run up to t_end in s."""
-        end = self.t_end if t_end is None else t_end
-        return checks.checked_run(self.method.prepare(self.scene, end, refined))
+    def prepared(self, refined: Steps | Tolerances) -> PreparedRun:
+        """Prepare a run."""
+        return checks.checked_run(self.method.prepare(self.scene, self.t_end, refined))
 
-    def trajectory(self, run: PreparedRun, t_end: float | None = None) -> Trajectory:
-        """Measure a run up to t_end in s; raise ``Failed`` if that gives no trajectory."""
-        end = self.t_end if t_end is None else t_end
+    def trajectory(self, run: PreparedRun) -> Trajectory:
+        """Measure a run; raise ``Failed`` if that gives no trajectory."""
+        span = self.scene.interval[0], self.t_end
         try:
-            start = self.scene.interval[0]
-            return checks.checked_trajectory(run.measure(), self.scene.sizes, start, end)
+            return checks.checked_trajectory(run.measure(), self.scene.sizes, *span)
         except FalseAnswer as fault:
             raise Failed(f"On {self.scene.spec}: {fault}") from fault
 
