@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 import altair
 import pytest
+from helpers import long
 from planted import chart_rows as rows
 from planted import everything, plant, planted
 
@@ -114,34 +115,32 @@ def test_the_only_scene_needs_no_name_and_intervals_are_chosen(tmp_path):
 
 
 # ---- paper -------------------------------------------------------------------------------
-def test_a_figure_is_as_wide_as_a_column_in_every_format(folder, tmp_path, stepbench):
-    for kind in ("work_precision", "convergence", "trajectory"):
-        files = {suffix: tmp_path / f"fig.{suffix}" for suffix in ("svg", "png", "pdf", "json")}
-        for file in files.values():
-            result = stepbench(
-                "report", folder, "--figure", kind, "--scene", "pendulum", "-o", file
-            )
-            assert result.exit_code == 0, result.output
-            assert f"Figure: {file}" in result.output
-        drawing = ElementTree.parse(files["svg"]).getroot()
-        assert drawing.get("width") == "250pt"
-        words = " ".join(text for text in drawing.itertext())
-        assert "good 0.8" in words  # its short name
-        assert "good[rho_inf=0.8]" not in words
-        assert "undefined" not in words
-        assert "NaN" not in files["svg"].read_text()
-        image = files["png"].read_bytes()
-        wide, _ = struct.unpack(">II", image[16:24])
-        place = image.index(b"pHYs")
-        per_metre, _ = struct.unpack(">II", image[place + 4 : place + 12])
-        assert wide / per_metre == pytest.approx(0.0882, rel=0.01)  # 250 points in m
-        box = re.search(rb"/MediaBox \[0 0 (\S+) ", files["pdf"].read_bytes())
-        assert float(box.group(1)) == pytest.approx(250, abs=0.5)
-        figure = json.loads(files["json"].read_text())
-        assert "vega-lite" in figure["$schema"]
-        altair.Chart.from_dict(figure)  # checks it against the schema
-        assert figure["config"]["background"] == "white"
-        assert figure["config"]["axis"]["tickWidth"] <= 0.5
+@pytest.mark.parametrize("kind", ["work_precision", *long("convergence", "trajectory")])
+def test_a_figure_is_as_wide_as_a_column_in_every_format(folder, tmp_path, stepbench, kind):
+    files = {suffix: tmp_path / f"fig.{suffix}" for suffix in ("svg", "png", "pdf", "json")}
+    for file in files.values():
+        result = stepbench("report", folder, "--figure", kind, "--scene", "pendulum", "-o", file)
+        assert result.exit_code == 0, result.output
+        assert f"Figure: {file}" in result.output
+    drawing = ElementTree.parse(files["svg"]).getroot()
+    assert drawing.get("width") == "250pt"
+    words = " ".join(text for text in drawing.itertext())
+    assert "good 0.8" in words  # its short name
+    assert "good[rho_inf=0.8]" not in words
+    assert "undefined" not in words
+    assert "NaN" not in files["svg"].read_text()
+    image = files["png"].read_bytes()
+    wide, _ = struct.unpack(">II", image[16:24])
+    place = image.index(b"pHYs")
+    per_metre, _ = struct.unpack(">II", image[place + 4 : place + 12])
+    assert wide / per_metre == pytest.approx(0.0882, rel=0.01)  # 250 points in m
+    box = re.search(rb"/MediaBox \[0 0 (\S+) ", files["pdf"].read_bytes())
+    assert float(box.group(1)) == pytest.approx(250, abs=0.5)
+    figure = json.loads(files["json"].read_text())
+    assert "vega-lite" in figure["$schema"]
+    altair.Chart.from_dict(figure)  # checks it against the schema
+    assert figure["config"]["background"] == "white"
+    assert figure["config"]["axis"]["tickWidth"] <= 0.5
 
 
 def test_figures_are_refused_in_one_sentence(folder, refused, tmp_path):
