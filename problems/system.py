@@ -290,7 +290,7 @@ class MechatronicSystem:
         nh = rows("constraint", q, t0)
         nl = nh + rows("velocity_constraint", q, start.v, t0)
         shape = np.shape(self.actuation_at(q)) if self.has("output") else (len(start.v), 0)
-        if len(shape) != 2:
+        if len(shape) != 2 or shape[0] != len(start.v):
             fault = f"actuation has shape {shape}, expected ({len(start.v)}, ny)."
             raise spec.SpecError(f"{self.spec}: {fault}")
         nd = len(self.held_values())

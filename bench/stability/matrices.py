@@ -30,7 +30,7 @@ from integrators.native.step_method import NativeMethod
 from integrators.resolutions import Steps
 from problems.base.runtime import Float, jax, jnp
 from problems.base.spec import SpecError
-from problems.equations.formulations import Start, with_rates
+from problems.equations.formulations import Start, linearised
 from problems.system import MechatronicSystem
 from problems.variables import state_layout
 
@@ -153,7 +153,7 @@ def _program(method: StepProgram, template: MechatronicSystem) -> Callable:
 
         def started(s: Any) -> Any:
             q, v, x = state_layout(template.sizes).split(s)
-            start = Start(*with_rates(scene, q, v, x, jnp.asarray(0.0)))
+            start = Start(*linearised(scene, q, v, x, jnp.asarray(0.0))[0])
             return method.begin(scene, numbers, start, hs[0])
 
         first = jax.tree.map(jnp.asarray, started(jnp.zeros(deviations.shape[1])))

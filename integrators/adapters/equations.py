@@ -129,7 +129,7 @@ def trajectory_from_states(
     if prefers_sparse(scene):  # many dense systems side by side would not fit into memory
         with contextlib.suppress(NoPattern):
             states = zip(q, v, x, t, strict=True)
-            rows = [sparse_complete(scene, State(*state), time) for *state, time in states]
+            rows = [sparse_complete(scene, State(*state), time)[:2] for *state, time in states]
             found = jax.tree.map(lambda *parts: np.array(parts), *rows)
     z, xdot = found or compiled(scene).complete(scene.parameters(), q, v, x, t)
     a, lam, y = (np.asarray(part) for part in (z.a, z.lam, z.y))

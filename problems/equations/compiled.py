@@ -20,10 +20,8 @@ from problems.equations.formulations import (
     Start,
     algebraic_iterations,
     complete,
-    event_values,
     linearised,
     ode_rate,
-    with_rates,
 )
 from problems.system import MechatronicSystem
 from problems.variables import INVARIANTS, VARIABLES, Variables, state_layout
@@ -40,10 +38,10 @@ class Compiled:
     """Compiled functions of a scene; the first argument p is ``scene.parameters()``.
 
     ``linearised(p, q, v, x, t)``
-        `formulations.with_rates` at one time, and the Jacobian of the ODE form by s = [q, v, x]
-        ``(n, n)``, of scenes with more than `MOST_STATES` states ``(n, 0)``
+        `formulations.linearised` at one time: a start, and the Jacobian of the ODE form by
+        s = [q, v, x] ``(n, n)``, of scenes with more than `MOST_STATES` states ``(n, 0)``
     ``starts(p, q, v, x, t)``
-        `formulations.with_rates` at k times, as ``complete`` below
+        the start alone at k times, as ``complete`` below
     ``ode(p, t, s)``
         `formulations.ode_rate` of s = [q, v, x]
     ``rates(values, t, s)``
@@ -62,7 +60,8 @@ class Compiled:
     ``points(p, q)``
         the named points at k times, each ``(k, 2)`` or ``(k, 3)``
     ``events(p, q, v, x, t)``
-        `formulations.event_values` at k times, each ``(k, n)``
+        functions of the scene's events, and their rates along the motion, at k times, each
+        ``(k, n)``
     ``sample(p, z)``, ``jumps[event](p, z)``
         values after a sample instant and after each event, as the scene states them
     ``projected(p, t, s)``
@@ -72,7 +71,8 @@ class Compiled:
     """
 
     def __init__(self, template: MechatronicSystem) -> None:
-        names, states = list(template.parameters()), state_layout(template.sizes).size
+        names, layout = list(template.parameters()), state_layout(template.sizes)
+        states = layout.size
 
         def at(p: Mapping[str, Array]) -> MechatronicSystem:
             return template.with_parameters(p)
@@ -90,6 +90,14 @@ class Compiled:
             phi = s.constraint(q, t) if s.sizes.nh else jnp.zeros(0)
             return phi, constraint_velocity(s, q, v, t), constraint_acceleration(s, q, v, a, t)
 
+        def events(p: Mapping, q: Array, v: Array, x: Array, t: Array) -> tuple[Array, Array]:
+            scene, s = at(p), jnp.concatenate([q, v, x])
+
+            def values(t: Array, s: Array) -> Array:
+                return scene.events(complete(scene, *layout.split(s), t)[0])
+
+            return jax.jvp(values, (t, s), (jnp.ones_like(t), ode_rate(scene, t, s)))
+
         def invariant(block: str) -> Callable:
             return _over_rows(lambda p, q, v: getattr(at(p), block)(q, v))
 
@@ -97,7 +105,7 @@ class Compiled:
             return jax.jit(lambda p, z: at(p).jump(z, event))
 
         self.linearised = jax.jit(start, compiler_options=FEW_CALLS)
-        self.starts = _over_rows(lambda p, *state: with_rates(at(p), *state))
+        self.starts = _over_rows(lambda p, *state: linearised(at(p), *state)[0])
         self.ode = jax.jit(lambda p, t, s: ode_rate(at(p), t, s))
         self.rates = jax.jit(jax.vmap(rate, (None, 0, 0)))
         self.pulled = jax.jit(jax.vmap(rate, (None, 0, 0, None)))
@@ -105,7 +113,7 @@ class Compiled:
         self.levels = _over_rows(levels)
         self.invariants = {block: invariant(block) for block in INVARIANTS}
         self.points = _over_rows(lambda p, q: at(p).points(q))
-        self.events = _over_rows(lambda p, *state: event_values(at(p), *state))
+        self.events = _over_rows(events)
         self.sample = jax.jit(lambda p, z: at(p).sample(z))
         self.jumps = [jump(event) for event in range(_number_of_events(template))]
         self.projected = jax.jit(lambda p, t, s: projected_state(at(p), t, s))
@@ -117,9 +125,7 @@ def compiled(scene: MechatronicSystem) -> Compiled:
     return _compiled(scene.template())
 
 
-@cache
-def _compiled(template: MechatronicSystem) -> Compiled:
-    return Compiled(template)
+_compiled = cache(Compiled)
 
 
 def _number_of_events(template: MechatronicSystem) -> int:

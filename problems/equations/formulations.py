@@ -259,50 +259,26 @@ def ode_rate(
     return jnp.concatenate([q_rate(scene, q, v), z.a, xdot])
 
 
-def event_values(
-    scene: MechatronicSystem,
-    q: Float[Array, " nq"],
-    v: Float[Array, " nv"],
-    x: Float[Array, " nx"],
-    t: Float[Array, ""],
-) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """Compute the functions of the scene's events, and their rates along the motion."""
-    layout = state_layout(scene.sizes)
-
-    def values(t: Array, s: Array) -> Array:
-        return scene.events(complete(scene, *layout.split(s), t)[0])
-
-    s = jnp.concatenate([q, v, x])
-    return jax.jvp(values, (t, s), (jnp.ones_like(t), ode_rate(scene, t, s)))
-
-
-def with_rates(
-    scene: MechatronicSystem,
-    q: Float[Array, " nq"],
-    v: Float[Array, " nv"],
-    x: Float[Array, " nx"],
-    t: Float[Array, ""],
-) -> Start:
-    """Solve for all other variables and the next derivatives along the motion.
-
-    ``constrained_jerk`` is left out; values are NaN where there is no solution.
-    """
-    return linearised(scene, q, v, x, t, jnp.zeros((0, state_layout(scene.sizes).size)))[0]
-
-
 def linearised(
     scene: MechatronicSystem,
     q: Float[Array, " nq"],
     v: Float[Array, " nv"],
     x: Float[Array, " nx"],
     t: Float[Array, ""],
-    changes: Float[Array, "k n"],
+    changes: Float[Array, "k n"] | None = None,
 ) -> tuple[Start, Float[Array, "n k"]]:
-    """Compute `with_rates`, and the derivatives of `ode_rate` along changes of the state [q, v, x].
+    """Solve for all other variables and the next derivatives along the motion, and linearise it.
 
-    By the implicit function theorem: one matrix serves all of them and the motion.
+    By the implicit function theorem: one matrix serves all derivatives. ``constrained_jerk`` is
+    left out; values are NaN where there is no solution.
+
+    Parameters
+    ----------
+    changes
+        Changes of the state [q, v, x], along which the derivatives of `ode_rate` are returned.
     """
     of_state, of_u = state_layout(scene.sizes), algebraic_layout(scene.sizes)
+    changes = jnp.zeros((0, of_state.size)) if changes is None else changes
     z, xdot = complete(scene, q, v, x, t)
     u, s = jnp.concatenate([z.a, z.lam, z.y]), jnp.concatenate([q, v, x])
 

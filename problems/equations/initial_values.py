@@ -67,7 +67,8 @@ def consistent_start(scene: MechatronicSystem) -> Start:
         If an array has a wrong shape.
     """
     t0, state, start = scene.interval[0], scene.start(), None
-    _check_dimensions(scene, state)
+    if fault := _fault_of_shapes(scene.template()):
+        raise ValueError(f"{scene.spec}: {fault}")
     check_constraints(scene, state)
     if sparsity.prefers_sparse(scene):
         with contextlib.suppress(sparsity.NoPattern):
@@ -147,37 +148,28 @@ def missing_rank(scene: MechatronicSystem, q: np.ndarray, t: float) -> int:
     return scene.sizes.nl - int((np.linalg.svd(unit, compute_uv=False) > _REGULAR).sum())
 
 
-def _check_dimensions(scene: MechatronicSystem, state: State) -> None:
-    nq, nv = len(state.q), len(state.v)
-    found = _block_shapes(scene.template(), nq, nv)
-    wanted = {"mass": (nv, nv), "force": (nv,), "kinematics": (nq,), "move": (nq,)}
-    shapes = {block: (shape, wanted[block]) for block, shape in found.items()}
-    if scene.has("output"):
-        shapes["actuation"] = (np.shape(scene.actuation_at(state.q))[:1], (nv,))
-    for block, (found, wanted) in shapes.items():
-        if found != wanted:
-            raise ValueError(f"{scene.spec}: {block} has shape {found}, expected {wanted}.")
-
-
-@cache  # they are found by tracing, and every run asks for them
-def _block_shapes(template: MechatronicSystem, nq: int, nv: int) -> dict[str, tuple]:
+@cache  # it is found by tracing, and every run asks for it
+def _fault_of_shapes(template: MechatronicSystem) -> str:
+    """The sentence on the first block that has a wrong shape, or nothing."""
+    nq, nv, *_ = template.sizes
     q, v = np.zeros(nq), np.zeros(nv)
-    given = {"mass": (q,), "force": (q, v, 0.0), "kinematics": (q, v), "move": (q, v)}
-    return {
-        block: jax.eval_shape(getattr(template, block), *arguments).shape
-        for block, arguments in given.items()
-        if template.has(block)
-    }
+    wanted = {"mass": (nv, nv), "force": (nv,), "kinematics": (nq,), "move": (nq,)}
+    at = {"mass": (q,), "force": (q, v, 0.0), "kinematics": (q, v), "move": (q, v)}
+    for block in filter(template.has, wanted):
+        found = jax.eval_shape(getattr(template, block), *at[block]).shape
+        if found != wanted[block]:
+            return f"{block} has shape {found}, expected {wanted[block]}."
+    return ""
 
 
 # ---- large scenes ----------------------------------------------------------------------
 def sparse_start(scene: MechatronicSystem, state: State, t: float) -> Start:
-    """Compute `formulations.with_rates` and the constrained part of the jerk.
+    """Compute the start of `formulations.linearised` and the constrained part of the jerk.
 
     The latter is None for a scene without constraints; a and the jerk are NaN where there is no
     solution.
     """
-    z, xdot, matrix, factors = _solved(scene, state, t)
+    z, xdot, matrix, factors = sparse_complete(scene, state, t)
     if factors is None:
         return Start(z, xdot, z.a, 0 * xdot)
     (nv, nl), drift = (scene.sizes.nv, scene.sizes.nl), _equations(scene.template())[2]
@@ -198,17 +190,15 @@ def sparse_start(scene: MechatronicSystem, state: State, t: float) -> Start:
 
 def sparse_complete(
     scene: MechatronicSystem, state: State, t: float
-) -> tuple[Variables, Float[Array, " nx"]]:
+) -> tuple[Variables, Float[Array, " nx"], Any, Any]:
     """Compute `formulations.complete` by Newton's method, one factorisation per iteration.
 
-    a is NaN where there is no solution.
+    Returns
+    -------
+    tuple
+        All variables, xdot, the last matrix of the index-1 equations and its factors; a is NaN and
+        the factors are None where there is no solution.
     """
-    return _solved(scene, state, t)[:2]
-
-
-def _solved(scene: MechatronicSystem, state: State, t: float) -> tuple[Variables, Array, Any, Any]:
-    """Variables, xdot, the last matrix of the index-1 equations and its factors, which are None
-    where Newton's method fails."""
     sizes, p = scene.sizes, scene.parameters()
     layout, (pattern, system, _) = algebraic_layout(sizes), _equations(scene.template())
     u, matrix, factors = np.zeros(layout.size), None, None

@@ -13,7 +13,7 @@ from bench.stability.matrices import matrices
 from bench.stability.systems import LinearSystem, Oscillator
 from integrators import Integrator
 from problems import MechatronicSystem, jax, jnp
-from problems.equations.formulations import with_rates
+from problems.equations.formulations import linearised
 from problems.equations.initial_values import consistent_start
 from problems.mechanics import lagrange
 from problems.scenes.pendulums import DoublePendulum, Pendulum
@@ -157,7 +157,7 @@ def step_of(method: Integrator, scene: MechatronicSystem, h: float) -> Callable:
 
     @jax.jit
     def step(q: object, v: object) -> tuple:
-        again = with_rates(scene, q, v, start.z.x, start.z.t)
+        again = linearised(scene, q, v, start.z.x, start.z.t)[0]
         state = program.begin(scene, numbers, again, h)
         after, _ = program.step(scene, numbers, state, start.z.t + h, h)
         shown = program.read(scene, after)
