@@ -28,7 +28,7 @@ from integrators.methods.generalized_alpha_step import (
 )
 from problems import jnp
 from problems.equations import formulations
-from problems.equations.constraints import constrained_part, constraint_force
+from problems.equations.kinematics import constrained_part, constraint_force
 from problems.scenes.oscillators import SpringMass
 from problems.scenes.pendulums import Pendulum
 

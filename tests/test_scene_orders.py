@@ -21,8 +21,7 @@ from integrators.methods.simulator_steppers import SemiImplicitEuler
 from problems import State, jnp, parameter
 from problems.base import checks
 from problems.base.spec import SpecError
-from problems.equations.constraints import constraint_force, projected_state
-from problems.equations.kinematics import advance, displaced
+from problems.equations.kinematics import advance, constraint_force, displaced, projected_state
 from problems.scenes.pendulums import Pendulum
 from problems.scenes.rolling import ChaplyginSleigh
 from problems.truth.reference import Reference

@@ -13,8 +13,8 @@ from scipy.optimize import brentq
 
 from problems import MechatronicSystem, jax, jnp
 from problems.base.spec import SpecError
-from problems.equations.constraints import constraint_acceleration, constraint_velocity
 from problems.equations.formulations import ode_rate
+from problems.equations.kinematics import constraint_acceleration, constraint_velocity
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.ivp_test_set import CarAxis, SliderCrankFlexible
 from problems.scenes.oscillators import Duffing

@@ -13,8 +13,8 @@ from bench.plugins.registry import Registry
 from problems import jax, jnp, parameter
 from problems.equations import formulations
 from problems.equations.compiled import compiled
-from problems.equations.constraints import constraint_acceleration
 from problems.equations.initial_values import InconsistentStart, consistent_start
+from problems.equations.kinematics import constraint_acceleration
 from problems.mechanics import lagrange
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.ivp_test_set import Andrews, CarAxis, SliderCrankFlexible

@@ -16,9 +16,9 @@ from problems.base import runtime
 from problems.base.spec import SpecError
 from problems.equations import sparsity
 from problems.equations.compiled import compiled
-from problems.equations.constraints import constrained_part
 from problems.equations.formulations import dae_layout
 from problems.equations.initial_values import consistent_start, sparse_start
+from problems.equations.kinematics import constrained_part
 from problems.scenes.full_car import FullCar
 from problems.scenes.oscillators import SpringMass
 from problems.scenes.pendulums import Chain, Pendulum

@@ -10,8 +10,8 @@ from helpers import long
 from test_sympy_models import M, T, scene_of
 
 from problems.base.runtime import jax, jnp
-from problems.equations.constraints import constraint_velocity
 from problems.equations.initial_values import consistent_start
+from problems.equations.kinematics import constraint_velocity
 from problems.mechanics import lagrange
 
 R, G = sm.symbols("r g")

@@ -30,8 +30,8 @@ from bench.stability.spectra import eigenvalues, oscillation, overshoot, radii
 from bench.stability.systems import Oscillator
 from problems.base.runtime import jax, jnp
 from problems.base.spec import SpecError, one_of
-from problems.equations.constraints import constraint_force
 from problems.equations.initial_values import consistent_start
+from problems.equations.kinematics import constraint_force
 from problems.system import MechatronicSystem
 
 #: beta of the trapezoidal rule; the powers of h of a condition do not depend on it.

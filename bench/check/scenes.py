@@ -17,9 +17,8 @@ from bench.running.errors import relative_reference_error
 from problems import ContactSystem, jax, jnp
 from problems.base import checks, spec
 from problems.equations.compiled import compiled
-from problems.equations.constraints import constraint_change
 from problems.equations.initial_values import consistent_start
-from problems.equations.kinematics import q_rate
+from problems.equations.kinematics import constraint_change, q_rate
 from problems.hybrid.phases import Samples, after
 from problems.system import MechatronicSystem
 from problems.truth.reference import published_digits

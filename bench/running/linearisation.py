@@ -10,8 +10,7 @@ from bench.running.errors import scales
 from integrators.contract import Trajectory
 from problems.base.runtime import Float, jax, jnp
 from problems.equations.compiled import MOST_STATES, compiled
-from problems.equations.constraints import constraint_velocity
-from problems.equations.kinematics import q_rate
+from problems.equations.kinematics import constraint_velocity, q_rate
 from problems.system import MechatronicSystem
 from problems.truth.reference import Reference
 from problems.variables import state_layout

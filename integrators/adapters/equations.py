@@ -19,10 +19,9 @@ from integrators.contract import Trajectory
 from integrators.lowering.graph import NotLowered
 from problems.base.runtime import jax, jnp
 from problems.equations.compiled import compiled
-from problems.equations.constraints import projected_state
 from problems.equations.formulations import Baumgarte, dae_residual, ode_rate
 from problems.equations.initial_values import consistent_start, sparse_complete
-from problems.equations.kinematics import q_rate
+from problems.equations.kinematics import projected_state, q_rate
 from problems.equations.sparsity import NoPattern, Pattern, prefers_sparse
 from problems.system import MechatronicSystem
 from problems.variables import Layout, Sizes, State, dae_layout, state_layout

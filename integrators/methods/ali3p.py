@@ -17,13 +17,14 @@ from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
 from problems.base.runtime import Array, jax, jnp
 from problems.equations import formulations
-from problems.equations.constraints import (
+from problems.equations.kinematics import (
     constraint_acceleration,
     constraint_force,
     constraint_velocity,
+    displaced,
     least_multipliers,
+    q_rate,
 )
-from problems.equations.kinematics import displaced, q_rate
 from problems.equations.programs import output_takes
 from problems.system import MechatronicSystem
 from problems.variables import Variables

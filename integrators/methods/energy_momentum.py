@@ -52,9 +52,8 @@ from integrators.native.step.stage_equations import Base, Slopes, StageEquations
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
 from problems.base.runtime import Array, Float, jax, jnp
-from problems.equations.constraints import constraint_velocity
 from problems.equations.formulations import inertia
-from problems.equations.kinematics import advance
+from problems.equations.kinematics import advance, constraint_velocity
 from problems.equations.programs import equation
 from problems.mechanics import lagrange
 from problems.system import MechatronicSystem

@@ -45,9 +45,8 @@ from integrators.native.step.stage_equations import Base, Guess, Slopes, stage_e
 from integrators.native.step.step_program import StepFunctions
 from integrators.native.step.step_work import StepWork
 from problems.base.runtime import Array, jnp
-from problems.equations.constraints import constrained_part
 from problems.equations.formulations import Start
-from problems.equations.kinematics import displaced
+from problems.equations.kinematics import constrained_part, displaced
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 

@@ -26,8 +26,13 @@ from integrators.native.step_method import (
 )
 from problems.base.runtime import Array, Int, jnp
 from problems.equations import formulations
-from problems.equations.constraints import constraint_change, constraint_force, constraint_velocity
-from problems.equations.kinematics import advance, q_rate
+from problems.equations.kinematics import (
+    advance,
+    constraint_change,
+    constraint_force,
+    constraint_velocity,
+    q_rate,
+)
 from problems.equations.programs import output_takes
 from problems.system import MechatronicSystem
 from problems.variables import Layout, Variables, algebraic_layout

@@ -25,14 +25,13 @@ from integrators.native.algebra.step_records import Reading, Time, largest
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
 from problems.base.runtime import Array, jax, jnp
-from problems.equations.constraints import constraint_velocity
 from problems.equations.formulations import (
     Start,
     control_residuals,
     dynamics_residual,
     largest_inertia,
 )
-from problems.equations.kinematics import advance
+from problems.equations.kinematics import advance, constraint_velocity
 from problems.hybrid.contact import Contacts, ContactSystem
 from problems.system import MechatronicSystem
 from problems.variables import Layout, Variables

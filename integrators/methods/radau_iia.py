@@ -54,9 +54,8 @@ from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import FreeSteps, ImplicitStepMethod
 from problems.base.runtime import Array, Bool, Float, jax, jnp
 from problems.equations import formulations
-from problems.equations.constraints import constraint_force, constraint_velocity
 from problems.equations.formulations import Start
-from problems.equations.kinematics import advance
+from problems.equations.kinematics import advance, constraint_force, constraint_velocity
 from problems.equations.programs import output_takes
 from problems.system import MechatronicSystem
 from problems.variables import Variables, stage_layout

@@ -40,8 +40,12 @@ from integrators.native.step_method import (
 )
 from problems.base.runtime import Array, Int, jax, jnp
 from problems.equations import formulations
-from problems.equations.constraints import constraint_acceleration, constraint_velocity, pulled
-from problems.equations.kinematics import advance
+from problems.equations.kinematics import (
+    advance,
+    constraint_acceleration,
+    constraint_velocity,
+    pulled,
+)
 from problems.equations.programs import output_takes
 from problems.system import MechatronicSystem
 from problems.variables import Layout, Variables, stage_layout

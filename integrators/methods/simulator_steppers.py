@@ -27,9 +27,8 @@ from integrators.native.step.method_options import OwnValues
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import NewtonSettings, StepMethod, linear_solver_option
 from problems.base.runtime import Array, jax, jnp
-from problems.equations.constraints import constraint_force, constraint_velocity, pulled
 from problems.equations.formulations import Start, control_residuals, inertia
-from problems.equations.kinematics import advance
+from problems.equations.kinematics import advance, constraint_force, constraint_velocity, pulled
 from problems.system import MechatronicSystem
 from problems.variables import Variables, stage_layout
 

@@ -28,9 +28,8 @@ from integrators.native.step.stage_equations import Base, Guess, Slopes, resting
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
 from problems.base.runtime import Array, jax, jnp
-from problems.equations.constraints import constraint_force
 from problems.equations.formulations import Start, dynamics_residual, inertia, largest_inertia
-from problems.equations.kinematics import advance
+from problems.equations.kinematics import advance, constraint_force
 from problems.equations.programs import force_takes_velocities, mass_varies
 from problems.system import MechatronicSystem
 from problems.variables import Variables

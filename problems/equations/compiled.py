@@ -10,11 +10,6 @@ import numpy as np
 
 from problems.base.runtime import FEW_CALLS, Array, jax, jnp
 from problems.base.spec import SpecError
-from problems.equations.constraints import (
-    constraint_acceleration,
-    constraint_velocity,
-    projected_state,
-)
 from problems.equations.formulations import (
     Baumgarte,
     Start,
@@ -22,6 +17,11 @@ from problems.equations.formulations import (
     complete,
     linearised,
     ode_rate,
+)
+from problems.equations.kinematics import (
+    constraint_acceleration,
+    constraint_velocity,
+    projected_state,
 )
 from problems.system import MechatronicSystem
 from problems.variables import INVARIANTS, VARIABLES, Variables, state_layout
@@ -65,7 +65,7 @@ class Compiled:
     ``sample(p, z)``, ``jumps[event](p, z)``
         values after a sample instant and after each event, as the scene states them
     ``projected(p, t, s)``
-        `constraints.projected_state` of s = [q, v, x]
+        `kinematics.projected_state` of s = [q, v, x]
     ``iterations(p, q, v, x, t)``
         iterations in `formulations.complete` at k times, ``(k,)``; for scenes with outputs
     """

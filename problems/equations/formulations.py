@@ -17,15 +17,15 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from problems.base.runtime import Array, Float, Int, jax, jnp
-from problems.equations.constraints import (
+from problems.equations.kinematics import (
     constraint_acceleration,
     constraint_force,
     constraint_rows,
     constraint_velocity,
     pulled,
+    q_rate,
     regular,
 )
-from problems.equations.kinematics import q_rate
 from problems.equations.programs import EQUATIONS, INDEX1, equation, jitted
 from problems.system import MechatronicSystem
 from problems.variables import Variables, algebraic_layout, dae_layout, state_layout
@@ -96,7 +96,7 @@ class Start(NamedTuple):
     ``jerk``
         derivative of a by time along the motion, ``(nv,)``
     ``constrained_jerk``
-        `constraints.constrained_part` of the jerk, ``(nv,)``; None where it was not computed
+        `kinematics.constrained_part` of the jerk, ``(nv,)``; None where it was not computed
     """
 
     z: Variables

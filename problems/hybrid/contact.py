@@ -19,8 +19,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from problems.base.runtime import Array, Bool, Float, jax, jnp
-from problems.equations.constraints import augmented
-from problems.equations.kinematics import q_rate
+from problems.equations.kinematics import augmented, q_rate
 from problems.equations.programs import equation
 from problems.system import MechatronicSystem
 from problems.variables import Variables

@@ -23,9 +23,9 @@ from integrators.methods.rodas5p import Rodas5P
 from integrators.methods.symplectic import VariationalMidpoint
 from problems import MechatronicSystem, jax, jnp
 from problems.base.spec import SpecError
-from problems.equations.constraints import least_multipliers
 from problems.equations.formulations import complete
 from problems.equations.initial_values import NoConsistentStart, consistent_start
+from problems.equations.kinematics import least_multipliers
 from problems.scenes.iftomm import Bricard
 from problems.scenes.pendulums import Pendulum
 

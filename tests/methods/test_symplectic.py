@@ -24,7 +24,7 @@ from integrators.methods.symplectic import (
     VariationalMidpoint,
 )
 from problems import MechatronicSystem, jax, jnp, parameter
-from problems.equations.constraints import constraint_velocity
+from problems.equations.kinematics import constraint_velocity
 from problems.scenes.contacts import SoftImpact
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.pendulums import Chain, Pendulum, StiffBar

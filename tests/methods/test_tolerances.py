@@ -20,8 +20,8 @@ from integrators.methods.radau_iia import RadauIIA
 from integrators.methods.rodas5p import Rodas5P
 from problems import jax, jnp
 from problems.base.spec import SpecError
-from problems.equations.constraints import constraint_velocity, projected_state
 from problems.equations.initial_values import consistent_start
+from problems.equations.kinematics import constraint_velocity, projected_state
 from problems.scenes.heavy_top import HeavyTop
 from problems.scenes.ivp_test_set import CarAxis
 from problems.scenes.oscillators import DrivenSprings, SpringMass

@@ -13,14 +13,14 @@ from integrators.native.step.step_work import StepWork
 from problems.base.runtime import Array, jnp
 from problems.base.spec import SpecError, format_value
 from problems.equations import formulations
-from problems.equations.constraints import (
+from problems.equations.formulations import Baumgarte, Start, complete
+from problems.equations.kinematics import (
+    advance,
     constraint_change,
     constraint_force,
     constraint_velocity,
     joined,
 )
-from problems.equations.formulations import Baumgarte, Start, complete
-from problems.equations.kinematics import advance
 from problems.system import MechatronicSystem
 from problems.variables import Variables
 
@@ -204,7 +204,7 @@ class DriftHandling(Conditional):
 def moved_onto_constraints(scene: MechatronicSystem, z: Variables, work: StepWork) -> Variables:
     """Move q and v to Phi = 0 and d/dt Phi = 0, in the directions in which constraints act.
 
-    As `problems.equations.constraints.projected_state`, with the matrix at z alone.
+    As `problems.equations.kinematics.projected_state`, with the matrix at z alone.
     """
     nv = scene.sizes.nv
     nothing = jnp.zeros(nv)

@@ -30,8 +30,7 @@ from integrators.native.algebra.step_records import TINY, Scalar, Time, largest
 from integrators.native.step.step_work import StepWork
 from problems.base.runtime import Array, Bool, Float, jnp
 from problems.equations import formulations
-from problems.equations.constraints import constraint_force, constraint_rows
-from problems.equations.kinematics import Place, advance, origin
+from problems.equations.kinematics import Place, advance, constraint_force, constraint_rows, origin
 from problems.system import MechatronicSystem
 from problems.variables import Layout, Variables, stage_layout
 
