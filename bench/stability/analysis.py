@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import fields, replace
 from typing import Any
 
 import msgspec
@@ -11,8 +12,8 @@ import numpy as np
 
 from bench.plugins.registry import explain
 from bench.running.worker import Worker
-from bench.stability import patterns
 from bench.stability.matrices import steppable
+from bench.stability.patterns import ALTERNATING, Safe, fractions, largest_safe_ratio
 from bench.stability.spectra import FIRST_STEPS, places_near, radii, roots_of, spectrum
 from bench.stability.systems import Coupled, Joined, LinearSystem, Loop, Oscillator, Relaxation
 from integrators.contract import Integrator
@@ -55,9 +56,9 @@ def analyse(
     places = places_near(found, reported)
     maps, safe = [], None
     if isinstance(method, NativeMethod):
-        maps = [*_option_map(method, system, pattern), _ratio_map(method, system)]
+        maps = [*_maps(method, system, pattern)]
         if ratios and not (found.growing or found.unsolved):
-            safe = patterns.largest_safe_ratio(method, system)
+            safe = largest_safe_ratio(method, system)
     return _plain(
         vars(found)
         | {
@@ -77,40 +78,34 @@ def _plain(value: Any) -> Any:
     def known(value: Any) -> Any:
         if isinstance(value, complex):
             return {"re": value.real, "im": value.imag}
-        return vars(value) if isinstance(value, patterns.Safe) else value.tolist()
+        return vars(value) if isinstance(value, Safe) else value.tolist()
 
     return msgspec.json.decode(msgspec.json.encode(value, enc_hook=known))
 
 
-def _option_map(
+def _maps(
     method: NativeMethod, system: LinearSystem, pattern: Sequence[float]
-) -> list[dict[str, Any]]:
-    """Radii over omega h and the option that a method shows first, if that is a bounded number."""
-    for field in dataclasses.fields(method):
+) -> Iterator[dict[str, Any]]:
+    """Radii over omega h and the option that a method shows first, if that is a bounded number; and
+    over omega H and the ratio of two steps that take turns."""
+
+    def row(value: float, method: NativeMethod, pattern: Sequence[float]) -> dict[str, Any]:
+        return {"value": value, "radii": radii(roots_of(method, system, _ACROSS, pattern))}
+
+    for field in fields(method):
         meta = field.metadata
         low, high = meta.get("low"), meta.get("high")
         if low is None or high is None or not meta.get("always") or meta["type"] is not float:
             continue
         rows = []
         for value in np.linspace(low, high, _VALUES):
-            try:
-                member = dataclasses.replace(method, **{field.name: float(value)})
-            except SpecError:  # not every value goes with the other options
-                continue
-            radius = radii(roots_of(member, system, _ACROSS, pattern))
-            rows.append({"value": value, "radii": radius})
+            with suppress(SpecError):  # not every value goes with the other options
+                rows.append(row(value, replace(method, **{field.name: float(value)}), pattern))
         if len(rows) > 1:
-            return [{"over": field.name, "omega_h": _ACROSS, "rows": rows}]
-    return []
-
-
-def _ratio_map(method: NativeMethod, system: LinearSystem) -> dict[str, Any]:
-    """Radii over omega H and the ratio of two steps that take turns."""
-    rows = []
-    for ratio in _RATIOS:
-        turns = patterns.fractions(patterns.ALTERNATING, ratio)
-        rows.append({"value": ratio, "radii": radii(roots_of(method, system, _ACROSS, turns))})
-    return {"over": "step ratio", "omega_h": _ACROSS, "rows": rows}
+            yield {"over": field.name, "omega_h": _ACROSS, "rows": rows}
+            break
+    rows = [row(ratio, method, fractions(ALTERNATING, ratio)) for ratio in _RATIOS]
+    yield {"over": "step ratio", "omega_h": _ACROSS, "rows": rows}
 
 
 def _theory(method: Integrator) -> dict[str, Any] | None:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -189,12 +189,7 @@ def _program(method: StepProgram, template: MechatronicSystem) -> Callable:
         b = jax.vmap(lambda s: ravel_pytree(started(s))[0])(deviations) - ravel_pytree(first)[0]
         return a.T, b.T, c.T, converged
 
-    def each(
-        p: dict, numbers: Any, deviations: Any, pattern: Any, slots: Any, macros: Any
-    ) -> tuple:
-        return jax.lax.map(lambda macro: one(p, numbers, deviations, pattern, slots, macro), macros)
-
-    return jax.jit(each)
+    return jax.jit(lambda *fixed: jax.lax.map(partial(one, *fixed[:-1]), fixed[-1]))
 
 
 # ---- all other methods at constant steps -------------------------------------------------
@@ -238,12 +233,7 @@ def _two_patterns(
     if fault := ignored_pattern(run, steps, scene.interval[0], 2 * length):
         raise SpecError(f"{method.spec} has no matrix of a pattern: {fault}")
     blank = np.nan if run.status == "newton_failed" else np.inf
-    found = []
-    for end in (length, 2 * length):
-        rows = np.flatnonzero(np.abs(run.t - end) < 1e-9 * length)
-        if len(rows):
-            at = rows[-1]
-            found.append(np.concatenate([run.q[at], run.v[at], run.x[at]])[excited])
-        else:
-            found.append(np.full(len(excited), blank))
-    return found[0], found[1]
+    table = np.concatenate([run.q, run.v, run.x], axis=1)[:, excited]
+    one, two = (table[np.abs(run.t - end) < 1e-9 * length] for end in (length, 2 * length))
+    missing = np.full((1, len(excited)), blank)
+    return np.concatenate([missing, one])[-1], np.concatenate([missing, two])[-1]
