@@ -13,8 +13,9 @@ import pytest
 from test_contributing import EXAMPLES
 
 from bench.plugins.registry import Registry
+from bench.running.plan import resolution_of
+from bench.sweeps import ensemble as members
 from bench.sweeps.batch import Batch, BatchRun
-from bench.sweeps.ensemble import ensemble
 from bench.sweeps.variation import find_quantity, runs_with
 from integrators import Steps, Tolerances
 from integrators.native.loops.kernel import Kernel
@@ -30,6 +31,12 @@ ADAPTIVE, ENDS = "generalized_alpha_adaptive", r"(q|v|a|lam|x|xdot|y)(\d+)"
 def alone(problem, integrator, h, t_end=None):
     scene, method = REGISTRY.problem(problem), REGISTRY.integrator(integrator)
     return method.prepare(scene, t_end or scene.interval[1], Steps(h)).measure()
+
+
+def ensemble(scene, method, vary, fixed=None, end=None):
+    values = {find_quantity(name, scene, method): np.array(v) for name, v in vary.items()}
+    fixed = fixed or resolution_of(scene, method)
+    return members.ensemble(scene, method, values, fixed, end or scene.interval[1])
 
 
 def ends_of(found):
@@ -110,8 +117,8 @@ def test_a_diverging_member_neither_spoils_nor_slows_the_others():
     scene = REGISTRY.problem("spring_mass[b=0]")
     method = REGISTRY.integrator("newmark[beta=0]")
     healthy = [0.1, 0.5, 1.0, 1.9]
-    without = ensemble(scene, method, {"h": [*healthy, 0.7]}, t_end=200.0)
-    found = ensemble(scene, method, {"h": [*healthy, 2.5]}, t_end=200.0)
+    without = ensemble(scene, method, {"h": [*healthy, 0.7]}, end=200.0)
+    found = ensemble(scene, method, {"h": [*healthy, 2.5]}, end=200.0)
     assert found.status == ["ok"] * 4 + ["diverged"]
     assert "Ended at t=52.5 s of 200 s" in found.message[4]
     assert found.values["t"][4] == pytest.approx(52.5)

@@ -251,7 +251,8 @@ def test_parts_in_any_order_are_the_ensemble_in_one_program(asked):
         "k": find_range("k", scene, method, (0.8, 1.2)),
         "h": find_range("h", scene, method, (0.05, 2.5)),
     }
-    wanted = ensemble(scene, method, drawn(ranges, 7, 0, COUNT), Steps(0.1), END)
+    values = {ranges[name].quantity: v for name, v in drawn(ranges, 7, 0, COUNT).items()}
+    wanted = ensemble(scene, method, values, Steps(0.1), END)
     assert fault == ""
     assert (found.problem, found.integrator) == (wanted.problem, wanted.integrator)
     for name, column in wanted.values.items():

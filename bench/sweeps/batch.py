@@ -136,9 +136,9 @@ class Batch:
         # All runs have the form of the first: one part after the other.
         form = Form.of(settings[0], numbers[0], start, self._times[0])
         self._kernel = loop.kernel(program, self._template, form)
-        names = sorted(settings[0])  # as JAX sorts the keys of a dictionary
+        self._names = sorted(settings[0])  # as JAX sorts the keys of a dictionary
         leaves = [leaf.reshape(len(scenes), -1) for leaf in jax.tree.leaves(self._starts)]
-        self._parameters = np.array([[values[name] for name in names] for values in settings])
+        self._parameters = np.array([[values[name] for name in self._names] for values in settings])
         self._tables = [
             (self._parameters, self._of_scene),
             (_table(numbers), of_method[self._of_pair]),
@@ -149,9 +149,7 @@ class Batch:
         self.compiled_at = math.inf
 
     def blocks(
-        self,
-        jobs: int | None = None,
-        begun: Callable[[], None] = lambda: None,
+        self, jobs: int | None = None, begun: Callable[[], None] = lambda: None
     ) -> Iterator[Block]:
         """Compile the program, and run all in threads, a block at a time in each.
 
@@ -224,8 +222,7 @@ class Batch:
 
     def _completed(self, scene: np.ndarray, t: np.ndarray, values: dict) -> dict[str, np.ndarray]:
         """a, lam, y and xdot at the end, from the equations of motion."""
-        names = sorted(self._template.parameters())  # as JAX sorts the keys of a dictionary
-        parameters = dict(zip(names, self._parameters[scene].T, strict=True))
+        parameters = dict(zip(self._names, self._parameters[scene].T, strict=True))
         state = (values[name] for name in ("q", "v", "x"))
         z, xdot = _completion(self._template)(parameters, *state, t)
         found = z._asdict() | {"xdot": xdot}

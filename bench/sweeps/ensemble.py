@@ -12,7 +12,7 @@ import io
 import itertools
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,22 +22,13 @@ import numpy as np
 from bench.plugins.registry import Sources
 from bench.running.cluster import ClusterRunner
 from bench.running.interrupts import remark
-from bench.running.plan import resolution_of
 from bench.running.process import RUNNING
 from bench.running.runner import Runner, Task
 from bench.running.worker import Worker
 from bench.sweeps.batch import Batch
-from bench.sweeps.variation import (
-    Range,
-    SweepRequest,
-    find_quantity,
-    read_ranges,
-    refuse,
-    runs_with,
-    spec_without,
-)
+from bench.sweeps.variation import Quantity, SweepRequest, read_ranges, runs_with, spec_without
 from integrators.contract import Integrator
-from integrators.resolutions import Steps, Tolerances, check_end
+from integrators.resolutions import Steps, Tolerances
 from problems.base.cache import put
 from problems.base.spec import SpecError
 from problems.system import MechatronicSystem
@@ -115,33 +106,26 @@ def _cells(column: np.ndarray) -> list[object]:
 def ensemble(
     scene: MechatronicSystem,
     method: Integrator,
-    vary: Mapping[str, Sequence[float] | np.ndarray],
-    resolution: Steps | Tolerances | None = None,
-    t_end: float | None = None,
+    values: Mapping[Quantity, np.ndarray],
+    resolution: Steps | Tolerances,
+    end: float,
     begun: Callable[[], None] = lambda: None,
     first: int = 0,
 ) -> Ensemble:
-    """Run the members of an ensemble, numbered from the ``first`` on.
+    """Run the members of an ensemble up to ``end`` (s), numbered from the ``first`` on.
 
-    ``vary`` has values by name (`bench.sweeps.variation.find_quantity`), equally many for each, one
-    for a member; all else is that of scene, method and resolution (the scene's nominal step or
-    rtol=1e-6 if None). They end at ``t_end`` (s; the scene's own if None); ``begun`` is called when
-    everything is compiled.
+    ``values`` are equally many for each quantity, one for a member; all else is that of scene,
+    method and resolution. ``begun`` is called when everything is compiled. A member that fails has
+    its status and message, and does not stop the others.
 
     Raises
     ------
     SpecError
-        If a name or a value is not allowed, or the integrator cannot run many members as one
-        program. A member that fails has its status and message, and does not stop the others.
+        If a value is not allowed, or members need different programs.
     """
-    refuse(method, scene)
-    values = {name: np.asarray(v, dtype=float) for name, v in vary.items()}
-    end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
     started = time.perf_counter()
-    quantities = {find_quantity(name, scene, method): v for name, v in values.items()}
-    fixed = resolution or resolution_of(scene, method)
-    runs = runs_with(scene, method, fixed, quantities)
-    batch, count = Batch(runs, end), len(runs)
+    batch = Batch(runs_with(scene, method, resolution, values), end)
+    count = len(next(iter(values.values())))
     told = {name: np.empty(count, dtype=object) for name in ("status", "message")}
     told["t"], ends, work = np.full(count, scene.interval[0]), {}, {}
     for block in batch.blocks(begun=begun):
@@ -154,11 +138,12 @@ def ensemble(
             column = work.setdefault(f"{WORK}{name}", np.zeros(count, dtype=np.int64))
             column[block.members] = counts
     compiled, done = batch.compiled_at, time.perf_counter()
+    varied = {quantity.name: column for quantity, column in values.items()}
     return Ensemble(
-        spec_without(scene, quantities),
-        spec_without(method, quantities),
+        spec_without(scene, values),
+        spec_without(method, values),
         end,
-        {"member": first + np.arange(count), **values, **told, **ends, **work},
+        {"member": first + np.arange(count), **varied, **told, **ends, **work},
         compiled - started,
         done - compiled,
     )
@@ -178,16 +163,12 @@ def members_job(worker: Worker, request: EnsembleRequest, first: int, count: int
     """Run ``count`` members of an ensemble from the ``first`` on."""
     spans = read_ranges(request.vary, "--vary")
     scene, method, ranges, fixed, end = request.prepared(worker, spans)
-    draw = partial(Range.draw, seed=request.seed, first=first, count=count)
-    return ensemble(
-        scene,
-        method,
-        {name: draw(of, place=place) for place, (name, of) in enumerate(ranges.items())},
-        fixed,
-        end,
-        begun=lambda: worker.notify(RUNNING, "running the members"),
-        first=first,
-    )
+    values = {
+        of.quantity: of.draw(request.seed, place, first, count)
+        for place, of in enumerate(ranges.values())
+    }
+    begun = partial(worker.notify, RUNNING, "running the members")
+    return ensemble(scene, method, values, fixed, end, begun, first)
 
 
 def parts_of(count: int) -> list[tuple[int, int]]:
