@@ -95,11 +95,11 @@ def tag_name(tag: str) -> str:
 class Ref(NamedTuple):
     """Text that stands for something a page can lead to.
 
-    ``key`` is the label of a method, the name of a scene, the key of a run, or the term of the
-    glossary.
+    ``key`` is the label of a method, the name of a scene, the key of a run, the term of the
+    glossary, the name of an experiment of the failure atlas, or the scene whose runs failed.
     """
 
-    kind: Literal["method", "scene", "run", "term"]
+    kind: Literal["method", "scene", "run", "term", "atlas", "failed"]
     key: str
     text: str
 

@@ -36,7 +36,8 @@ HEADLINES = {
     "several": "{who} are each cheapest on {on}{but}.",
 }
 #: A winner that other starts of the motion make one, and one with wrong accelerations.
-LATER, WRONG_A = "a tie if the motion starts later", "its acceleration is wrong in every run"
+LATER = "it ties: the cheapest where the run starts later in the motion"
+WRONG_A = "its acceleration is wrong in every run"
 
 
 def headline(found: Answer, names: Names, of: Answer | None = None) -> Sentence:
@@ -87,9 +88,9 @@ def differing_costs(found: Mapping[Question, Answer], runs: Iterable[Record], na
     for run in runs:
         if label_of(run) in each and run.seconds and (count := run.cost("operations")):
             each[label_of(run)].append(1e9 * run.seconds / count)
-    said = [f"{names[k]} {number(median(own))} ns" for k, own in each.items() if own]
-    words = f", and one takes {named(said)} (medians): so times rank otherwise"
-    return f"Operations of libraries are estimates{words * (len(said) > 1)}."
+    said = [f"{number(median(own))} ns in {names[k]}" for k, own in each.items() if own]
+    words = f"Times rank otherwise: an operation takes {named(said)} (medians). "
+    return f"{words * (len(said) > 1)}Operations of libraries are estimates."
 
 
 def verdict(found: SceneAnswer, names: Names) -> str:

@@ -334,6 +334,7 @@ def _case(part: Part, trial: _Trial, answers: dict[Task, Any]) -> CaseResult:
         label=case.label or (method.spec if method else ""),
         integrator=method.spec if method else "",
         family=method.family if method else "",
+        scene=case.problem or "",
         axis=sweep.axis,
         x=x,
         y=y,

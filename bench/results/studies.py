@@ -140,7 +140,7 @@ class CaseResult(msgspec.Struct, kw_only=True):
 
     ``healthy`` is None where there is no number; ``message`` says why, or how the first run failed.
     ``history`` holds t and the shown component. ``stopped`` says that a run was stopped by its
-    budget or from outside: nothing was measured.
+    budget or from outside: nothing was measured. ``scene`` is empty of a linear system.
     """
 
     label: Name
@@ -156,6 +156,7 @@ class CaseResult(msgspec.Struct, kw_only=True):
     message: str = ""
     stopped: bool = False
     history: tuple[list[float], list[float]] | None = None
+    scene: str = ""
 
     @property
     def verdict(self) -> str:

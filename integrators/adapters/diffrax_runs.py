@@ -223,7 +223,7 @@ class DiffraxAdaptiveRun(DiffraxRun):
             remedy = "raise max_steps or use a larger rtol"
         elif result == RESULTS.dt_min_reached:
             status, reason = "step_too_small", "the step size fell to the rounding of time"
-            remedy = "use a larger rtol, or a smaller one if the solution changes abruptly here"
+            remedy = "use a larger rtol; near a jump of the solution, a smaller one"
         else:
             status, remedy = "newton_failed", "use another rtol"
             reason = " ".join(str(RESULTS[result]).split()) or "the root finder failed"

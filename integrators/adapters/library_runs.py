@@ -63,7 +63,7 @@ class LibrarySolver(Integrator):
             return "raise max_calls or use a larger rtol"
         if cause == "diverged":
             return "check the scene's equations beyond this time or use a smaller rtol"
-        return "use a larger rtol, or a smaller one if the solution changes abruptly here"
+        return "use a larger rtol; near a jump of the solution, a smaller one"
 
 
 @dataclass(frozen=True)

@@ -120,7 +120,9 @@ class Report:
         learn += "and are wrong; and errors that fall with a lower order than the method claims."
         count = sum(w.silent for w in self.wrong_runs)
         bad = f"{self.failed} · silent {count}" if count else self.failed
-        return Page("failures.html", "Failures", learn, sections, heading="Answer", count=bad)
+        found = {"words": " ".join(sorted({r.status.replace("_", " ") for r in runs}))}
+        about = {"heading": "Answer", "count": bad, "values": found}
+        return Page("failures.html", "Failures", learn, sections, **about)
 
     def _measured(self) -> Page:
         """Rules, times, references and machines."""

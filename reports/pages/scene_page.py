@@ -9,7 +9,7 @@ from typing import Any
 
 from bench.results.flat_rows import published_table
 from bench.results.quantities import ERROR_MEANING, GROUPS, NORM, NORMS, VIOLATIONS
-from bench.results.records import Rows, Study
+from bench.results.records import Rows, SceneRecord, Study
 from bench.results.store import StoreError
 from reports.charts.errors import convergence_chart, error_charts
 from reports.charts.line_styles import LineStyle
@@ -26,12 +26,18 @@ from reports.charts.work import bills
 from reports.formatting import number, paragraphs, words
 from reports.names import scene_name
 from reports.pages.page import Figure, Page, Section, Text, page_file
-from reports.questions import tag_name
+from reports.questions import Ref, tag_name
 from reports.scenes import StoredRuns
 from reports.series import Series, groups_of, ok_runs, reference_error, series_of
 from reports.tables.order_table import order_table
 from reports.tables.ranking_tables import targets_table
-from reports.tables.run_tables import events_table, invariants_table, runs_table, summary_table
+from reports.tables.run_tables import (
+    events_table,
+    failures_table,
+    invariants_table,
+    runs_table,
+    summary_table,
+)
 from reports.tables.scene_tables import mathml, parameters_table, scene_facts, unknowns
 
 #: Tabs of a scene's page: anchor, title, and what a reader learns there.
@@ -113,7 +119,8 @@ def scene_page(
     parts["cost"] = [summary_table(series), targets_table(series, names)] if series else []
     parts["drift"] = [invariants_table(series)]
     whole = f"All {len(table.rows) if table else 0} runs on this scene"
-    parts["runs"] = [Section(whole, [table], folded=True)]
+    failed = Section("Runs that failed", [failures_table(runs)], f"{anchor}-failed")
+    parts["runs"] = [failed, Section(whole, [table], folded=True)]
     studies = stored.studies(name)
     for n, study in enumerate(studies, 1):
         # A study without a title has the scene's name, which is the heading above it.
@@ -153,6 +160,7 @@ def scene_page(
         "beside": [
             Section("Picture", [motion(scene.drawings) if scene else None]),
             Section("What is hard here", [scene.difficulties if scene else None]),
+            Section("Experiments in the failure atlas", _experiments(scene, stored)),
         ],
         "equations": [*map(mathml, scene.equations)] if scene else [],
         "unknowns": unknowns(scene) if scene else "",
@@ -170,6 +178,16 @@ def scene_page(
         values=values,
         runs=[anchor, *(ids[r.key] for r in runs)],
     )
+
+
+def _experiments(scene: SceneRecord | None, stored: StoredRuns) -> list[Text]:
+    """The experiments of the failure atlas on a scene, also with other parameters."""
+    own = scene.problem.partition("[")[0] if scene else ""
+    return [
+        Text([Ref("atlas", f.name, f"{f.number}. {f.title}")])
+        for f in stored.atlas.values()
+        if any(case.scene.partition("[")[0] == own for part in f.parts for case in part.cases)
+    ]
 
 
 class _Study:

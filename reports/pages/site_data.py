@@ -26,15 +26,20 @@ from reports.questions import (
     GRID,
     KINDS,
     Filters,
+    Names,
     Piece,
     Question,
+    Ref,
+    Sentence,
     filters,
     kind_of,
+    listed,
+    method_ref,
     named,
     tag_name,
 )
 from reports.ranking import Answer, SceneAnswer, answers
-from reports.series import Series, groups_of, ok_runs, reference_error
+from reports.series import Series, groups_of, label_of, ok_runs, reference_error
 from reports.verdicts import HEADLINES, LATER, WRONG_A
 from reports.wrong import wrong_runs, wrong_sentences
 
@@ -249,18 +254,23 @@ def _letters(label: str, answers: Sequence[SceneAnswer]) -> str:
     return "".join(letters[e.run.key] if e.run else _SIGNS[str(e.state)] for e in own)
 
 
-def _failed(series: Sequence[Series]) -> list[list[Any]]:
-    """A sentence on the runs on a scene that failed, if any did."""
+def _failed(scene: str, series: Sequence[Series], names: Names) -> list[Sentence]:
+    """A sentence on the runs on a scene that failed, if any did: whose, and how."""
     runs = [r for s in series for r in s.records if r.status not in NOT_TRIED]
-    ends = Counter(r.status.replace("_", " ") for r in runs if r.status != "ok")
-    how = named(f"{count} {status}" for status, count in ends.most_common())
-    return [[f"Failed: {ends.total()} of {counted(len(runs), 'run')} ({how})."]] if ends else []
+    failed = [r for r in runs if r.status != "ok"]
+    ends = Counter(r.status.replace("_", " ") for r in failed)
+    how = named(f"{status}: {count}" for status, count in ends.most_common())
+    whose = Counter(map(label_of, failed)).most_common()
+    who = listed([method_ref(label, names), f" ({count})"] for label, count in whose)
+    lead = f"Failed: {len(failed)} of {counted(len(runs), 'run')} ({how}), of "
+    return [[lead, *who, ": ", Ref("failed", scene, "reasons"), "."]] if failed else []
 
 
 def _wrong(report: Report, group: str, chosen: Filters) -> dict[str, Any]:
     """Sentences on runs that are wrong without warning, per filter and per scene."""
     wrong, ids = wrong_runs(report.stored, group), report.run_ids
     scenes = {r.key: k for k, own in report.measured.items() for s in own for r in s.records}
+    anchors = {page.values["key"]: page.values["anchor"] for page in report.scenes}
 
     def linked(piece: Piece) -> str | dict[str, str]:
         """A part of a sentence: text, or a reference with its page."""
@@ -268,16 +278,19 @@ def _wrong(report: Report, group: str, chosen: Filters) -> dict[str, Any]:
             return piece
         if piece.kind == "run":
             page = f"{page_file('scene', scenes[piece.key])}#{ids[piece.key]}"
+        elif piece.kind == "failed":
+            page = f"{page_file('scene', piece.key)}#{anchors[piece.key]}-failed"
         else:
             page = page_file(piece.kind, piece.key)
         return {"kind": piece.kind, "key": piece.key, "text": piece.text, "page": page}
 
     def said(names: Collection[str], here: str = "") -> list[list[Any]]:
         own = [w for w in wrong if w.scene in names]
-        sentences = wrong_sentences(own, group, report.names, here)
+        failed = _failed(here, report.measured[here], report.names) if here else []
+        sentences = failed + wrong_sentences(own, group, report.names, here)
         return [[*map(linked, parts)] for parts in sentences]
 
     return {
         "filters": {key: said(names) for key, (_, names) in chosen.items()},
-        "scenes": [_failed(own) + said([name], name) for name, own in report.measured.items()],
+        "scenes": [said([name], name) for name in report.measured],
     }

@@ -66,7 +66,7 @@ def method_of_measurement(plan: Plan | None) -> list[str]:
         f"rounds lies on one side of 1 and the median is beyond {LEAST_QUOTIENT:g}; with fewer "
         f"than {FEWEST} common rounds the quotients must be beyond {LEAST_OF_FEW:g}.",
         f"Operations count as different beyond a factor of {COSTS[COST].tie:g}: the cost model is "
-        "no more exact. Any difference of other counts counts.",
+        "no more exact. Other counts tie where they are equal.",
         "Errors are relative, per group of variables and per norm. Orders are fitted to the "
         f"finest steps, as many as have slopes within {SPREAD:g} of each other, three at least.",
     ]

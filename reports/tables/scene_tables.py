@@ -106,7 +106,7 @@ def mathml(text: str) -> Markup:
 
 def _token(word: str) -> Markup:
     if word.endswith("dot") and word != "dot":
-        return Markup('<mover accent="true">{}<mo>˙</mo></mover>').format(_token(word[:-3]))
+        return Markup("<mover>{}<mo>˙</mo></mover>").format(_token(word[:-3]))
     if word[0].isdigit():
         return Markup("<mn>{}</mn>").format(word)
     if word == "T":  # of a transpose, upright

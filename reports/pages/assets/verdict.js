@@ -52,7 +52,7 @@
     const of = (is) => [...states.entries()].filter(([, state]) => state !== null && is(state)), { listed, methodRef, multiple } = stepbench;
     const dear = of(([ratio]) => ratio >= 10).sort(([, [one]], [, [two]]) => two - one).map(([m, [ratio]]) => [methodRef(m), ` (${multiple(ratio)} ×)`]);
     const far = of((state) => state === "far" || state === "failed").map(([m]) => [methodRef(m)]);
-    return first.length ? [...(dear.length ? ["Dear: ", ...listed(dear), ". "] : []), ...(far.length ? ["Not reached by ", ...listed(far), "."] : [])] : [];
+    return first.length ? [...(dear.length ? ["Costly: ", ...listed(dear), ". "] : []), ...(far.length ? ["Not reached by ", ...listed(far), "."] : [])] : [];
   };
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
     const scene = Number(place.dataset.verdict), own = stepbench.answer()[scene], aim = own?.reached ? [`To ${question.target} in ${quantity(question)}: `] : [];
@@ -73,15 +73,16 @@
       : `${why} ${question.target} in ${quantity(question)}; this run came nearest, with ${number(run.error)}.`;
   });
 
-  // The cost of a run over that of another one, with the interval of times, and whether they are told apart.
+  // The cost of a run over that of another one; of times with their interval, and whether it is significant.
   const against = (runs, k, other, j, cost) => {
     const ratio = columnOf(runs, cost)[k] / columnOf(other, cost)[j];
     const [a, b] = cost === "seconds" ? [runs.spread[k], other.spread[j]] : [], known = a && b, ends = known ? [a[0] / b[1], a[1] / b[0]] : [ratio, ratio];
     const tie = Math.max(ratio, 1 / ratio) <= data.apart[cost === "seconds" && !known ? "few" : cost] || ends[0] <= 1 && ends[1] >= 1;
-    return `${number(ratio)} ×${known ? ` (${ends.map(number).join(" to ")})` : ""}${tie ? ", not told apart" : ""}`;
+    const said = known ? ` (${ends.map(number).join(" to ")})` : cost === "seconds" ? " (too few times for an interval)" : "";
+    return `${number(ratio)} ×${said}, ${tie ? "not " : ""}${cost === "seconds" ? "significant" : "told apart"}`;
   };
   const heads = (question, mine) => [stepbench.costName(question), "multiple of the best",
-    ...(mine ? [`multiple of ${data.methods[mine.index].short}${question.cost === "seconds" ? " (interval)" : ""}`] : []),
+    ...(mine ? [`multiple of ${data.methods[mine.index].short}`] : []),
     `error in ${quantity(question).split(" ").at(-1)}`];
   const aim = (question) => `with an error of at most ${question.target} in ${quantity(question)}, ${stepbench.norm()}`;
   // A row that begins with the cells ``lead``: what the accuracy costs a method on a scene, or why it has no cost.
@@ -96,8 +97,10 @@
       return html("tr", { class: "out" }, ...lead, html("td", { colspan: 3 + 2 * held + Boolean(mine) }, text));
     }
     const [multiple, k, cost] = state, off = held ? columnOf(runs, "constraint")[k] : NaN;
-    const beside = mine?.k === undefined || index === mine.index ? "" : against(runs, k, runsOf(scene, mine.index), mine.k, question.cost);
-    const cells = [[stepbench.costText(cost, question.cost)], [`${stepbench.multiple(multiple)} ×`], ...(mine ? [[beside]] : []),
+    const beside = (other) => other?.k === undefined || index === other.index ? "" : against(runs, k, runsOf(scene, other.index), other.k, question.cost);
+    // Without a method to compare with, the best has its interval.
+    const best = !mine && multiple > 1 && reaching(scene, stepbench.answer()[scene].states.findIndex((own) => own?.[0] === 1));
+    const cells = [[stepbench.costText(cost, question.cost)], [best ? beside(best) : `${stepbench.multiple(multiple)} ×`], ...(mine ? [[beside(mine)]] : []),
       [number(columnOf(runs, question.group)[k])], ...(held ? [[runs.phi[k]], [number(off), times(off, question)]] : [])];
     return html("tr", { class: data.methods[index].label === question.highlight && "mine" }, ...lead, ...cells.map((cell) => html("td", {}, ...cell)));
   };
