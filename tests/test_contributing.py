@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from helpers import long
+from planted import whole_markdown
 
 import bench
 from bench.atlas.experiments import built_in_experiments
@@ -15,6 +20,7 @@ from bench.check.checker import CHECKS, examine
 from bench.check.verdicts import FAILED
 from bench.commands.main import main
 from bench.plugins.registry import Registry
+from bench.results.store import Store
 from bench.running.profiles import built_in_profiles
 from integrators import Steps
 from integrators.native.step import step_work
@@ -135,3 +141,47 @@ def test_stages_in_a_loop_are_those_one_by_one_with_fewer_traces(plugins, monkey
     assert (loop.work == one_by_one.work) == (newton == "full")
     for group in ("q", "v", "a"):
         assert getattr(loop, group) == pytest.approx(getattr(one_by_one, group), rel=1e-9)
+
+
+# ---- an installed package ----------------------------------------------------------------
+DIST = "tiny_plugins-0.1.dist-info"
+ENTRY_POINTS = """
+[stepbench.problems]
+ramp_oscillator = tiny_plugins.ramp_oscillator:RampOscillator
+[stepbench.integrators]
+euler = tiny_plugins.euler:Euler
+"""
+
+
+@pytest.mark.long
+def test_a_package_with_entry_points_is_listed_run_and_reported(tmp_path):
+    for name, text in {
+        "tiny_plugins/__init__.py": "",
+        **{f"tiny_plugins/{name}": EXAMPLES[name] for name in ("ramp_oscillator.py", "euler.py")},
+        f"{DIST}/METADATA": "Metadata-Version: 2.1\nName: tiny-plugins\nVersion: 0.1\n",
+        f"{DIST}/entry_points.txt": ENTRY_POINTS,
+        "one.toml": "samples = 1\n[[study]]\nproblems = ['ramp_oscillator']\nt_end = 1.0\n"
+        "integrators = ['euler', 'newmark']\nsteps = [0.1, 0.05, 0.025]\n",
+    }.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+
+    def stepbench(*arguments: str) -> str:
+        command, more = [sys.executable, "-m", "bench", *arguments], {"PYTHONPATH": str(tmp_path)}
+        done = subprocess.run(
+            command, cwd=tmp_path, env=os.environ | more, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    listed = json.loads(stepbench("list", "--json"))
+    for kind, name in (("problems", "ramp_oscillator"), ("integrators", "euler")):
+        (row,) = (row for row in listed[kind] if row["name"] == name)
+        assert (row["available"], row["origin"]) == (True, "tiny-plugins 0.1")
+    assert "6 runs: 6 ok" in stepbench("run", "one.toml", "--out", "out")
+    with Store(tmp_path / "out") as store:
+        records = store.records().values()
+    assert {record.integrator.split("[")[0] for record in records} == {"euler", "newmark"}
+    page = whole_markdown(tmp_path / "out")
+    assert "euler" in page
+    assert "A mass on a spring under a force that grows with time" in page

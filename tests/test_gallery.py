@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from helpers import long
 from planted import Document
+from test_contributing import EXAMPLES
 
 from bench.plugins.registry import Registry
 from bench.running.linearisation import rates
@@ -107,34 +108,20 @@ def test_show_refuses_in_one_sentence(refused):
         assert words in refused("show", *arguments)
 
 
-INVISIBLE = """
-from dataclasses import dataclass
-import numpy as np
-from problems import MechatronicSystem, State, jnp
-
-@dataclass(frozen=True)
-class Invisible(MechatronicSystem):
-    '''A free mass that nobody draws.'''
-    def mass(self, q): return jnp.eye(1)
-    def force(self, q, v, t): return -q
-    def initial_state(self): return State(q=np.ones(1), v=np.zeros(1))
-"""
-
-
 @pytest.mark.long
 def test_a_scene_without_a_picture_is_told_so_and_still_catalogued(stepbench, tmp_path):
-    plugin = tmp_path / "invisible.py"
-    plugin.write_text(INVISIBLE)
-    result = stepbench("show", "invisible", "--plugins", plugin)
+    plugin = tmp_path / "ramp_oscillator.py"
+    plugin.write_text(EXAMPLES[plugin.name])
+    result = stepbench("show", plugin.stem, "--plugins", plugin)
     assert result.exit_code != 0
-    assert "invisible has no picture: it does not define draw(q)" in result.output
-    out = tmp_path / "catalogue"
-    result = stepbench(
-        "list", "invisible", "spring_mass", "--draw", "--plugins", plugin, "--out", out
-    )
+    assert f"{plugin.stem} has no picture: it does not define draw(q)" in result.output
+    line = "list", plugin.stem, "spring_mass", "--draw", "--plugins", plugin, "--out", tmp_path
+    result = stepbench(*line)
     assert result.exit_code == 0, result.output
-    page = Document((out / "catalogue.html").read_text())
-    for words in ("A free mass that nobody draws", "Active damping of one mass"):
-        assert words in page.words
-    assert "xdot = f(q, v, a, λ, x, y, t)" in page.words
-    assert (out / "catalogue.html").read_text().count("<svg") == 1
+    page = (tmp_path / "catalogue.html").read_text()
+    for words in (
+        "A mass on a spring under a force that grows", "Active damping of one mass",
+        "xdot = f(q, v, a, λ, x, y, t)",
+    ):  # fmt: skip
+        assert words in Document(page).words
+    assert page.count("<svg") == 1

@@ -2,19 +2,21 @@
 
 The time loop of a small scene is one compiled function: XLA splits no loop in it into pieces, no
 loop calls a library, and other numbers compile nothing new. ``make bench`` measures the times.
+What is counted inside is exact, whatever a compiler merges or drops.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import pytest
 from helpers import forget_programs, long
 
 from integrators import Steps, Tolerances
-from integrators.adapters.counting import run_counted, watch
+from integrators.adapters.counting import Counts, run_counted, watch
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
 from integrators.methods.half_explicit import PHEM56, HalfExplicitEuler
@@ -129,3 +131,49 @@ def test_what_is_counted_is_what_was_done(newton):
     _, counts = run_counted(run.execute)
     # Full Newton has the residual from the linearisation.
     assert counts == (work.residuals if newton == "modified" else 0, work.jacobians)
+
+
+# ---- counting in compiled programs -------------------------------------------------------
+def evaluations(times: int):
+    """A compiled program that evaluates a watched function so often, and drops the values."""
+    watched = watch(lambda t, s, p: s)
+
+    def once(_, s):
+        watched(0.0, 1.0, None)
+        return s
+
+    return jax.jit(lambda: jax.lax.fori_loop(0, times, once, 1.0))
+
+
+def test_neither_loops_nor_equal_calls_nor_unused_results_escape():
+    watched = watch(lambda t, s, p: p * s)
+
+    def once(_, s):
+        watched(0.0, 1.0, 2.0)  # equal in each turn
+        watched(0.0, 1.0, 2.0)  # equal to the one before
+        return watched(0.0, s, 2.0)
+
+    program = jax.jit(lambda turns: jax.lax.fori_loop(0, turns, once, 1.0))
+    assert run_counted(program, 5) == (2.0**5, Counts(15, 0))
+    assert run_counted(program, 3) == (2.0**3, Counts(9, 0))
+
+
+def test_a_linearisation_counts_once_however_many_directions_follow():
+    watched = watch(lambda t, s, p: s**2)
+    program = jax.jit(jax.jacfwd(lambda s: watched(0.0, s, None)))
+    jacobian, counts = run_counted(program, jnp.arange(3.0))
+    assert jnp.diag(jacobian).tolist() == [0.0, 2.0, 4.0]
+    assert counts == Counts(0, 1)
+
+
+def test_the_branch_that_is_not_taken_does_not_count():
+    watched = watch(lambda t, s, p: s)
+    program = jax.jit(lambda s: jax.lax.cond(s > 0, lambda: watched(0.0, s, None), lambda: s))
+    assert [run_counted(program, s)[1].evaluations for s in (-1.0, 1.0)] == [0, 1]
+
+
+def test_runs_in_several_threads_keep_their_counts_apart():
+    programs = [evaluations(times) for times in (100, 200, 300, 400)]
+    with ThreadPoolExecutor(4) as threads:
+        counts = [c.evaluations for _, c in threads.map(run_counted, programs)]
+    assert counts == [100, 200, 300, 400]
