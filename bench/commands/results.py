@@ -180,8 +180,7 @@ def judge(o: Given) -> None:
       stepbench judge pendulum rows.csv
       stepbench judge slider_crank coarse.csv fine.csv finest.csv --out stepbench-results
     """
-    from bench.running.judge import judge_job, store_judgement
-    from bench.running.told import template
+    from bench.running.judge import judge_job, store_judgement, template
     from reports.series import series_of
     from reports.tables.order_table import order_table
 
