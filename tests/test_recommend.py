@@ -20,9 +20,8 @@ from bench.results.quantities import NORMS
 from bench.results.records import UNSUPPORTED, Plan, Record, Study
 from bench.results.store import Store
 from bench.running.inventory import Inventory
-from bench.running.race import Race
+from bench.running.race import MOST_RUNS, RESOLVED, Candidate, Race, Sizes
 from bench.running.recommend import Recommendation
-from bench.running.search import MOST_RUNS, RESOLVED, Candidate, Sizes
 from integrators.resolutions import Steps
 from problems.base.spec import SpecError
 from problems.scenes.iftomm import IFToMMPendulum
@@ -146,7 +145,7 @@ class Power:
         self.order, self.error, self.per_step = order, error, per_step
         method = SimpleNamespace(spec=name, name=name, controls="step", family=name, orders={})
         scene = SimpleNamespace(spec="s", name="s", interval=(0.0, 1.0), nominal_step=0.1)
-        self.candidate = Candidate(scene, method, 1.0, [ASKED])
+        self.candidate = Candidate(scene, method, 1.0, ASKED)
 
     def run(self, size: float, status: str = "ok") -> None:
         """Plant the run of a size."""
@@ -163,7 +162,7 @@ class Power:
 
 def raced(methods: list[Power]) -> Race:
     """Run a race to its end."""
-    race = Race([m.candidate for m in methods], 1.1, math.inf, ASKED)
+    race = Race([m.candidate for m in methods], 1.1, math.inf)
     while cells := race.next():
         for cell in cells:
             (method,) = (m for m in methods if m.candidate.method.spec == cell.integrator)
@@ -179,9 +178,9 @@ def test_a_race_finds_the_cheapest_and_drops_the_others_soon():
     ]  # fmt: skip
     race, least = raced(methods), min(m.least() for m in methods)
     assert race.leader is min(methods, key=Power.least).candidate
-    assert race.operations(race.leader) == pytest.approx(least, rel=Race.SETTLED - 1)
+    assert race.leader.cost() == pytest.approx(least, rel=Race.SETTLED - 1)
     for method in methods:
-        dropped = method.least() > 1.1 * race.operations(race.leader)
+        dropped = method.least() > 1.1 * race.leader.cost()
         assert race.is_dropped(method.candidate) == dropped
     # Alone it would be searched to the end.
     dear, alone = methods[-1].candidate, Power("dear", 2, 1.0, 3000.0)
@@ -199,7 +198,7 @@ def test_the_winner_hangs_neither_on_the_order_of_the_start_nor_on_a_first_step_
     race = raced([rival, fine])
     assert not race.is_dropped(fine.candidate)
     assert race.leader is fine.candidate
-    assert race.operations(fine.candidate) == pytest.approx(100.0)
+    assert fine.candidate.cost() == pytest.approx(100.0)
 
 
 @settings(deadline=None)
@@ -222,12 +221,12 @@ def test_a_race_ends_whatever_errors_do(errors):
             super().run(size, status)
 
     good, odd = Power("good", 2, 1.0, 3.0), Odd("odd", 0, 1.0, 3.0)
-    race = raced([odd, good])
+    raced([odd, good])
     assert len(odd.candidate.runs) <= MOST_RUNS
-    assert good.candidate.best(race.asked)
-    assert race.promised(odd.candidate) > 0
+    assert good.candidate.best
+    assert odd.candidate.promised > 0
     if any(0 < e < math.inf for e in errors[: len(odd.candidate.runs)]):
-        assert race.promised(odd.candidate) < math.inf
+        assert odd.candidate.promised < math.inf
 
 
 def test_a_method_is_dropped_for_its_promise_not_for_unknown_operations_and_time_ends_a_race():
@@ -237,19 +236,19 @@ def test_a_method_is_dropped_for_its_promise_not_for_unknown_operations_and_time
         flat.run(size)
     # Two nearly equal errors promise very many operations, and not infinitely many.
     flat.candidate.runs[0.1].errors["q"] = dict.fromkeys(NORMS, math.nextafter(0.5, 1))
-    race = Race([good.candidate, flat.candidate], 1.1, math.inf, ASKED)
-    assert 1e6 < race.promised(flat.candidate) < math.inf
+    race = Race([good.candidate, flat.candidate], 1.1, math.inf)
+    assert 1e6 < flat.candidate.promised < math.inf
     assert race.is_dropped(flat.candidate)
     known, unknown = Power("a", 2, 1e-3, 7.0), Power("b", 2, 10.0, 0.0)
     known.run(0.1)
     unknown.run(0.1)
-    race = Race([known.candidate, unknown.candidate], 1.1, math.inf, ASKED)
+    race = Race([known.candidate, unknown.candidate], 1.1, math.inf)
     assert race.leader is known.candidate
     assert not race.is_dropped(unknown.candidate)
     method = Power("a", 2, 5.0, 7.0)
-    assert Race([method.candidate], 1.1, time.monotonic() - 1.0, ASKED).next() == []
+    assert Race([method.candidate], 1.1, time.monotonic() - 1.0).next() == []
     method.run(0.1, UNSUPPORTED)
-    assert Race([method.candidate], 1.1, math.inf, ASKED).next() == []
+    assert Race([method.candidate], 1.1, math.inf).next() == []
 
 
 # ---- the command -------------------------------------------------------------------------

@@ -1,20 +1,231 @@
-"""Race of many methods on a scene, and its verdict: the cheapest, and who failed."""
+"""Search for the coarsest good resolution of a method, and the race of many methods on a scene with
+its verdict: the cheapest, and who failed."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any
 
-from bench.results.demands import NOT_MET, Demand
-from bench.results.records import Record
+from bench.results.demands import NOT_MET, Demand, bracket
+from bench.results.records import UNSUPPORTED, MethodFacts, Record
 from bench.results.table import NO_VALUE, Table, number
+from bench.running.inventory import SceneFacts
 from bench.running.plan import Cell
-from bench.running.search import Candidate, multiple, power_of
+from integrators.resolutions import Steps, Tolerances
 from problems.base.spec import split_spec
 
+# ---- the search of one method ------------------------------------------------------------
+#: Quotient of the finest size that fails and the coarsest that is good, at which a search ends.
+RESOLVED = 1.1
+#: Most runs of a method on a scene for one limit.
+MOST_RUNS = 24
+#: Errors that are hardly smaller at so many times finer steps, or tolerances, which errors follow
+#: less closely, will not fall any more.
+_HOPELESS, _FINER, _FINER_RTOL = 0.7, 16.0, 256.0
+#: Order that is assumed while there is one error alone, and the range of orders that are believed.
+_ORDER, _ORDERS = 2.0, (0.5, 8.0)
+#: Logarithm of the largest quotient that is believed.
+_FARTHEST = 100.0
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes of steps in s or relative tolerances in which is searched.
+
+    ``length`` is that of the interval in s, which has a whole number of steps; None: tolerances.
+    """
+
+    length: float | None
+    start: float
+    finest: float
+    coarsest: float
+
+    @classmethod
+    def of(cls, scene: SceneFacts, method: MethodFacts, t_end: float) -> Sizes:
+        """Return the sizes for a method on a scene."""
+        if method.controls == "tolerance":
+            return cls(None, 1e-4, 1e-13, 0.1)
+        length, nominal = t_end - scene.interval[0], scene.nominal_step
+        return cls(length, min(nominal, length), nominal / 2**16, length)
+
+    def allowed(self, size: float) -> float:
+        """Return the nearest allowed size: a whole number of steps, or two digits of rtol."""
+        size = min(max(size, self.finest), self.coarsest)
+        if self.length is None:
+            return float(f"{size:.1e}")
+        return self.length / max(1, round(self.length / size))
+
+    def next(self, tried: Mapping[float, float], limit: float) -> float | None:
+        """Return the size to try next; None if the search is at its end.
+
+        ``tried`` has errors by sizes, infinite where a run failed. Between a good and a bad size
+        the next one is on the line through both errors in logarithmic scales, beyond them it
+        follows the order that the nearest two errors show.
+        """
+        if not tried:
+            return self.allowed(self.start)
+        good, bad = bracket(tried, limit)
+        if len(tried) >= MOST_RUNS:
+            return None
+        if good is None:
+            assert bad is not None
+            finer = _FINER_RTOL if self.length is None else _FINER
+            if _hopeless(tried, finer) or bad <= self.finest:
+                return None
+            factor = _toward(tried, bad, limit, 0.8) if math.isfinite(tried[bad]) else 0.25
+            size = bad * min(max(factor, 1 / 32), 0.5)
+        elif bad is None:
+            size = good * min(max(_toward(tried, good, limit, 0.9), 2.0), 16.0)
+        elif bad <= good * RESOLVED:
+            return None
+        else:
+            part = 0.5  # of the way from good to bad, in logarithms
+            if math.isfinite(tried[bad]) and tried[good] > 0:
+                low, wanted, high = map(math.log, (tried[good], limit, tried[bad]))
+                part = min(max((wanted - low) / (high - low), 0.1), 0.9) if low < high else part
+            size = self.allowed(good * (bad / good) ** part)
+            if size in tried:  # few steps: the nearest number is one that was tried
+                size = math.sqrt(good * bad)
+        size = self.allowed(size)
+        return None if size in tried else size
+
+
+def _hopeless(tried: Mapping[float, float], finer: float) -> bool:
+    """Whether errors do not fall any more at finer sizes: the finest three tell it."""
+    sizes = sorted(tried)[:3]
+    fell = tried[sizes[0]] < _HOPELESS * tried[sizes[-1]]
+    return len(sizes) == 3 and sizes[-1] >= finer * sizes[0] and not fell
+
+
+def _toward(tried: Mapping[float, float], size: float, limit: float, caution: float) -> float:
+    """Factor of a size by which its error comes to the limit."""
+    known = sorted((abs(math.log(s / size)), s) for s, e in tried.items() if 0 < e < math.inf)
+    order = _ORDER
+    if len(known) > 1:
+        (_, near), (_, far) = known[:2]
+        order = power_of(far / near, tried[far], tried[near])
+    return caution / multiple(limit, tried[size] or limit / 1e16, order)
+
+
+def power_of(quotient: float, far: float, near: float) -> float:
+    """Return the power of a quotient of two sizes, or costs, that their errors show.
+
+    It is one of `_ORDERS`, whatever the errors: they may be equal, or grow.
+    """
+    power = (math.log(far) - math.log(near)) / math.log(quotient)
+    return min(max(power, _ORDERS[0]), _ORDERS[1])
+
+
+def multiple(limit: float, error: float, power: float) -> float:
+    """Return the quotient by which sizes, or costs, lead from an error to a limit."""
+    far = (math.log(error) - math.log(limit)) / power
+    return math.exp(min(max(far, -_FARTHEST), _FARTHEST))
+
+
+#: Operations to this power go with 1 / error until two runs show another one.
+_STEPS, _TOLERANCES = 2.0, 5.0
+
+
+@dataclass(eq=False)
+class Candidate:
+    """A method on a scene, and what is asked of it; the cells and records of its search by their
+    sizes; the reason why the method does not take the scene, if that is known before.
+
+    Candidates that differ in what is asked share their cells and runs.
+    """
+
+    scene: SceneFacts
+    method: MethodFacts
+    t_end: float
+    asked: Demand
+    cells: dict[float, Cell] = field(default_factory=dict)
+    runs: dict[float, Record] = field(default_factory=dict)
+    refused: str = ""
+
+    @property
+    def place(self) -> tuple[str, float]:
+        """The scene's printed name, and the end time in s."""
+        return self.scene.spec, self.t_end
+
+    @property
+    def refusal(self) -> str:
+        """The reason why the method does not take the scene, if so."""
+        told = (r.message for r in self.runs.values() if r.status == UNSUPPORTED)
+        return self.refused or next(told, "")
+
+    def next(self) -> Cell | None:
+        """Return the cell to try next, if any."""
+        sizes = Sizes.of(self.scene, self.method, self.t_end)
+        size = None if self.refusal else sizes.next(self.errors, self.asked.limit)
+        if size is None:
+            return None
+        resolution = Tolerances(size) if sizes.length is None else Steps(size)
+        return self.cells.setdefault(size, Cell(self.scene, self.method, self.t_end, resolution))
+
+    @property
+    def errors(self) -> dict[float, float]:
+        """The errors that are asked for, by sizes."""
+        return {size: self.asked.of(record) for size, record in self.runs.items()}
+
+    @property
+    def best(self) -> Record | None:
+        """The run with the coarsest good size, if there is one."""
+        return self.asked.best(self.runs.values())
+
+    @property
+    def nearest(self) -> Record:
+        """The run with the smallest error."""
+        return min(self.runs.values(), key=self.asked.of)
+
+    @property
+    def obstacle(self) -> str:
+        """The reason why finer sizes do not help: the end of the finest run."""
+        if self.refusal:
+            return f"{UNSUPPORTED}: {self.refusal}"
+        finest = self.runs[min(self.runs)]
+        if finest.status == "ok":
+            return f"Errors do not fall below that; the finest run had {finest.resolution}."
+        return f"{finest.status}: {finest.message}"
+
+    def cost(self, name: str = "operations") -> float:
+        """Return a cost of the good run; infinite if there is none, or its cost is not known."""
+        return (self.best.cost(name) if self.best else None) or math.inf
+
+    @property
+    def least(self) -> float:
+        """The least operations that a good run can take: those of the finest bad size."""
+        bad = bracket(self.errors, self.asked.limit).bad
+        run = None if bad is None else self.runs[bad]
+        return (run.cost("operations") or 0.0) if run and run.status == "ok" else 0.0
+
+    @property
+    def promised(self) -> float:
+        """The operations that the convergence promises for the coarsest good run; infinite for
+        methods whose operations are not known."""
+        known = [
+            (cost, error)
+            for size, error in sorted(self.errors.items())
+            if (cost := self.runs[size].cost("operations")) and 0 < error < math.inf
+        ]
+        best, limit = self.best, self.asked.limit
+        if not known or (best and self.next() is None):
+            return self.cost()
+        power = _STEPS if self.method.controls == "step" else _TOLERANCES
+        if best:  # its first step may be much too fine
+            finer = multiple(limit, self.asked.of(best) or limit / 1e16, power)
+            return max(self.cost() * finer, self.least)
+        (cost, error), *others = known
+        if others and others[0][0] < cost and error < others[0][1]:
+            power = power_of(cost / others[0][0], others[0][1], error)
+        return cost * multiple(limit, error, power)
+
+
+# ---- the race of many --------------------------------------------------------------------
 #: Costs up to this quotient are a tie. So are operations while seconds are what counts: times per
 #: operation differ by it among methods.
 TIE, SPREAD = 1.1, 3.0
@@ -30,8 +241,8 @@ class Race:
     A candidate is dropped if a run of it that is too coarse takes more operations, by a ``margin``
     (infinite: methods are named, and all stay), than a good run of another one, or if its own
     convergence promises far more. Candidates are those of one scene, in the order of their
-    beginning; at the ``end`` (s, of `time.monotonic`) no further run begins; ``asked`` is the
-    demand, ``cost`` that of the ranking, "seconds" or "operations".
+    beginning; at the ``end`` (s, of `time.monotonic`) no further run begins; ``cost`` is that of
+    the ranking, "seconds" or "operations".
     """
 
     #: Runs that are asked for together, and of these first runs of candidates.
@@ -40,59 +251,27 @@ class Race:
     FAR = 4.0
     #: A good run may take so many times the operations of a bad one in the end.
     SETTLED = 1.1
-    #: Operations to this power go with 1 / error until two runs show another one.
-    STEPS, TOLERANCES = 2.0, 5.0
 
     def __init__(
-        self,
-        candidates: list[Candidate],
-        margin: float,
-        end: float,
-        asked: Demand,
-        cost: str = "operations",
+        self, candidates: list[Candidate], margin: float, end: float, cost: str = "operations"
     ) -> None:
-        self.candidates, self.end, self.asked, self.cost = candidates, end, asked, cost
+        self.candidates, self.end, self.cost = candidates, end, cost
+        self.asked = candidates[0].asked
         self._margin, self._named = margin, margin == math.inf
 
     @property
     def leader(self) -> Candidate | None:
         """The candidate whose good run takes the fewest operations."""
-        good = [c for c in self.candidates if c.best(self.asked)]
-        return min(good, key=self.operations, default=None)
-
-    def operations(self, candidate: Candidate) -> float:
-        """Return the operations of a candidate's good run, infinite if there is none."""
-        run = candidate.best(self.asked)
-        return (run.cost("operations") if run else None) or math.inf
-
-    def promised(self, candidate: Candidate) -> float:
-        """Return the operations that the convergence of a candidate promises for its coarsest good
-        run; it is infinite for methods whose operations are not known."""
-        known = [
-            (cost, self.asked.of(run))
-            for _, run in sorted(candidate.runs.items())
-            if (cost := run.cost("operations")) and 0 < self.asked.of(run) < math.inf
-        ]
-        best = candidate.best(self.asked)
-        if not known or (best and candidate.next(self.asked) is None):
-            return self.operations(candidate)
-        power = self.STEPS if candidate.method.controls == "step" else self.TOLERANCES
-        if best:  # its first step may be much too fine
-            cost, error = self.operations(candidate), self.asked.of(best)
-            finer = multiple(self.asked.limit, error or self.asked.limit / 1e16, power)
-            return max(cost * finer, candidate.least(self.asked))
-        (cost, error), *others = known
-        if others and others[0][0] < cost and error < others[0][1]:
-            power = power_of(cost / others[0][0], others[0][1], error)
-        return cost * multiple(self.asked.limit, error, power)
+        good = [c for c in self.candidates if c.best]
+        return min(good, key=Candidate.cost, default=None)
 
     def is_dropped(self, candidate: Candidate) -> bool:
         """Whether another candidate is cheaper whatever the next runs of this one give."""
         if (leader := self.leader) in (None, candidate):
             return False
-        bound = self._margin * self.operations(leader)
-        far = self.FAR * bound < self.promised(candidate) < math.inf
-        return far or candidate.least(self.asked) > bound
+        bound = self._margin * leader.cost()
+        far = self.FAR * bound < candidate.promised < math.inf
+        return far or candidate.least > bound
 
     def next(self) -> list[Cell]:
         """Return the cells to be run next: first runs in their order, and others, the most
@@ -102,42 +281,40 @@ class Race:
         stay = [
             c
             for c in self.candidates
-            if not self.is_dropped(c)
-            and not 0 < self.operations(c) <= self.SETTLED * c.least(self.asked)
+            if not self.is_dropped(c) and not 0 < c.cost() <= self.SETTLED * c.least
         ]
-        begun = sorted((c for c in stay if c.runs), key=self.promised)
-        first = [cell for c in stay if not c.runs and (cell := c.next(self.asked))]
-        more = islice((cell for c in begun if (cell := c.next(self.asked))), self.TOGETHER)
+        begun = sorted((c for c in stay if c.runs), key=lambda c: c.promised)
+        first = [cell for c in stay if not c.runs and (cell := c.next())]
+        more = islice((cell for c in begun if (cell := c.next())), self.TOGETHER)
         return [*first[: self.FIRST], *more][: self.TOGETHER]
 
     # ---- the verdict ---------------------------------------------------------------------
-    def best(self, candidate: Candidate) -> Record:
-        """Return the good run of a candidate that has one."""
-        run = candidate.best(self.asked)
-        assert run is not None
-        return run
-
     @property
     def order(self) -> list[Candidate]:
         """Candidates with a good run within the margin of operations, the cheapest first."""
-        good = {c: self.operations(c) for c in self.candidates if c.best(self.asked)}
+        good = {c: c.cost() for c in self.candidates if c.best}
         bound = max(1.0, self._margin) * min(good.values(), default=0.0)
         near = [c for c in good if good[c] <= bound]
-        return sorted(near, key=lambda c: (self._cost(c), good[c]))
+        return sorted(near, key=lambda c: (c.cost(self.cost), good[c]))
+
+    @property
+    def winners(self) -> list[Record]:
+        """The good runs in that order."""
+        return [run for c in self.order if (run := c.best)]
 
     @property
     def leading(self) -> list[Candidate]:
         """The candidates that promise the fewest operations, one of each family."""
         best: dict[str, Candidate] = {}
-        for c in sorted(self.candidates, key=self.promised):
-            if self.promised(c) < math.inf:
+        for c in sorted(self.candidates, key=lambda c: c.promised):
+            if c.promised < math.inf:
                 best.setdefault(c.method.family, c)
         return list(best.values())[:MOST_LEADING]
 
     @property
     def first(self) -> str:
         """The sentence on the cheapest run."""
-        run = self.best(self.order[0])
+        run = self.winners[0]
         tried = sum(1 for c in self.candidates if c.runs or c.refusal)
         take = "Take" if tried == len(self.candidates) else f"Of {tried} tried, take"
         seconds = f"{number(run.seconds)} s, " if run.seconds else ""
@@ -149,8 +326,8 @@ class Race:
     @property
     def program(self) -> str:
         """The line that runs the cheapest in a program."""
-        best = self.order[0]
-        run, files = self.best(best), sorted(best.scene.sources | best.method.sources)
+        best, run = self.order[0], self.winners[0]
+        files = sorted(best.scene.sources | best.method.sources)
         size = f"step={run.h}" if run.h else f"rtol={run.rtol}"
         more = f", plugins={files}" if files else ""
         return f'In a program: bench.solve("{run.problem}", "{run.integrator}", {size}{more})'
@@ -159,12 +336,12 @@ class Race:
         """Return the verdict in sentences: the cheapest run and ties, or the nearest; the rest."""
         every = self.candidates
         if order := self.order:
-            said, least = self.first, self._cost(order[0])
-            ties = [c.method.spec for c in order[1:] if self._cost(c) <= TIE * least < math.inf]
+            said, least = self.first, order[0].cost(self.cost)
+            ties = [c.method.spec for c in order[1:] if c.cost(self.cost) <= TIE * least < math.inf]
             if ties:
                 said += f" A tie ({self.cost} within {TIE - 1:.0%}): {', '.join(ties)}."
         else:
-            run = next((c.nearest(self.asked) for c in self._by_error()), None)
+            run = next((c.nearest for c in self._by_error()), None)
             said = "No run has reached the end."
             if run and self.asked.of(run) < math.inf:
                 said = (
@@ -186,12 +363,12 @@ class Race:
     def table(self) -> Table:
         """Return the table of the cheapest candidates, then of those that do not reach it if
         methods are named (it has energy and constraints, too), or if nobody does."""
-        missed = [c for c in self._by_error() if not c.best(self.asked)]
+        missed = [c for c in self._by_error() if not c.best]
         missed = missed if self._named else [] if self.order else missed[:MOST_TIMED]
         rows = []
         for c in (*self.order, *missed):
-            good = c.best(self.asked)
-            run = good or c.nearest(self.asked)
+            good = c.best
+            run = good or c.nearest
             figures = run.h or run.rtol, run.cost("operations"), self.asked.error(run)
             also = (run.energy_drift, run.constraint.get("position")) if self._named else ()
             failed = {size: r.status for size, r in c.runs.items() if r.status != "ok"}
@@ -214,7 +391,7 @@ class Race:
         return [self._rating(c) for c in (self.candidates if self._named else self.order)]
 
     def _rating(self, candidate: Candidate) -> dict[str, Any]:
-        best = candidate.best(self.asked)
+        best = candidate.best
         told = {
             "problem": candidate.scene.spec,
             "integrator": candidate.method.spec,
@@ -225,27 +402,23 @@ class Race:
         }
         if not candidate.runs:
             return told
-        run = best or candidate.nearest(self.asked)
+        run = best or candidate.nearest
         same = "formulation", "resolution", "seconds", "run_s", "work", "energy_drift", "constraint"
         costs = {"error": self.asked.error(run), "operations": run.cost("operations")}
         return told | costs | {name: getattr(run, name) for name in same}
 
-    def _cost(self, candidate: Candidate) -> float:
-        """The cost of the good run of a candidate, infinite if it is not known."""
-        return self.best(candidate).cost(self.cost) or math.inf
-
     def _by_error(self) -> list[Candidate]:
         """Candidates that were tried, the nearest to the demand first."""
         tried = [c for c in self.candidates if c.runs and not c.refusal]
-        return sorted(tried, key=lambda c: self.asked.of(c.nearest(self.asked)))
+        return sorted(tried, key=lambda c: self.asked.of(c.nearest))
 
     def _fate(self, c: Candidate) -> str:
         if c.refusal:
             return "not for this scene"
         if not c.runs:
             return "untried"
-        if c.best(self.asked):
+        if c.best:
             return "reached it"
         if self.is_dropped(c):
             return "dropped as dearer"
-        return "unfinished" if c.next(self.asked) else "never reached it"
+        return "unfinished" if c.next() else "never reached it"

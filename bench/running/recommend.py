@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,9 +22,8 @@ from bench.running.plan import Cell, Suite, make_suite
 from bench.running.process import Limits
 from bench.running.profiles import FIGURES, ProfileFile, StudyFile, is_suite, read_profile
 from bench.running.progress import Progress
-from bench.running.race import FORMS, MOST_TIMED, SPREAD, TIE, Race
+from bench.running.race import FORMS, MOST_TIMED, SPREAD, TIE, Candidate, Race
 from bench.running.runner import Runner, Task
-from bench.running.search import Candidate
 from bench.running.session import measure_suite, missing_cells, time_suite
 from bench.running.worker import Worker
 from problems.base.spec import SpecError, split_spec
@@ -95,17 +94,17 @@ class Recommendation:
                     f"All integrators are ranked by one error, and {len(demands)} are asked for; "
                     "give one by --error, or name integrators."
                 )
-            own = [c.integrator for c in suite.cells.values() if (c.problem, c.t_end) == place]
-            refused = registry.refusals(scene.spec, own) if demands else {}
+            cells = [c for c in suite.cells.values() if (c.problem, c.t_end) == place]
+            own = {cell.integrator: cell.method for cell in cells} if demands else {}
+            refused = registry.refusals(scene.spec, [*own])
             candidates = [
-                Candidate(
-                    scene, registry.integrator(m), place[1], demands, refused=refused.get(m, "")
-                )
-                for m in dict.fromkeys(own)
+                Candidate(scene, method, place[1], demands[0], refused=refused.get(name, ""))
+                for name, method in own.items()
             ]
-            self.candidates += candidates if demands else []
-            in_turns = _in_turns(candidates)
-            self.races += [Race(in_turns, margin, self._ends[0], asked, cost) for asked in demands]
+            self.candidates += candidates
+            for asked in demands:
+                in_turns = [replace(c, asked=asked) for c in _in_turns(candidates)]
+                self.races.append(Race(in_turns, margin, self._ends[0], cost))
         if not self.races:
             raise SpecError(" ".join(self.remarks))
         if all(c.refused for c in self.candidates):
@@ -157,7 +156,7 @@ class Recommendation:
                 runner.end_workers()
                 runner.draft, self._until = False, over
                 most = MOST_TIMED if self.of_all else None
-                best = {race.best(c).key for race in self.races for c in race.order[:most]}
+                best = {run.key for race in self.races for run in race.winners[:most]}
                 self._time(best, store, runner)
             finally:  # the records that were found before an error stay
                 self._machines = store.environments()
@@ -172,13 +171,12 @@ class Recommendation:
 
     def _race(self, store: Store, runner: Runner) -> None:
         """Run what the races ask for until they ask for no more, and tell who leads."""
-        tasks = {
-            c.place: Task(
-                Worker.resting, c.place, f"start of {c.place[0]}", sources=c.scene.sources
-            )
-            for c in self.candidates
-        }
-        resting = [answer for _, answer in runner.run([[task] for task in tasks.values()])]
+        scenes = {c.place: c.scene.sources for c in self.candidates}
+        tasks = [
+            [Task(Worker.resting, place, f"start of {place[0]}", sources=sources)]
+            for place, sources in scenes.items()
+        ]
+        resting = [answer for _, answer in runner.run(tasks)]
         if resting and all(isinstance(answer, str) and answer for answer in resting):
             raise SpecError(resting[0])
         leaders: dict[int, Candidate] = {}
@@ -191,47 +189,46 @@ class Recommendation:
                     remark(f"So far: {race.first} {_STORED}")
                     runner.progress.note(f"{time.monotonic() - self.began:.0f} s: {race.first}")
             while cells := self._next():
-                suite = self._restricted({cell.key: cell for cell in cells})
+                suite = self._restricted(cells)
                 if missing := missing_cells(suite, store):
                     store.keep(suite.plan)
                     return missing
                 self._take(store)
             return []
 
-        measure_suite(self._restricted({}), store, runner, further)
+        measure_suite(self._restricted([]), store, runner, further)
         self._take(store)
 
     def _time(self, best: Collection[str], store: Store, runner: Runner) -> None:
         """Take the times of the best runs, and of no others."""
-        cells = {cell.key: cell for c in self.candidates for cell in c.cells.values()}
-        suite = self._restricted({key: cells[key] for key in cells if key in best})
-        time_suite(suite, store, runner)
+        cells = (cell for c in self.candidates for cell in c.cells.values() if cell.key in best)
+        time_suite(self._restricted(cells), store, runner)
         self._take(store)
 
     def _take(self, store: Store) -> None:
         records = store.records()
         for c in self.candidates:
-            c.runs = {s: records[x.key] for s, x in c.cells.items() if x.key in records}
+            c.runs |= {s: records[x.key] for s, x in c.cells.items() if x.key in records}
 
-    def _restricted(self, cells: dict[str, Cell]) -> Suite:
+    def _restricted(self, cells: Iterable[Cell]) -> Suite:
         """The suite with these cells, and a plan with a study of each scene with all its runs."""
-        places: dict[tuple[str, float], list[Candidate]] = {}
-        for candidate in self.candidates:
-            places.setdefault(candidate.place, []).append(candidate)
+        places = dict.fromkeys(c.place for c in self.candidates)
         studies = [
             Study(
-                title=problem,
-                problem=problem,
-                t_end=t_end,
+                title=place[0],
+                problem=place[0],
+                t_end=place[1],
                 figures=list(FIGURES),
-                demands=list(dict.fromkeys(asked.text for c in own for asked in c.demands)),
-                cells=[cell.key for c in own for cell in c.cells.values()],
+                demands=[r.asked.text for r in self.races if r.candidates[0].place == place],
+                cells=[
+                    x.key for c in self.candidates if c.place == place for x in c.cells.values()
+                ],
             )
-            for (problem, t_end), own in places.items()
+            for place in places
         ]
         methods = {c.method.spec: c.method for c in self.candidates}
         plan = msgspec.structs.replace(self._suite.plan, studies=studies, integrators=methods)
-        return replace(self._suite, plan=plan, cells=cells)
+        return replace(self._suite, plan=plan, cells={cell.key: cell for cell in cells})
 
     def _next(self) -> list[Cell]:
         """Runs of the races; of all integrators also those of other forms of the best."""
