@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import re
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import toy
 from test_contributing import EXAMPLES
 
 from bench.plugins.registry import Registry
@@ -23,6 +24,7 @@ from problems import parameter
 from problems.base.runtime import SPARE_THREADS
 from problems.base.spec import SpecError, split_spec
 from problems.equations.initial_values import consistent_start, consistent_starts
+from problems.scenes.oscillators import Duffing
 
 REGISTRY = Registry()
 ADAPTIVE, ENDS = "generalized_alpha_adaptive", r"(q|v|a|lam|x|xdot|y)(\d+)"
@@ -237,17 +239,13 @@ def test_the_command_draws_prints_and_writes_tables_for_pandas(stepbench, tmp_pa
 
 
 def test_names_that_stand_for_two_things_need_their_owner():
-    @dataclass(frozen=True)
-    class Shared(type(REGISTRY.problem("duffing"))):
-        beta: float = parameter(1.0, "1", "a name that Newmark's method has, too")
-
-    scene, method = Shared(), REGISTRY.integrator("newmark")
+    beta = parameter(1.0, "1", "a name that Newmark's method has, too")
+    scene, method = toy("Shared", base=Duffing, beta=beta)(), REGISTRY.integrator("newmark")
     with pytest.raises(SpecError, match=r"write scene.beta or integrator.beta"):
         find_quantity("beta", scene, method)
     assert find_quantity("scene.beta", scene, method).owner == "scene"
-    runs = runs_with(
-        scene, method, Steps(0.1), {find_quantity("integrator.beta", scene, method): [0.2, 0.3]}
-    )
+    beta = find_quantity("integrator.beta", scene, method)
+    runs = runs_with(scene, method, Steps(0.1), {beta: [0.2, 0.3]})
     assert [(run.scene.beta, run.method.beta) for run in runs] == [(1.0, 0.2), (1.0, 0.3)]
     car = REGISTRY.problem("full_car")  # h is a height of it
     with pytest.raises(SpecError, match=r"write step.h or scene.h"):

@@ -18,10 +18,6 @@ from reports.questions import Question
 from reports.ranking import answers
 
 
-def open_front(browser, folder, fragment=""):
-    visit(browser, folder / "report.html", fragment)
-
-
 def choose(page, name, value):
     page.execute_script(
         """
@@ -71,7 +67,7 @@ CHARTS = ".panel:not([hidden]) svg.plot"
 
 
 def test_the_bar_drives_words_charts_and_heat_table_together(browser, site):
-    open_front(browser, site)
+    visit(browser, site / "report.html")
     before = text(browser, "#answer")
     assert "acceleration of at most 1e-4" in text(browser, "main h1")
     for group, target, cost in (("q", "1e-3", "residuals"), ("a", "1e-2", "operations")):
@@ -95,7 +91,7 @@ def test_runs_without_a_place_on_the_axes_stand_in_bands(browser, tmp_path):
     wild = [planted("spring_mass", "wild", {"a": (1e6, 1), "q": (1, 1)}, h=h) for h in (0.1, 1e-5)]
     lost = planted("spring_mass", "lost", {}, h=0.1, status="newton_failed", work={})
     write_html_report(plant(tmp_path, [*everything(), *wild, lost]))
-    open_front(browser, tmp_path, "#group=a&target=1e-4&cost=operations&scenes=all")
+    visit(browser, tmp_path / "report.html", "#group=a&target=1e-4&cost=operations&scenes=all")
     lines, failed = (
         f"[...node.querySelectorAll('{kind}')].flatMap((path) => [...path.getAttribute('d')"
         ".matchAll(/[ML][-\\d.]+ ([-\\d.]+)/g)].map((m) => +m[1]))"
@@ -112,7 +108,7 @@ def test_runs_without_a_place_on_the_axes_stand_in_bands(browser, tmp_path):
 
 def test_a_scene_without_the_quantity_is_not_counted_and_says_so(browser, site):
     said = "This scene has no multiplier λ."
-    open_front(browser, site, "#group=lam&target=1e-4&cost=operations&scenes=all")
+    visit(browser, site / "report.html", "#group=lam&target=1e-4&cost=operations&scenes=all")
     assert "reached, of 1 scene" in text(browser, "#standings")
     cells = heat_cells(browser)
     assert cells["good[rho_inf=0.8]", "spring_mass"] == [["unjudged", "start"], "·"]
@@ -133,7 +129,7 @@ def test_a_scene_without_the_quantity_is_not_counted_and_says_so(browser, site):
 
 def test_the_address_restores_the_view_and_a_method_is_put_in_front(browser, site):
     fragment = "#group=lam&target=1e-2&cost=residuals&scenes=all&highlight=adaptive"
-    open_front(browser, site, fragment)
+    visit(browser, site / "report.html", fragment)
     chosen = each(browser, "#question [name]", "[node.name, node.value]")
     assert chosen.pop(2) == ["norm", "max"]  # the usual one is not told
     assert fragment == "#" + "&".join(f"{name}={value}" for name, value in chosen)
@@ -141,7 +137,7 @@ def test_the_address_restores_the_view_and_a_method_is_put_in_front(browser, sit
     link = each(browser, ".panel h3 a", "node.href")[0]
     assert link.endswith("report/scene-spring_mass.html" + fragment)
     # What the address does not know is the first question's.
-    open_front(browser, site, "#group=nonsense&target=1e-2")
+    visit(browser, site / "report.html", "#group=nonsense&target=1e-2")
     assert browser.execute_script("return stepbench.question.group") == "a"
 
 
@@ -157,7 +153,7 @@ return told;
 
 
 def test_keys_walk_through_the_runs_and_say_the_numbers_of_the_store(browser, site):
-    open_front(browser, site)
+    visit(browser, site / "report.html")
     plot = browser.find_elements("css selector", CHARTS)[1]
     with Store(site) as store:
         records = [r for r in store.records().values() if r.problem == "pendulum"]
@@ -215,7 +211,7 @@ def test_names_of_curves_cover_neither_each_other_nor_rings(browser, site):
         able = {r.integrator for r in store.records().values() if r.problem == "pendulum"}
     assert len(names) == len(able) - 1  # one method has failed runs only
     assert all(apart(one, two) for k, one in enumerate(names) for two in names[:k])
-    open_front(browser, site)
+    visit(browser, site / "report.html")
     names, rings = (each(browser, f"#panels {kind}", BOX) for kind in (".name", ".winner"))
     assert rings
     assert all(apart(name, ring) for name in names for ring in rings)
@@ -237,7 +233,7 @@ def test_the_first_row_of_charts_is_in_sight_four_in_a_row(browser, tmp_path):
     more = [planted(scene, "poor", {"a": (1.0, 1)}, h=0.1) for scene in scenes]
     write_html_report(plant(tmp_path, everything() + more))
     with screen(browser, 1400, 900):
-        open_front(browser, tmp_path)
+        visit(browser, tmp_path / "report.html")
         tops = [box[1] for box in each(browser, "#panels > .panel", BOX)]
         cards = [box[1] for box in each(browser, ".opening > .card", BOX)]
         (heat,), (card,) = each(browser, "#heat", BOX), each(browser, ".card:has(> #heat)", BOX)
@@ -255,7 +251,7 @@ def test_on_a_phone_the_bar_stays_in_sight_and_nothing_is_cut(browser, site):
       return node.getBoundingClientRect().width - pen.measureText(text).width;
     })()"""
     with screen(browser, 420, 900):
-        open_front(browser, site)
+        visit(browser, site / "report.html")
         browser.execute_script("document.getElementById('heat-head').scrollIntoView()")
         wide = browser.execute_script("return document.documentElement.scrollWidth")
         (bar,) = each(browser, "#question", BOX)
@@ -279,7 +275,7 @@ def hidden_methods(browser):
 
 
 def test_a_legend_hides_and_shows_methods_in_all_charts(browser, site):
-    open_front(browser, site)
+    visit(browser, site / "report.html")
     labels = browser.execute_script("return stepbench.data.methods.map((m) => m.label)")
     assert hidden_methods(browser) == set()
     *_, one, two = browser.find_elements("css selector", ".chooser .switch:has(.badge)")
@@ -326,7 +322,7 @@ def test_the_legend_of_a_large_chart_hides_methods_too(browser, site):
 
 
 def test_a_panel_becomes_large_in_its_place_and_escape_closes_it(browser, site):
-    open_front(browser, site)
+    visit(browser, site / "report.html")
     before = each(browser, ".panel svg.plot", "node.clientWidth")
     one, two = browser.find_elements("css selector", "button.enlarge")
     for button, name in ((one, "spring mass"), (two, "pendulum")):

@@ -158,30 +158,29 @@ def flights(scene, t):
         impacts.append(land)
 
 
-LOCATED = [
-    (GeneralizedAlpha(), Steps(0.3), 1e-12),  # steps longer than later flights
-    (IDA(), Tolerances(1e-8), 1e-8),
-]
-ALSO = [
-    (GeneralizedAlpha(), Steps(0.05), 1e-12),
-    (StormerVerlet(), Steps(0.05), 1e-12),
-    (BDF2(), Steps(0.02), 1e-11),
-    (PHEM56(), Tolerances(1e-4), 1e-10),
-]
-
-
-@pytest.mark.parametrize("cases", [LOCATED, *long(ALSO)])
-def test_impacts_are_located_to_rounding(cases):
+@pytest.mark.parametrize(
+    ("method", "resolution", "most"),
+    [
+        (GeneralizedAlpha(), Steps(0.3), 1e-12),  # steps longer than later flights
+        (IDA(), Tolerances(1e-8), 1e-8),
+        *long(
+            (GeneralizedAlpha(), Steps(0.05), 1e-12),
+            (StormerVerlet(), Steps(0.05), 1e-12),
+            (BDF2(), Steps(0.02), 1e-11),
+            (PHEM56(), Tolerances(1e-4), 1e-10),
+        ),
+    ],
+)
+def test_impacts_are_located_to_rounding(method, resolution, most):
     scene = BouncingBall()
     q, v, impacts = flights(scene, 3.5)
-    for method, resolution, most in cases:
-        found = run(method, scene, resolution, 3.5)
-        assert found.status == "ok"
-        assert len(found.events) == len(impacts) == 9
-        assert np.abs(found.events[:, 0] - impacts).max() < most
-        assert abs(found.q[-1, 0] - q) < 10 * most
-        assert abs(found.v[-1, 0] - v) < 100 * most
-        assert found.phase[-1] == 9
+    found = run(method, scene, resolution, 3.5)
+    assert found.status == "ok"
+    assert len(found.events) == len(impacts) == 9
+    assert np.abs(found.events[:, 0] - impacts).max() < most
+    assert abs(found.q[-1, 0] - q) < 10 * most
+    assert abs(found.v[-1, 0] - v) < 100 * most
+    assert found.phase[-1] == 9
 
 
 def test_a_method_of_first_order_errs_by_its_own_times_of_impact():

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from planted import STEPS, planted
+from planted import STEPS, everything, plant, planted
 from small_stores import atlas_with
 
 from bench.results.records import SceneRecord
+from bench.results.store import Store
 from reports.pages.report import Report
 from reports.pages.studies import jumps_page, policies_table
 from reports.questions import plain
@@ -118,10 +119,6 @@ def test_a_parameter_of_another_meaning_is_no_policy():
 
 
 def test_a_report_without_jumps_has_no_chapter_on_them(tmp_path):
-    from planted import everything, plant
-
-    from bench.results.store import Store
-
     with Store(plant(tmp_path / "plain", everything())) as store:
         report = Report(store)
     assert "jumps.html" not in [chapter.file for chapter in report.chapters]
