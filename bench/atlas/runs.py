@@ -183,10 +183,7 @@ class _Trial:
 
 
 def linear_response(
-    worker: Worker,
-    integrator: str,
-    omega_h: tuple[float, ...],
-    pattern: tuple[float, ...] = (1.0,),
+    worker: Worker, integrator: str, omega_h: tuple[float, ...], pattern: tuple[float, ...]
 ) -> dict[str, list[float | None]]:
     """Step a method on the undamped oscillator: columns over omega h, None where not finite."""
     at, method = np.array(omega_h), steppable(worker.registry.integrator(integrator))
@@ -273,7 +270,7 @@ def _run(
                 text=part.text,
                 quantity=quantity_words(part),
                 take=part.take or "last",
-                healthy=_bounds(part.healthy),
+                healthy=(finite(part.healthy[0]), finite(part.healthy[1])),
                 show=part.show or "",
                 cases=[_case(part, trial, answers) for trial in trials],
             )
@@ -346,8 +343,3 @@ def _case(part: Part, trial: _Trial, answers: dict[Task, Any]) -> CaseResult:
         message=next(filter(None, messages), ""),
         history=shown,
     )
-
-
-def _bounds(interval: tuple[float, float]) -> tuple[float | None, float | None]:
-    low, high = interval
-    return low if math.isfinite(low) else None, high if math.isfinite(high) else None

@@ -147,7 +147,6 @@ class HeavyTopR3SO3(HeavyTop):
     index 3 lose an order at the start. The motion is that of `heavy_top[nod=0]`.
     """
 
-    name = "heavy_top_r3_so3"
     tags = ("constrained", "index 3", "conservative", "spatial", "rotations")
     difficulties = (
         "q has one entry more than v: methods that add velocities to coordinates cannot take it",
@@ -221,7 +220,6 @@ class HeavyTopSE3(HeavyTopR3SO3):
     is that of `heavy_top_so3` up to rounding.
     """
 
-    name = "heavy_top_se3"
     difficulties = HeavyTopR3SO3.difficulties[:1]
     velocities = ("U 1 [m/s]", "U 2 [m/s]", "U 3 [m/s]", *_OMEGA)
     published = _CENTRE
@@ -246,7 +244,6 @@ class HeavyTopSO3(HeavyTopR3SO3):
     Tests how methods move rotations, and nothing else; the joint's force is left out.
     """
 
-    name = "heavy_top_so3"
     tags = ("conservative", "spatial", "rotations")
     difficulties = HeavyTopR3SO3.difficulties[:1]
     coordinates = HeavyTopR3SO3.coordinates[3:]

@@ -47,7 +47,6 @@ class NFourBar(MechatronicSystem):
     translate. Tests singular positions, in which the uprights lie in line with the couplers.
     """
 
-    name = "n_four_bar"
     interval = (0.0, 10.0)
     nominal_step = 0.01
     tags = ("constrained", "index 3", "closed form", "conservative", "singular", "benchmark")
@@ -271,7 +270,6 @@ class FlyballGovernor(OfEnergies):
     is below the horizontal. Left out: the motor, as the shaft turns freely.
     """
 
-    name = "flyball_governor"
     interval = (0.0, 10.0)
     nominal_step = 0.01
     tags = ("stiff", "spatial", "benchmark")

@@ -11,6 +11,12 @@ from problems.mechanics import drawing
 from problems.mechanics.points import PointMasses
 
 
+def _hung(length: float, *places: np.ndarray) -> list[np.ndarray]:
+    """Rods from the pivot from place to place, and masses there."""
+    masses = [drawing.circle(at, 0.06 * length) for at in places]
+    return [np.array([[0.0, 0.0], *places]), *masses]
+
+
 @dataclass(frozen=True)
 class Pendulum(PointMasses):
     """A point mass on a massless rod: a small index-3 system with an exact solution.
@@ -81,13 +87,11 @@ class Pendulum(PointMasses):
         }
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        return [np.array([[0.0, 0.0], q]), drawing.circle(q, 0.06 * self.length)]
+        return _hung(self.length, q)
 
 
 @dataclass(frozen=True)
 class TwoRods(MechatronicSystem):
-    """Data that both scenes share."""
-
     interval = (0.0, 1.0)
     nominal_step = 0.02
 
@@ -100,11 +104,6 @@ class TwoRods(MechatronicSystem):
     angle2: float = parameter(0.3, "rad", "angle of the second rod from the downward vertical")
     rate1: float = parameter(1.0, "rad/s", "rate of the first angle at the start")
     rate2: float = parameter(-2.0, "rad/s", "rate of the second angle at the start")
-
-    def _picture(self, first: np.ndarray, second: np.ndarray) -> list[np.ndarray]:
-        """Lines of both rods and masses, from their places in m."""
-        bobs = [drawing.circle(at, 0.06 * self.l1) for at in (first, second)]
-        return [np.array([[0.0, 0.0], first, second]), *bobs]
 
 
 @dataclass(frozen=True)
@@ -148,7 +147,7 @@ class DoublePendulum(TwoRods):
         return State(q=np.cumsum(along, axis=0).ravel(), v=np.cumsum(across, axis=0).ravel())
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        return self._picture(q[:2], q[2:])
+        return _hung(self.l1, q[:2], q[2:])
 
 
 @dataclass(frozen=True)
@@ -207,7 +206,7 @@ class DoublePendulumControlled(TwoRods):
         return State(np.append(place, self.angle2), np.append(moving, self.rate2), np.zeros(1))
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        return self._picture(q[:2], q[:2] + self.l2 * np.array([np.sin(q[2]), -np.cos(q[2])]))
+        return _hung(self.l1, q[:2], q[:2] + self.l2 * np.array([np.sin(q[2]), -np.cos(q[2])]))
 
 
 @dataclass(frozen=True)
@@ -351,4 +350,4 @@ class StiffBar(PointMasses):
         }
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
-        return [np.array([[0.0, 0.0], q]), drawing.circle(q, 0.06 * self.length)]
+        return _hung(self.length, q)

@@ -44,7 +44,6 @@ class PlanarTruck(MechatronicSystem):
     spring of the source's other variant, and tyres that lose the ground.
     """
 
-    name = "planar_truck"
     interval = (0.0, 5.0)
     nominal_step = 0.01
     tags = ("stiff", "vehicle", "benchmark")
@@ -122,7 +121,6 @@ class PlanarTruckJoint(PlanarTruck):
     Tests the stiff system of `planar_truck` with two constraints.
     """
 
-    name = "planar_truck_joint"
     tags = ("constrained", "index 3", "stiff", "vehicle", "benchmark")
     multipliers = ("hinge x [N]", "hinge z [N]")
     published = (

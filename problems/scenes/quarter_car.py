@@ -10,13 +10,6 @@ from problems import MechatronicSystem, SampledSystem, State, Variables, held, j
 from problems.mechanics import drawing
 
 
-def limited(value: jax.Array, low: float, high: float, soft: float) -> jax.Array:
-    """Limit a value; the corners are rounded over about ``soft``."""
-    return low + soft * (
-        jax.nn.softplus((value - low) / soft) - jax.nn.softplus((value - high) / soft)
-    )
-
-
 @dataclass(frozen=True)
 class SemiActiveDamper(MechatronicSystem):
     """A synthetic semi-active damper with compressible oil, to be inherited by a scene.
@@ -62,11 +55,6 @@ class SemiActiveDamper(MechatronicSystem):
     i_max: float = parameter(1.6, "A", "largest current: firm")
     i_soft: float = parameter(0.05, "A", "rounding of the current's limits", low=1e-9)
 
-    def _valve_area(self, i: jax.Array) -> jax.Array:
-        """Flow area in m^2, falling linearly with the current in A."""
-        part = (i - self.i_min) / (self.i_max - self.i_min)
-        return self.soft_area + part * (self.firm_area - self.soft_area)
-
     def _flows(
         self, p_reb: jax.Array, p_comp: jax.Array, i: jax.Array
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -79,7 +67,9 @@ class SemiActiveDamper(MechatronicSystem):
         # Two square roots cost less than a power of 1/4 and its derivatives.
         root = jnp.sqrt(jnp.sqrt(p_reb**2 + self.p_turb**2))
         speed = jnp.sqrt(2e6 / self.density) * p_reb / root
-        out = self._valve_area(i) * speed + self._relieved(p_reb)
+        part = (i - self.i_min) / (self.i_max - self.i_min)
+        area = self.soft_area + part * (self.firm_area - self.soft_area)
+        out = area * speed + self._relieved(p_reb)
         return out, self._checked(p_comp - p_reb), self._checked(-p_comp)
 
     # The next two functions compute root(drop) - root(0) without cancellation.
@@ -109,8 +99,9 @@ class SemiActiveDamper(MechatronicSystem):
         return 1e6 * ((self.a_piston - self.a_rod) * p_reb - self.a_piston * p_comp)
 
     def _limited_current(self, i: jax.Array) -> jax.Array:
-        """Current in A that flows if the controller asks for i."""
-        return limited(i, self.i_min, self.i_max, self.i_soft)
+        """Current in A that flows if the controller asks for i; its limits have round corners."""
+        above, beyond = ((i - limit) / self.i_soft for limit in (self.i_min, self.i_max))
+        return self.i_min + self.i_soft * (jax.nn.softplus(above) - jax.nn.softplus(beyond))
 
 
 #: Waves of the rough road: cycles per m, and phases that were drawn once. Their amplitudes fall

@@ -30,8 +30,6 @@ def _check_reach(l1: float, l2: float, angle: float) -> None:
 
 @dataclass(frozen=True)
 class _FreeCrank(MechatronicSystem):
-    """Data that the two forms of the free slider crank share."""
-
     interval = (0.0, 5.0)
     nominal_step = 0.005
 
