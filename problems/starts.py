@@ -55,8 +55,8 @@ def started(scene: Any, state: State, given: Mapping[str, float]) -> State:
         values[group][k] = value
         fixed[group].append(k)
     q, v = values
-    for k in (k for k, name in enumerate(names[0]) if name.endswith("p0")):
-        four = range(k, min(k + 4, len(q)))
+    for k in range(len(q) - 3):
+        four = range(k, k + 4)
         if [names[0][j][-2:] for j in four] == ["p0", "p1", "p2", "p3"]:
             q[four] /= np.linalg.norm(q[four]) or 1.0
             fixed[0].extend(four if scene.has("kinematics") else ())  # no constraint holds the norm
@@ -162,10 +162,8 @@ def constraints_at(
     """
     if not (scene.has("constraint") or scene.has("velocity_constraint")):
         return np.zeros(0), np.zeros((0, len(q))), np.zeros(0), np.zeros((0, len(v)))
-    numbers = spec.numbers_of(type(scene))
-    defaults: dict[str, Any] = {name: field.default for name, field in numbers.items()}
-    program = _program(scene.with_parameters(defaults | {"given": ()}))
-    return tuple(map(np.asarray, program(scene.parameters(), q, v, t)))
+    found = _program(scene.with_defaults())(scene.parameters(), q, v, t)
+    return tuple(map(np.asarray, found))
 
 
 def shortest(matrix: np.ndarray, residual: np.ndarray) -> np.ndarray:

@@ -366,6 +366,13 @@ class MechatronicSystem:
             vars(copy)["sizes"] = self.sizes
         return copy
 
+    def with_defaults(self) -> Self:
+        """A copy with the default values of float parameters, and without those at the start."""
+        numbers = spec.numbers_of(type(self))
+        values: dict[str, Any] = {name: field.default for name, field in numbers.items()}
+        values["given"] = ()
+        return self.with_parameters(values)
+
     def later(self, t: float, state: State) -> Self:
         """The same motion from a later start: at t in s, with the state that it has then."""
         copy = self.with_parameters(self.parameters())
@@ -394,10 +401,7 @@ class MechatronicSystem:
                 f"{self.spec}: it keeps {', '.join(sorted(kept))} beside its parameters, which "
                 f"would not follow other values; compute that in the blocks or in a property."
             )
-        numbers = spec.numbers_of(type(self))
-        defaults: dict[str, Any] = {name: field.default for name, field in numbers.items()}
-        defaults["given"] = ()
-        return self.with_parameters(defaults)
+        return self.with_defaults()
 
 
 def _is_block(name: str) -> bool:

@@ -142,17 +142,9 @@ def algebraic_residual(
     return jnp.concatenate(rows)
 
 
-def _solution(
-    residual: Callable, guess: Float[Array, " n"], linear: bool, solve: Callable
-) -> Array:
-    """The solution of the index-1 equations; NaN where Newton's method fails.
-
-    The augmented matrix [[M, Phi_q^T], [Phi_q, 0]] has to be regular, M alone need not be. Without
-    outputs and coupled forces the equations are linear and take one solve. With them they are
-    solved by Newton's method, and differentiated by the implicit function theorem.
-    """
-    if linear:
-        return -solve(*_jacobian_and_residual(residual, guess))
+def _root(residual: Callable, guess: Float[Array, " n"], solve: Callable) -> Array:
+    """The solution of equations that are not linear, differentiated by the implicit function
+    theorem."""
 
     def tangent_solve(linear: Callable, rhs: Array) -> Array:
         return solve(jax.jacfwd(linear)(jnp.zeros_like(rhs)), rhs)
@@ -188,20 +180,10 @@ def _jacobian_and_residual(residual: Callable, u: Float[Array, " n"]) -> tuple[A
     return jax.jacfwd(lambda u: (residual(u),) * 2, has_aux=True)(u)
 
 
-def algebraic_iterations(
-    scene: MechatronicSystem,
-    q: Float[Array, " nq"],
-    v: Float[Array, " nv"],
-    x: Float[Array, " nx"],
-    t: Float[Array, ""],
-) -> Int[Array, ""]:
-    """Count the iterations of Newton's method in `complete`, for a scene with outputs."""
+def algebraic_iterations(scene: MechatronicSystem, *state: Array) -> Int[Array, ""]:
+    """Count the iterations of Newton's method in `complete` at q, v, x, t, if there are outputs."""
     guess = jnp.zeros(algebraic_layout(scene.sizes).size)
-
-    def residual(u: Array) -> Array:
-        return algebraic_residual(scene, u, q, v, x, t)
-
-    return _newton(residual, guess, _solver(scene))[1]
+    return _newton(lambda u: algebraic_residual(scene, u, *state), guess, _solver(scene))[1]
 
 
 def _solver(scene: MechatronicSystem, solve: Callable | None = None) -> Callable:
@@ -222,18 +204,24 @@ def complete(
 ) -> tuple[Variables, Float[Array, " nx"]]:
     """Solve for all variables at a state, NaN where there is no solution, and xdot ``(nx,)``.
 
+    The augmented matrix [[M, Phi_q^T], [Phi_q, 0]] has to be regular, M alone need not be. Without
+    outputs and coupled forces the equations are linear and take one solve, else Newton's method.
+
     Parameters
     ----------
     solve
         Solver of linear equations, by default that of `jnp.linalg`.
     """
-    layout = algebraic_layout(scene.sizes)
+    layout, solve = algebraic_layout(scene.sizes), _solver(scene, solve)
+    guess = jnp.zeros(layout.size)
 
     def residual(u: Array) -> Array:
         return algebraic_residual(scene, u, q, v, x, t, baumgarte)
 
-    linear = not (scene.sizes.ny or scene.has("coupled_force"))
-    u = _solution(residual, jnp.zeros(layout.size), linear, _solver(scene, solve))
+    if scene.sizes.ny or scene.has("coupled_force"):
+        u = _root(residual, guess, solve)
+    else:
+        u = -solve(*_jacobian_and_residual(residual, guess))
     a, lam, y = layout.split(u)
     z = Variables(q, v, a, lam, x, y, t)
     return z, scene.state_rate(z) if scene.sizes.nx else jnp.zeros(0)

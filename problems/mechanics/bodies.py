@@ -250,11 +250,8 @@ class RigidBodies(MechatronicSystem):
     def initial_state(self) -> State:
         """The state given by the bodies; velocities that are not given are the least ones that
         satisfy the constraints. What cannot be satisfied is left violated."""
-        fields = spec.numbers_of(type(self)).items()
-        numbers: dict[str, Any] = {name: field.default for name, field in fields}
-        q, v, masses, tensors = map(
-            np.asarray, _start(self.with_parameters(numbers))(self.parameters())
-        )
+        start = _start(self.with_defaults())(self.parameters())
+        q, v, masses, tensors = map(np.asarray, start)
         free = [part is None for b in self.bodies() for part in (b.velocity, b.angular_velocity)]
         for body, mass, tensor in zip(self.bodies(), masses, tensors, strict=True):
             small, middle, large = np.linalg.eigvalsh(tensor)

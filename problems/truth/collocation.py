@@ -191,13 +191,6 @@ class _Stages:
         return ((found[:n] - found[n]) / (eps * size)[:, None]).T
 
 
-@cache
-def _parts(*sizes: int) -> list[np.ndarray]:
-    """Random relative changes of parameters and of states."""
-    random, (p, n) = np.random.default_rng(0), sizes
-    return [_CHANGE * random.uniform(-1, 1, size) for size in (p, (STAGES, n))]
-
-
 def terms(
     rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
     p: Float[np.ndarray, " p"],
@@ -209,8 +202,8 @@ def terms(
     Terms that balance do so no more where each number that they come from, a parameter of p or an
     entry of s, changes by a part of its own.
     """
-    by_p, by_s = _parts(len(p), len(s))
-    times = np.full(STAGES, t)
+    random, times = np.random.default_rng(0), np.full(STAGES, t)
+    by_p, by_s = (_CHANGE * random.uniform(-1, 1, n) for n in (len(p), (STAGES, len(s))))
     with np.errstate(all="ignore"):
         change = rates(p * (1 + by_p), times, s * (1 + by_s)) - rates(p, times, s + 0 * by_s)
     return np.nan_to_num(np.abs(change).max(axis=0), nan=0.0, posinf=0.0) / _CHANGE

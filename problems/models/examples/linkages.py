@@ -22,11 +22,6 @@ except PackageNotFoundError:
     ) from None
 
 
-def _constants(cls: Any, *symbols: Any) -> dict[Any, float]:
-    """Defaults of the parameters that are named as symbols."""
-    return {symbol: getattr(cls, symbol.name) for symbol in symbols}
-
-
 class _Derived(MechatronicSystem):
     """A scene whose blocks are those of a class that `from_sympy` makes.
 
@@ -35,6 +30,15 @@ class _Derived(MechatronicSystem):
 
     source_text = _SYMPY  # decides its fingerprint
     _derived: Any
+
+    @classmethod
+    def _from_sympy(cls, method: Any, *symbols: Any, **start: Any) -> Any:
+        """The class of a model, some of whose symbols are parameters of this one."""
+        from problems.models.sympy_models import from_sympy
+
+        constants = {symbol: getattr(cls, symbol.name) for symbol in symbols}
+        own = {key: getattr(cls, key) for key in ("name", "interval", "nominal_step")}
+        return from_sympy(method, constants=constants, **own, **start)
 
     def mass(self, q: Array) -> Array:
         return self._derived().mass(self, q)
@@ -75,8 +79,6 @@ class SympyFourBar(_Derived):
         import sympy as sm
         from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
 
-        from problems.models.sympy_models import from_sympy
-
         q, time = dynamicsymbols("q1:4"), sm.Symbol("t")
         lengths, (rho, d, g) = sm.symbols("l1:4"), sm.symbols("rho d g")
         joint, lagrangian = sm.zeros(2, 1), sm.Integer(0)
@@ -86,15 +88,9 @@ class SympyFourBar(_Derived):
             kinetic = rho * l * (rate.dot(rate) + l**2 * angle.diff(time) ** 2 / 12) / 2
             lagrangian += kinetic - rho * l * g * (joint + rod / 2)[1]
             joint += rod
-        return from_sympy(
-            LagrangesMethod(lagrangian, q, hol_coneqs=[joint[0] - d, joint[1]]),
-            name=SympyFourBar.name,
-            constants=_constants(SympyFourBar, *lengths, rho, d, g),
-            initial={q[0]: 1.0, q[0].diff(time): 1.0},
-            guess={q[1]: 0.3, q[2]: -1.5},
-            interval=SympyFourBar.interval,
-            nominal_step=SympyFourBar.nominal_step,
-        )
+        method = LagrangesMethod(lagrangian, q, hol_coneqs=[joint[0] - d, joint[1]])
+        start = {"initial": {q[0]: 1.0, q[0].diff(time): 1.0}, "guess": {q[1]: 0.3, q[2]: -1.5}}
+        return SympyFourBar._from_sympy(method, *lengths, rho, d, g, **start)
 
     def constraint(self, q: Array, t: Array) -> Array:
         return self._derived().constraint(self, q, t)
@@ -137,17 +133,9 @@ class SympyCartLinks(_Derived):
         import sympy as sm
         from sympy.physics.mechanics.models import n_link_pendulum_on_cart
 
-        from problems.models.sympy_models import from_sympy
-
         kane: Any = n_link_pendulum_on_cart(3, cart_force=False)
-        return from_sympy(
-            kane,
-            name=SympyCartLinks.name,
-            constants=_constants(SympyCartLinks, *sm.symbols("m:4 l:3 g")),
-            initial=dict(zip(kane.q[1:], (2.2, 2.6, 3.0), strict=True)) | {kane.u[0]: 0.5},
-            interval=SympyCartLinks.interval,
-            nominal_step=SympyCartLinks.nominal_step,
-        )
+        start = dict(zip(kane.q[1:], (2.2, 2.6, 3.0), strict=True)) | {kane.u[0]: 0.5}
+        return SympyCartLinks._from_sympy(kane, *sm.symbols("m:4 l:3 g"), initial=start)
 
     def draw(self, q: np.ndarray) -> list[np.ndarray]:
         links = np.stack([-np.sin(q[1:]), np.cos(q[1:])], axis=1)
