@@ -18,7 +18,7 @@ import pytest
 from bench.plugins.registry import Registry
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell
-from integrators import Integrator, Steps
+from integrators import Integrator, Steps, Tolerances, Trajectory
 from problems import MechatronicSystem, State, jnp
 from problems.truth.reference import Reference
 
@@ -108,6 +108,16 @@ def reference(scene: MechatronicSystem, t_end: float) -> Reference:
     return Reference(scene, t_end)
 
 
+def run_of(
+    method: Integrator, scene: MechatronicSystem, at: float | Steps | Tolerances, t_end: float = 0.0
+) -> Trajectory:
+    """A run up to a time, or that of the scene, which reaches it; a number is a step in s."""
+    at = Steps(at) if isinstance(at, float) else at
+    run = method.prepare(scene, t_end or scene.interval[1], at).measure()
+    assert run.status == "ok", run.message
+    return run
+
+
 def errors_at(
     integrator: Integrator,
     scene: MechatronicSystem,
@@ -116,8 +126,7 @@ def errors_at(
     pattern: tuple[float, ...] = (1.0,),
 ) -> dict[str, np.ndarray]:
     """Absolute error (Euclidean) per group at every row of a fixed-step run."""
-    run = integrator.prepare(scene, t_end, Steps(h, pattern)).measure()
-    assert run.status == "ok", run.message
+    run = run_of(integrator, scene, Steps(h, pattern), t_end)
     exact = reference(scene, t_end)(run.t)
     return {
         group: np.linalg.norm(getattr(run, group) - exact[group], axis=1)

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from helpers import long, nothing_compiled, reference, slope, toy
+from helpers import long, nothing_compiled, reference, run_of, slope, toy
 from scipy.integrate import solve_ivp
 
 from integrators import Tolerances
@@ -25,11 +25,8 @@ TOLERANCES = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8]
 SWING = Pendulum(th0=3.1)  # released close to the upright position: slow, fast, slow again
 
 
-def run_of(scene, rtol, **options):
-    t_end = 3.2 if scene is SWING else scene.interval[1]
-    run = GeneralizedAlphaAdaptive(**options).prepare(scene, t_end, Tolerances(rtol)).measure()
-    assert run.status == "ok", run.message
-    return run
+def adaptive(scene, rtol, t_end=0.0, **options):
+    return run_of(GeneralizedAlphaAdaptive(**options), scene, Tolerances(rtol), t_end)
 
 
 def errors_of(run, scene):
@@ -44,19 +41,16 @@ def errors_of(run, scene):
 
 # ---- errors ----------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    ("scene", "options"),
+    ("scene", "options", "tolerances"),
     [
-        (Pendulum(), {}),
-        *((Pendulum(), {"rho_inf": rho}) for rho in (0.0, 1.0)),
-        *long(
-            *((scene, {}) for scene in (Duffing(), SpringMass(), SWING)),
-        ),
+        *((Pendulum(), of, TOLERANCES[:4]) for of in ({}, {"rho_inf": 0.0}, {"rho_inf": 1.0})),
+        *long(*((s, {}, TOLERANCES) for s in (Pendulum(), Duffing(), SpringMass(), SWING))),
     ],
     ids=str,
 )
-def test_the_achieved_error_follows_the_tolerance_with_any_damping(scene, options):
-    tolerances = TOLERANCES[:4] if "rho_inf" in options else TOLERANCES
-    errors = [errors_of(run_of(scene, tol, **options), scene) for tol in tolerances]
+def test_the_achieved_error_follows_the_tolerance_with_any_damping(scene, options, tolerances):
+    t_end = 3.2 if scene is SWING else 0.0
+    errors = [errors_of(adaptive(scene, tol, t_end, **options), scene) for tol in tolerances]
     for group in errors[0]:
         found = slope(tolerances, [e[group] for e in errors])
         assert found == pytest.approx(1.0, abs=0.15 if "rho_inf" in options else 0.1), group
@@ -110,7 +104,10 @@ def test_the_estimates_are_the_local_errors(scene, options, monkeypatch):
 
 # ---- steps -----------------------------------------------------------------------------
 def test_steps_shrink_in_the_impact_and_keep_gamma_in_its_proven_interval():
-    run, s = run_of(SoftImpact(), 1e-3, rho_inf=0.8), GeneralizedAlphaAdaptive(rho_inf=0.8).scheme()
+    run, s = (
+        adaptive(SoftImpact(), 1e-3, rho_inf=0.8),
+        GeneralizedAlphaAdaptive(rho_inf=0.8).scheme(),
+    )
     h, gamma = run.notes["h"], run.notes["gamma"]
     assert len(run.t) == run.work.steps + 1  # every step is kept in a short run
     np.testing.assert_allclose(np.diff(run.t), h[1:], rtol=1e-9)
@@ -121,7 +118,7 @@ def test_steps_shrink_in_the_impact_and_keep_gamma_in_its_proven_interval():
 
 
 def test_accepted_steps_keep_to_the_guarded_ratios():
-    method, run = GeneralizedAlphaAdaptive(rho_inf=0.8), run_of(Pendulum(), 1e-3, rho_inf=0.8)
+    method, run = GeneralizedAlphaAdaptive(rho_inf=0.8), adaptive(Pendulum(), 1e-3, rho_inf=0.8)
     assert run.work.rejected <= 2
     ratios = run.notes["h"][2:] / run.notes["h"][1:-1]
     program, numbers = method.program(Pendulum())
@@ -137,7 +134,7 @@ def test_accepted_steps_keep_to_the_guarded_ratios():
 @pytest.mark.long
 def test_rows_do_not_grow_with_the_number_of_steps():
     scene, end = Pendulum(), 10.35
-    run = GeneralizedAlphaAdaptive().prepare(scene, end, Tolerances(1e-7)).measure()
+    run = adaptive(scene, 1e-7, end)
     assert run.work.steps > 20_000
     assert run.t[[0, -1]].tolist() == [0.35, end]
     assert (np.diff(run.t) > 0).all()
@@ -151,7 +148,7 @@ def test_rows_do_not_grow_with_the_number_of_steps():
 
 
 def test_counts_add_up():
-    work = run_of(SoftImpact(), 1e-4).work
+    work = adaptive(SoftImpact(), 1e-4).work
     assert work.rejected > 0
     assert work.newton >= work.steps + work.rejected
     assert work.residuals == work.jacobians == work.factorisations == work.newton
@@ -162,7 +159,7 @@ def test_an_old_tangent_from_within_a_wall_is_not_believed():
         # A step far into the wall meets forces of e^300, and comes back to where they are none:
         # there such a tangent makes as good as nothing of the residual, and no solution.
         scene = SoftImpact(d=1e-4)
-        full, modified = (run_of(scene, rtol, newton=kind) for kind in ("full", "modified"))
+        full, modified = (adaptive(scene, rtol, newton=kind) for kind in ("full", "modified"))
         assert modified.work.steps == full.work.steps
         assert modified.work.factorisations < full.work.factorisations
         assert modified.work.jacobians < modified.work.newton == modified.work.residuals
