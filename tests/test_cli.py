@@ -30,10 +30,10 @@ DIGITS = {
 }
 
 
+@pytest.mark.usefixtures("without_processes")
 def test_solve_gives_the_digits_of_the_paper_scene(stepbench):
     method = "generalized_alpha[rho_inf=0.8]"
-    line = "solve", "spring_mass", method, "--step", 0.1, "--t-end", 5, "--json"
-    result = stepbench(*line)
+    result = stepbench("solve", "spring_mass", method, "--step", 0.1, "--t-end", 5, "--json")
     assert result.exit_code == 0, result.output
     answer = json.loads(result.stdout)
     for group, digits in DIGITS.items():
@@ -50,7 +50,6 @@ def test_solve_gives_the_digits_of_the_paper_scene(stepbench):
         assert set(answer["errors"][group]) == {"end", "max", "rms", "settled"}
     assert (answer["t"], answer["lam"], len(answer["y"])) == (5.0, [], 2)
     assert (answer["status"], answer["message"], answer["work"]["steps"]) == ("ok", "", 50)
-    assert answer["time"]["run_s"] == []  # a short run is compiled quickly, and not timed
 
 
 @pytest.mark.usefixtures("without_processes")
