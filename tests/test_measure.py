@@ -217,14 +217,6 @@ def test_errors_are_largest_over_all_steps_and_few_rows_are_stored(cases):
         assert max(len(f"{value:g}") for value in kept.notes["error_a"]) <= len("1.23e-05")
 
 
-def test_a_very_long_run_keeps_a_bounded_number_of_rows():
-    run = GeneralizedAlpha().prepare(SpringMass(), 20.0, Steps(20.0 / 40_000)).measure()
-    assert (run.status, run.work.steps) == ("ok", 40_000)
-    assert 3_000 < len(run.t) < 5_000
-    assert run.t[:17] == pytest.approx(np.arange(17) * 5e-4)
-    assert (run.t[-1], run.notes["h"].size) == (20.0, len(run.t))
-
-
 ALONG = np.array([np.cos(1.0) - np.sin(1.0), np.sin(1.0) + np.cos(1.0)])
 #: Two masses of 1 kg on a spring of 2 N/m, free to drift, in coordinates turned by 1 rad.
 FreePair = toy(
