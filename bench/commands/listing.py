@@ -22,12 +22,15 @@ from bench.results.flat_rows import csv_text
 from bench.results.table import Table
 from bench.running.inventory import Inventory
 from bench.running.profiles import built_in_profiles, read_profile, suite_titles
+from bench.running.scene_records import GHOSTS
+from bench.running.session import describe_scenes
+from bench.running.worker import Worker
 from integrators.resolutions import check_end
 from problems.base.spec import START, SpecError, snake_case, split_spec, suggest
 
-#: What there is, by the word for one of it, and the words for all.
+#: The word for one of each kind, and the kinds by the word for all.
 WORDS = {"problems": "scene", "integrators": "integrator", "suites": "suite"}
-_ALL_OF = {"scenes": "problems", "integrators": "integrators", "suites": "suites"}
+_ALL_OF = {f"{word}s": kind for kind, word in WORDS.items()}
 #: Names are padded to the longest one, but not to more characters.
 _LONGEST_NAME = 40
 #: Number of pictures in an animation: enough for 12 s of smooth motion.
@@ -78,7 +81,6 @@ def list_(o: Given) -> None:
             of = replace(every["problems"][name], name=spec, values=split_spec(spec)[1])
             every["problems"] = {**every["problems"], name: of}
     if o.draw:
-        from bench.running.session import describe_scenes
         from reports.pages.catalogue import write_catalogue
 
         if o.as_json or not {*o.listed} <= {"scenes", *every["problems"]}:
@@ -116,7 +118,6 @@ def list_(o: Given) -> None:
 
 
 def _row(kind: str, name: str, known: Mapping[str, Plugin]) -> dict[str, Any]:
-    """A scene, an integrator or a suite for JSON."""
     if kind == "suites":
         suite = msgspec.to_builtins(read_profile(name)[1])
         return {"name": name, "available": True, "reason": ""} | suite
@@ -178,8 +179,6 @@ def show_(o: Given) -> None:
       stepbench show pendulum --set th0=3.0 -o pendulum.png
       stepbench show slider_crank --animate
     """
-    from bench.running.scene_records import GHOSTS
-    from bench.running.worker import Worker
     from reports.pages.catalogue import write_animation, write_picture
 
     scene = o.asked_scene

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import webbrowser
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 import msgspec
@@ -19,9 +18,7 @@ from bench.results.quantities import ASKED, COST, ERROR_NAMES, NORM, NORMS
 from bench.results.store import Store
 from bench.results.table import Table, formatted
 from problems.base.spec import SpecError
-
-if TYPE_CHECKING:
-    from reports.series import Series
+from reports.series import Series, series_of
 
 #: The page in a folder of results.
 _PAGE = "report.html"
@@ -181,7 +178,6 @@ def judge(o: Given) -> None:
       stepbench judge slider_crank coarse.csv fine.csv finest.csv --out stepbench-results
     """
     from bench.running.judge import judge_job, store_judgement, template
-    from reports.series import series_of
     from reports.tables.order_table import order_table
 
     scene = o.asked_scene

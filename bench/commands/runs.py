@@ -20,7 +20,12 @@ from bench.results.flat_rows import published_table
 from bench.results.quantities import NORMS
 from bench.results.records import Record, Rows
 from bench.results.table import NO_VALUE, Table, formatted
+from bench.running.cluster import ClusterRunner
+from bench.running.process import Limits
+from bench.running.runner import Runner
+from bench.running.session import solve
 from problems.base.spec import SpecError
+from problems.base.usage import cores
 
 if TYPE_CHECKING:
     from bench.sweeps.ensemble import Ensemble
@@ -56,8 +61,6 @@ def solve_(o: Given) -> None:
         solve_ensemble(o)
         return
     options.refuse("is for an ensemble; give --ensemble N, too.", "vary", "seed", "cluster", "file")
-    from bench.running.session import solve
-
     asked = o.problem, o.integrator, o.plugins, o.budget
     more = {"parameters": o.settings, "t_end": o.t_end, **o.sizes}
     with RunProgress() as progress:
@@ -147,11 +150,7 @@ def _facts(record: Record) -> list[str]:
 # ---- ensembles ---------------------------------------------------------------------------
 def solve_ensemble(o: Given) -> None:
     """Draw and run the members, and show or write the results."""
-    from bench.running.cluster import ClusterRunner
-    from bench.running.process import Limits
-    from bench.running.runner import Runner
     from bench.sweeps import ensemble
-    from problems.base.usage import cores
 
     scene, (method,) = o.asked_scene, o.asked_methods
     common = scene.spec, method.spec, o.sizes, o.t_end

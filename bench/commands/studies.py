@@ -12,6 +12,8 @@ import click
 from bench.commands import options
 from bench.commands.options import SYSTEMS, Given
 from bench.commands.terminal import RunProgress, show
+from bench.results.store import Store
+from bench.results.studies import drift_table, part_table
 from bench.running.interrupts import remark
 from integrators.resolutions import Steps, check_end
 from problems.base.spec import SpecError
@@ -40,8 +42,6 @@ def drift(o: Given) -> None:
     scene, _ = o.asked_scene, o.asked_methods  # before there is a folder
     if o.step is not None:
         check_end(scene.interval[0], scene.interval[0] + o.count * Steps(o.step).h)
-    from bench.results.store import Store
-    from bench.results.studies import drift_table
     from bench.running.drift import drift_job
     from reports.pages.studies import write_drift_page
 
@@ -144,8 +144,6 @@ def atlas(o: Given) -> None:
     """
     from bench.atlas.experiments import read_experiments
     from bench.atlas.runs import complete_experiments
-    from bench.results.store import Store
-    from bench.results.studies import part_table
     from reports.pages.studies import write_atlas_page
 
     experiments = read_experiments(o.experiments)

@@ -19,6 +19,7 @@ from bench.running.inventory import Inventory, SceneFacts
 from bench.running.plan import Suite, make_suite
 from bench.running.profiles import ProfileFile, StudyFile, read_profile
 from bench.running.recommend import Recommendation
+from bench.running.session import measure_suite, runner_for, time_suite
 from problems.base.cache import put
 from problems.base.spec import SpecError
 from problems.base.text import said
@@ -41,7 +42,6 @@ def run_suite(
     of its cells, and sentences that count what was run."""
     from bench.atlas.experiments import read_experiments
     from bench.atlas.runs import complete_experiments
-    from bench.running.session import measure_suite, runner_for, time_suite
 
     chosen = suite.atlas if isinstance(suite.atlas, list) else []
     experiments = read_experiments(chosen) if suite.atlas else []

@@ -24,17 +24,14 @@ NO_DRIFT = 1e-10
 STRAIGHT = 0.9
 #: The bands of both halves of a bounded quantity end within this part of the whole band.
 APART = 0.2
-RULE = (
-    f"Blew up: the run diverged. None: no value beyond {NO_DRIFT:g}. Linear: a straight line "
-    f"through all rows explains at least {STRAIGHT:.0%} of the variance. Bounded: the bands of the "
-    f"first and second half, which hold 90% of the rows each, end within {APART:.0%} of the whole "
-    f"band of each other. Else neither."
-)
 _NOTE = (
     "Largest: the value furthest from zero; above it energy is gained, below it lost. Per s: slope "
     "of a straight line through all rows. Line: part of the variance that it explains. Halves: "
     "distance between the bands of both halves, as a part of the whole band. Φ: the unit of the "
-    "constraints. " + RULE
+    "constraints. Blew up: the run diverged. None: no value beyond "
+    f"{NO_DRIFT:g}. Linear: a straight line through all rows explains at least {STRAIGHT:.0%} of "
+    "the variance. Bounded: the bands of the first and second half, which hold 90% of the rows "
+    f"each, end within {APART:.0%} of the whole band of each other. Else neither."
 )
 
 
@@ -56,7 +53,7 @@ class Drift(msgspec.Struct, kw_only=True):
 
     @property
     def verdict(self) -> str:
-        """Return "none", "linear", "bounded" or "neither", by `RULE`, of a run that goes on."""
+        """Return "none", "linear", "bounded" or "neither" of a run that goes on."""
         if self.largest is None:
             return "neither"
         if abs(self.largest) <= NO_DRIFT:
