@@ -231,8 +231,7 @@ _OPTIONS = {
                 "repeatable.", _is(metavar="FILE_OR_FOLDER", multiple=True)),
     "problems": ("-p --problem", "Only this scene; repeatable.", _is(multiple=True)),
     "integrators": ("-i --integrator", "Only this integrator, be it in the suite or not; "
-                    "repeatable.",
-                    _is(multiple=True)),
+                    "repeatable.", _is(multiple=True)),
     "mine": ("--mine", "Your integrator: it is run beside the others, and the report opens with it "
              "highlighted.", _is(metavar="INTEGRATOR")),
     "steps": ("--steps", "Step sizes in s; five halvings of the scene's nominal step if not given.",
@@ -284,8 +283,7 @@ _OPTIONS = {
     "rule": ("--rule", "Errors if --error is not given; iftomm: 0.1 and 0.001 at the named points "
              "of the scene.", _is(click.Choice([*RULES]), default="work-precision")),
     "cost": ("--cost", "Cost to compare; if not given, seconds if they scatter little, else "
-             "operations.",
-             _is(metavar="|".join(COSTS))),
+             "operations.", _is(metavar="|".join(COSTS))),
     "ranked_by": ("--cost", "Cost by which integrators are ranked.",
                   _is(click.Choice([*PARTS]), default="seconds")),
     "limits": ("--fail-on", "Exit with 1 if an error, work or time is more than RATIO times the "

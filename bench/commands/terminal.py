@@ -21,7 +21,6 @@ _LINE_EVERY_SECONDS = 5.0
 
 
 def _console(file: TextIO) -> Console:
-    """A console that is never too narrow for a table."""
     from rich.console import Console
 
     console = Console(file=file)

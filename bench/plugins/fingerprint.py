@@ -12,6 +12,7 @@ import datetime
 import hashlib
 import os
 import platform
+import re
 import shlex
 import sys
 from contextlib import suppress
@@ -36,11 +37,12 @@ LIBRARIES = (
 
 def environment() -> Environment:
     """Describe this machine, its versions and the command in work."""
-    command = [Path(sys.argv[0]).name, *sys.argv[1:]]
+    command, info = [Path(sys.argv[0]).name, *sys.argv[1:]], Path("/proc/cpuinfo")
+    cpu = re.search("^model name[^:]*:(.*)", info.read_text() if info.is_file() else "", re.M)
     return Environment(
         date=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         command=clean(shlex.join(command)),
-        cpu=_cpu_name(),
+        cpu=cpu[1].strip() if cpu else platform.processor() or platform.machine(),
         cores=psutil.cpu_count(logical=True) or 1,
         memory_gib=round(psutil.virtual_memory().total / 2**30, 1),
         platform=platform.platform(),
@@ -57,15 +59,6 @@ def versions(packages: tuple[str, ...]) -> dict[str, str]:
         with suppress(PackageNotFoundError):
             found[package] = version(package)
     return found
-
-
-def _cpu_name() -> str:
-    info = Path("/proc/cpuinfo")
-    if info.is_file():
-        for line in info.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
 
 
 #: Variables of the environment that change what JAX computes.

@@ -222,7 +222,6 @@ def _read(folder: Path) -> tuple[dict[str, Record], dict[int, Environment]]:
 
 
 def _machines(old: Environment | None, new: Environment | None) -> list[str]:
-    """In what two machines differ."""
     if old is None or new is None:
         return ["a machine is not known"]
     one, two = old.machine, new.machine

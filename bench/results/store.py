@@ -59,8 +59,8 @@ class StoreError(RuntimeError):
     """The folder has no readable store, or the store cannot be written."""
 
 
-class Store:
-    """Open the store in a folder.
+class Store(ExitStack):
+    """Open the store in a folder; ``close`` or the end of a ``with`` closes its file.
 
     Parameters
     ----------
@@ -81,6 +81,7 @@ class Store:
     """
 
     def __init__(self, folder: Path, create: bool = False, fresh: bool = False) -> None:
+        super().__init__()
         self.folder = Path(folder)
         self._path = self.folder / FILE
         if not create and not self._path.is_file():
@@ -110,17 +111,7 @@ class Store:
                     f"{self._path} is no stepbench store of this version (its schema is {version}, "
                     f"not {SCHEMA}); {_WAY_OUT}"
                 )
-            self._opened = opened.pop_all()
-
-    def close(self) -> None:
-        """Close the file."""
-        self._opened.close()
-
-    def __enter__(self) -> Store:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+            self.enter_context(opened.pop_all())
 
     # ---- writing -----------------------------------------------------------------------
     def keep(self, value: Any) -> None:
@@ -240,13 +231,11 @@ class Store:
             db.executemany(_KEEP, kept)
 
     def _read(self, sql: str, *parameters: object) -> list[tuple]:
-        """All rows of a query."""
         with self._errors(f"The store {self._path} cannot be read"):
             return self._db.execute(sql, parameters).fetchall()
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
-        """All or nothing."""
         advice = "free some space or choose another --out. Earlier results are intact."
         with self._errors(f"The store in {self.folder} cannot be written", advice), self._db:
             self._db.execute("BEGIN IMMEDIATE")
