@@ -198,7 +198,7 @@ class HeavyTopR3SO3(HeavyTop):
         return q[:3] - self.length * rotated(q[3:], _AXIS)
 
     def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return 0.5 * (v @ self.mass(q) @ v) + self.m * self.g * q[2]
+        return 0.5 * (v @ self.mass(q) @ v) + self.m * self.g * self.points(q)["C"][2]
 
     def momentum(self, q: jax.Array, v: jax.Array) -> jax.Array:
         spinning = rotated(q[3:], self._inertia * v[3:])
@@ -259,9 +259,6 @@ class HeavyTopSO3(HeavyTopR3SO3):
         across = self.j + self.m * self.length**2
         return jnp.stack([across, self.j_axis, across])
 
-    def _centre(self, q: jax.Array) -> jax.Array:
-        return self.length * rotated(q, _AXIS)
-
     def mass(self, q: jax.Array) -> jax.Array:
         return jnp.diag(self._inertia)
 
@@ -275,14 +272,11 @@ class HeavyTopSO3(HeavyTopR3SO3):
     def move(self, q: jax.Array, w: jax.Array) -> jax.Array:
         return turned(q, w)
 
-    def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return 0.5 * (v @ self.mass(q) @ v) + self.m * self.g * self._centre(q)[2]
-
     def momentum(self, q: jax.Array, v: jax.Array) -> jax.Array:
         return jnp.stack([rotated(q, self._inertia * v)[2], self.j_axis * v[1]])
 
     def points(self, q: jax.Array) -> dict[str, jax.Array]:
-        return {"C": self._centre(q)}
+        return {"C": self.length * rotated(q, _AXIS)}
 
     def initial_state(self) -> State:
         q, v, _ = super().initial_state()

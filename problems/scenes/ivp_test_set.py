@@ -262,11 +262,9 @@ class SliderCrankFlexible(OfEnergies):
     elastic coordinates. Left out: gravity, damping and the nonlinear stiffness, all of which are
     off in the published run, too. Energy is not conserved, because the drive does work.
 
-    With these parameters the motion from the published start is almost smooth: vibrations of about
-    1e-5 of the velocities and 1e-3 of the accelerations and multipliers remain. Steps above some
-    2e-6 s do not resolve 24613 rad/s and cannot follow them: the errors stall at that size, first
-    those of a and lam, and only shorter steps show second order. With other parameters the start
-    remains consistent, but vibrates more.
+    From the published start vibrations of about 1e-5 of v and 1e-3 of a and lam remain, which steps
+    above some 2e-6 s do not resolve: their errors stall at that size, and only shorter steps show
+    second order. With other parameters the start remains consistent, but vibrates more.
     """
 
     interval = (0.0, 0.1)
