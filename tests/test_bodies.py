@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import reference
+from helpers import reference, toy
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipj, ellipk
 
@@ -79,24 +79,18 @@ def test_a_joint_allows_its_motions_and_no_other():
 
 
 # ---- a pendulum, and bodies that hold each other ---------------------------------------
-@dataclass(frozen=True)
-class PartsPendulum(RigidBodies):
-    """A rod that hangs on a hinge along z; gravity is along -y, and it starts at rest."""
+def rod(self):
+    tip = 0.8 * jnp.array([jnp.sin(self.angle), -jnp.cos(self.angle), 0.0])
+    return (Body.rod("rod", self.m, (np.zeros(3), tip), 0.05),)
 
-    interval = (0.0, 1.0)
-    nominal_step = 0.02
-    m: float = parameter(2.0, "kg", "mass")
-    angle: float = parameter(2.0, "rad", "angle from below at the start")
 
-    def bodies(self):
-        tip = 0.8 * jnp.array([jnp.sin(self.angle), -jnp.cos(self.angle), 0.0])
-        return (Body.rod("rod", self.m, (np.zeros(3), tip), 0.05),)
-
-    def joints(self):
-        return (Revolute(GROUND, "rod", np.zeros(3), (0.0, 0.0, 1.0)),)
-
-    def gravity(self):
-        return (0.0, -9.81, 0.0)
+#: A rod that hangs on a hinge along z; gravity is along -y, and it starts at rest.
+PartsPendulum = toy(
+    "PartsPendulum", base=RigidBodies, interval=(0.0, 1.0), nominal_step=0.02, bodies=rod,
+    joints=lambda self: (Revolute(GROUND, "rod", np.zeros(3), (0.0, 0.0, 1.0)),),
+    gravity=lambda self: (0.0, -9.81, 0.0), m=parameter(2.0, "kg", "mass"),
+    angle=parameter(2.0, "rad", "angle from below at the start"),
+)  # fmt: skip
 
 
 def test_a_rod_on_a_hinge_is_a_physical_pendulum():
@@ -159,30 +153,20 @@ def test_the_power_of_motors_is_the_rate_of_the_energy_with_the_weights():
     assert rate == pytest.approx(np.dot(scene.torques, [-1.5, 3.5]), abs=1e-9)
 
 
-@dataclass(frozen=True)
-class Pair(RigidBodies):
-    """Two bodies fly and spin, held by a ball joint, a spring and a damper."""
-
-    interval = (0.0, 1.0)
-    nominal_step = 0.02
-    energy = None
-    c: float = parameter(0.5, "N s/m", "damping")
-
-    def bodies(self):
-        tilted = np.array([[0.05, 0.01, 0.0], [0.01, 0.04, 0.005], [0.0, 0.005, 0.06]])
-        return (
-            Body("a", 2.0, tilted, POINT, (0.3, -0.4, 1.0), (0.1, 0.2, -0.3), (3.0, 1.0, -2.0)),
-            Body("b", 1.0, (0.02, 0.03, 0.01), OTHER, (0.6, 0.0, 0.8, 0.0)),
-        )
-
-    def joints(self):
-        return (Spherical("a", "b", (0.0, 0.0, 0.4)),)
-
-    def springs(self):
-        return (SpringDamper("a", "b", (0.2, 0.3, 0.1), (-0.5, -0.4, 0.3), 40.0, self.c, 0.7),)
-
-    def gravity(self):
-        return (0.0, 0.0, 0.0)
+TILTED = np.array([[0.05, 0.01, 0.0], [0.01, 0.04, 0.005], [0.0, 0.005, 0.06]])
+#: Two bodies fly and spin, held by a ball joint, a spring and a damper.
+Pair = toy(
+    "Pair", base=RigidBodies, interval=(0.0, 1.0), nominal_step=0.02, energy=None,
+    bodies=lambda self: (
+        Body("a", 2.0, TILTED, POINT, (0.3, -0.4, 1.0), (0.1, 0.2, -0.3), (3.0, 1.0, -2.0)),
+        Body("b", 1.0, (0.02, 0.03, 0.01), OTHER, (0.6, 0.0, 0.8, 0.0)),
+    ),
+    joints=lambda self: (Spherical("a", "b", (0.0, 0.0, 0.4)),),
+    springs=lambda self: (
+        SpringDamper("a", "b", (0.2, 0.3, 0.1), (-0.5, -0.4, 0.3), 40.0, self.c, 0.7),
+    ),
+    gravity=lambda self: (0.0, 0.0, 0.0), c=parameter(0.5, "N s/m", "damping"),
+)  # fmt: skip
 
 
 def momenta(scene, q, v):
@@ -262,18 +246,11 @@ def variant(**blocks):
     return type("Variant", (PartsPendulum,), blocks)()
 
 
-class _Thin(RigidBodies):
-    """A body whose inertia none has."""
-
-    constraint = None
-
-    def bodies(self):
-        return (Body("thin", 1.0, (1.0, 2.0, 9.5)),)
-
-
 def test_what_cannot_be_is_told_in_a_sentence():
     wild = Body("rod", 1.0, (0.1, 0.1, 0.1), velocity=(1.0, 0.0, 0.0))
     skew = Universal(GROUND, "rod", np.zeros(3), AXIS, AXIS + SQUARE)
+    flat = lambda self: (Body("thin", 1.0, (1.0, 2.0, 9.5)),)  # noqa: E731  no body has it
+    thin = toy(base=RigidBodies, constraint=None, bodies=flat)()
     still = Revolute("ground", "thin", (0, 0, 0), (0, 0, 0))
     turned = lambda self: (Body("turned", 1.0, (1, 1, 1), orientation=(self.angle, 0, 0)),)  # noqa: E731
     for scene, sentence in (
@@ -287,7 +264,7 @@ def test_what_cannot_be_is_told_in_a_sentence():
         (variant(bodies=lambda self: PartsPendulum().bodies() * 2), "two bodies have the name"),
         (variant(bodies=lambda self: (Body("rod", 0.0, (1, 1, 1)),)), "no body has the mass 0 kg"),
         (variant(bodies=turned), "orientation of body 'turned'"),
-        (_Thin(), "9.5 kg m.2 of 'thin'"),
+        (thin, "9.5 kg m.2 of 'thin'"),
     ):
         with pytest.raises((InconsistentStart, SpecError), match=sentence):
             consistent_start(scene)
