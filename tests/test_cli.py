@@ -16,8 +16,7 @@ from bench.commands.runs import _end_values
 from bench.results.records import Rows
 from bench.results.store import Store
 from bench.running.inventory import Inventory
-from bench.running.plan import make_suite
-from bench.running.profiles import read_profile
+from bench.running.plan import make_suite, read_profile
 from bench.running.runner import Runner
 from problems.scenes.oscillators import SpringMass
 from problems.truth.reference import Reference

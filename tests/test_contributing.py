@@ -21,7 +21,7 @@ from bench.check.verdicts import FAILED
 from bench.commands.main import main
 from bench.plugins.registry import Registry
 from bench.results.store import Store
-from bench.running.profiles import built_in_profiles
+from bench.running.plan import built_in_profiles
 from integrators import Steps
 from integrators.native.step import step_work
 from integrators.native.step.step_work import EquationsFinder, StepWork

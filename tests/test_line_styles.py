@@ -16,8 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.running.inventory import Inventory
-from bench.running.plan import make_suite
-from bench.running.profiles import read_profile
+from bench.running.plan import make_suite, read_profile
 from reports.charts.line_styles import MARKS, LineStyle, line_styles, luminance, style_of
 from reports.names import BUILT_IN
 from reports.series import label_of

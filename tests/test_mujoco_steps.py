@@ -13,8 +13,7 @@ from model_files import LOOPS, body, chain, four_bar, hinge, mjcf
 
 from bench.plugins.registry import Registry
 from bench.running.inventory import Inventory
-from bench.running.plan import make_suite
-from bench.running.profiles import read_profile
+from bench.running.plan import make_suite, read_profile
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import from_mjcf, jax, jnp

@@ -11,8 +11,7 @@ from helpers import cell_of, long
 from bench.plugins.registry import Registry, Unavailable
 from bench.running import worker
 from bench.running.inventory import Inventory
-from bench.running.plan import make_suite
-from bench.running.profiles import built_in_profiles, read_profile
+from bench.running.plan import built_in_profiles, make_suite, read_profile
 from integrators import Steps
 from problems.base.spec import SpecError
 

@@ -16,8 +16,7 @@ from bench.plugins.registry import Registry, Sources
 from bench.running import inventory
 from bench.running.errors import THRESHOLD
 from bench.running.inventory import Inventory
-from bench.running.plan import make_suite
-from bench.running.profiles import read_profile
+from bench.running.plan import make_suite, read_profile
 from integrators import Steps, Tolerances
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import Published, SampledSystem, held, jax, jnp, parameter

@@ -21,9 +21,8 @@ from small_stores import A_LONG_RUN, A_SCENE, AN_EXPERIMENT, NO_ROWS, a_record, 
 from bench.results.records import Plan, Rows, Study
 from bench.results.store import FILE, Store, StoreError
 from bench.running.inventory import Inventory
-from bench.running.plan import Suite, make_suite
+from bench.running.plan import ProfileFile, StudyFile, Suite, make_suite
 from bench.running.process import NoAnswer
-from bench.running.profiles import ProfileFile, StudyFile
 from bench.running.session import missing_cells, missing_scenes, result_of
 
 NOT_A_DATABASE = "not a database, but long enough to have a header" * 50

@@ -22,9 +22,8 @@ from bench.plugins.registry import Registry
 from bench.results.store import Store
 from bench.results.timings import by_round, median_interval, quotient
 from bench.running.inventory import Inventory
-from bench.running.plan import make_suite
+from bench.running.plan import ProfileFile, StudyFile, make_suite
 from bench.running.process import Limits
-from bench.running.profiles import ProfileFile, StudyFile
 from bench.running.runner import Runner, cell_task
 from bench.running.session import time_suite
 from bench.running.worker import Worker

@@ -16,8 +16,7 @@ from small_stores import atlas_with
 from bench.results.records import endings
 from bench.results.store import Store
 from bench.running.inventory import Inventory
-from bench.running.plan import make_suite
-from bench.running.profiles import read_profile, suite_titles
+from bench.running.plan import make_suite, read_profile, suite_titles
 from reports.formatting import symbols
 from reports.names import BUILT_IN, short_name, short_names
 from reports.pages.method_page import atlas_table

@@ -21,7 +21,7 @@ from bench.plugins.registry import KINDS, SUFFIXES, Plugin
 from bench.results.flat_rows import csv_text
 from bench.results.table import Table
 from bench.running.inventory import Inventory
-from bench.running.profiles import built_in_profiles, read_profile, suite_titles
+from bench.running.plan import built_in_profiles, read_profile, suite_titles
 from bench.running.scene_records import GHOSTS
 from bench.running.session import describe_scenes
 from bench.running.worker import Worker

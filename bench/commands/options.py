@@ -25,8 +25,8 @@ from bench.results.quantities import COSTS
 from bench.results.records import MethodFacts
 from bench.results.table import Table
 from bench.running.inventory import Inventory, SceneFacts
+from bench.running.plan import LARGEST_BUDGET
 from bench.running.process import Limits
-from bench.running.profiles import LARGEST_BUDGET
 from bench.running.recommend import PARTS, RULES
 from bench.running.runner import answer_of
 from integrators.resolutions import Tolerances

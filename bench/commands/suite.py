@@ -16,8 +16,7 @@ from bench.results.records import INTERRUPTED, Record, counted, endings
 from bench.results.store import Store
 from bench.running.interrupts import remark
 from bench.running.inventory import Inventory, SceneFacts
-from bench.running.plan import Suite, make_suite
-from bench.running.profiles import ProfileFile, StudyFile, read_profile
+from bench.running.plan import ProfileFile, StudyFile, Suite, make_suite, read_profile
 from bench.running.recommend import Recommendation
 from bench.running.session import measure_suite, runner_for, time_suite
 from problems.base.cache import put

@@ -23,9 +23,8 @@ import numpy as np
 from bench.results.quantities import point_notes
 from bench.results.records import TOLD, Environment, MethodFacts, Plan, SceneRecord, Study
 from bench.results.store import Store
-from bench.running.plan import Cell
+from bench.running.plan import FIGURES, Cell
 from bench.running.process import PREPARING
-from bench.running.profiles import FIGURES
 from bench.running.worker import CellResult, Worker
 from integrators.contract import Trajectory, Work
 from integrators.resolutions import Steps, Tolerances

@@ -18,9 +18,17 @@ from bench.results.store import Store
 from bench.results.table import Table
 from bench.running.interrupts import remark
 from bench.running.inventory import Inventory, SceneFacts
-from bench.running.plan import Cell, Suite, make_suite
+from bench.running.plan import (
+    FIGURES,
+    Cell,
+    ProfileFile,
+    StudyFile,
+    Suite,
+    is_suite,
+    make_suite,
+    read_profile,
+)
 from bench.running.process import Limits
-from bench.running.profiles import FIGURES, ProfileFile, StudyFile, is_suite, read_profile
 from bench.running.progress import Progress
 from bench.running.race import FORMS, MOST_TIMED, SPREAD, TIE, Candidate, Race
 from bench.running.runner import Runner, Task

@@ -17,8 +17,7 @@ from bench.results.records import Record, Rows, SceneRecord
 from bench.running import scene_records
 from bench.running.inventory import Inventory
 from bench.running.measure import invariant_changes
-from bench.running.plan import Cell, make_suite
-from bench.running.profiles import ProfileFile, StudyFile
+from bench.running.plan import Cell, ProfileFile, StudyFile, make_suite
 from bench.running.worker import Worker
 from integrators import Steps, checks
 from problems import jnp
