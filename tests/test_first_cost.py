@@ -77,7 +77,7 @@ def test_seconds_rank_first_where_the_intervals_of_most_runs_are_narrow():
     # The limit itself is narrow enough.
     for width, cost in (REPEATABLE, "seconds"), (1.01 * REPEATABLE, "operations"):
         record = timed(1.0 - width / 2, *[1.0] * 4, 1.0 + width / 2)
-        assert interval_width(record) == pytest.approx(width)
+        assert interval_width(record.run_s) == pytest.approx(width)
         assert repeatability([record], {})._replace(width=width).cost == cost
     # Times of two machines or clocks rank nothing.
     both = [timed(*QUIET, environment=1), timed(*QUIET, environment=2)]

@@ -102,14 +102,13 @@ def list_(o: Given) -> None:
             {kind: [_row(kind, n, every[kind]) for n in own] for kind, own in shown.items() if own}
         )
         return
-    for word, kind in _ALL_OF.items():
-        if kind in whole:
-            plugins = getattr(registry, kind, {}).values()
-            lines = {p.name: _reason(p) or p.paragraphs[0] for p in plugins} or suite_titles()
-            longest = min(_LONGEST_NAME, max(map(len, lines), default=0))
-            say((word, "bold"))
-            for name, text in lines.items():
-                say((f"{name:{longest}}", "cyan"), f"  {text}", cut=True)
+    for kind in whole:
+        plugins = getattr(registry, kind, {}).values()
+        lines = {p.name: _reason(p) or p.paragraphs[0] for p in plugins} or suite_titles()
+        longest = min(_LONGEST_NAME, max(map(len, lines), default=0))
+        say((f"{WORDS[kind]}s", "bold"))
+        for name, text in lines.items():
+            say((f"{name:{longest}}", "cyan"), f"  {text}", cut=True)
     if whole:
         show("Options and documentation of one: stepbench list NAME")
     for kind, own in names.items():

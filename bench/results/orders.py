@@ -63,18 +63,15 @@ def fit_order(steps: Sequence[float], errors: Sequence[float | None], floor: flo
     if len(points) < 3:
         return NOT_DETERMINED
     if min(e for _, e in points) > points[-1][1] - math.log(2.0):
-        window = _window(points)
-        order = _slope(window) if len(window) == len(points) else None
-        edges = (math.exp(points[-1][0]), math.exp(points[0][0])) if order is not None else None
-        if order is None or order < NO_CONVERGENCE:
-            return Fit(order, edges, len(window) if edges else 0, "does not converge")
+        fit = _fit(points, "does not converge")
+        if fit.points < len(points):
+            return Fit(None, None, 0, fit.verdict)
+        if (fit.order or 0.0) < NO_CONVERGENCE:
+            return fit
     while len(points) >= 3 and _slope(points[:2]) < NO_CONVERGENCE:
         points = points[1:]
-    window = _window(points)
-    if len(window) < 3:
-        return NOT_DETERMINED
-    edges = (math.exp(window[-1][0]), math.exp(window[0][0]))
-    return Fit(_slope(window), edges, len(window), "converges")
+    fit = _fit(points, "converges")
+    return fit if fit.points >= 3 else NOT_DETERMINED
 
 
 def fit_orders(
@@ -99,14 +96,17 @@ def _gains(steps: Sequence[float], errors: Sequence[float | None], floor: float)
     return fine <= max(coarse / 2, TRUST * floor)
 
 
-def _window(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
+def _fit(points: list[tuple[float, float]], verdict: str) -> Fit:
+    """Fit the window that begins at the finest point."""
     slopes: list[float] = []
     for (h1, e1), (h2, e2) in pairwise(points):
         slope = (e2 - e1) / (h2 - h1)
         if slopes and max(*slopes, slope) - min(*slopes, slope) > SPREAD:
             break
         slopes.append(slope)
-    return points[: len(slopes) + 1]
+    window = points[: len(slopes) + 1]
+    edges = math.exp(window[-1][0]), math.exp(window[0][0])
+    return Fit(_slope(window), edges, len(window), verdict)
 
 
 def _slope(points: list[tuple[float, float]]) -> float:

@@ -76,12 +76,10 @@ def median_interval(values: Sequence[float]) -> tuple[float, float]:
     return ordered[cut], ordered[-1 - cut]
 
 
-def interval_width(record: Record) -> float | None:
-    """Width of the interval of a run's median time, relative to it; None of a single sample."""
-    if len(record.run_s) < 2:
-        return None
-    low, high = median_interval(record.run_s)
-    return (high - low) / statistics.median(record.run_s)
+def interval_width(samples: Sequence[float]) -> float:
+    """Width of the interval of the median of some times, relative to it."""
+    low, high = median_interval(samples)
+    return (high - low) / statistics.median(samples)
 
 
 def repeatability(
@@ -89,7 +87,7 @@ def repeatability(
 ) -> Repeatability:
     """Judge the times of the runs that reached the end; long runs have too few samples to tell."""
     timed = [r for r in records if r.status == "ok" and r.run_s]
-    widths = [w for r in timed if len(r.run_s) >= FEWEST and (w := interval_width(r)) is not None]
+    widths = [interval_width(r.run_s) for r in timed if len(r.run_s) >= FEWEST]
     used = (environments.get(r.environment) for r in timed)
     machines = {tuple(e.machine.items()) for e in used if e}
     return Repeatability(median(widths), len(widths), len(machines))
