@@ -178,9 +178,10 @@ class HeavyTopR3SO3(HeavyTop):
     def _gyroscopic(self, omega: jax.Array) -> jax.Array:
         return -jnp.cross(omega, self._inertia * omega)
 
+    # On SO(3) coordinates end with p and velocities with Omega, too, but nothing is before these.
     def _speed(self, q: jax.Array, v: jax.Array) -> jax.Array:
         """Velocity of the centre of mass in space axes."""
-        return v[:3]
+        return v[:-3]
 
     def mass(self, q: jax.Array) -> jax.Array:
         return jnp.diag(jnp.concatenate([jnp.full(3, self.m), self._inertia]))
@@ -189,10 +190,10 @@ class HeavyTopR3SO3(HeavyTop):
         return jnp.concatenate([self._weight(), self._gyroscopic(v[3:])])
 
     def kinematics(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return jnp.concatenate([self._speed(q, v), quaternion_rate(q[3:], v[3:])])
+        return jnp.concatenate([self._speed(q, v), quaternion_rate(q[-4:], v[-3:])])
 
     def move(self, q: jax.Array, w: jax.Array) -> jax.Array:
-        return jnp.concatenate([q[:3] + w[:3], turned(q[3:], w[3:])])
+        return jnp.concatenate([q[:-4] + w[:-3], turned(q[-4:], w[-3:])])
 
     def constraint(self, q: jax.Array, t: jax.Array) -> jax.Array:
         return q[:3] - self.length * rotated(q[3:], _AXIS)
@@ -265,12 +266,6 @@ class HeavyTopSO3(HeavyTopR3SO3):
     def force(self, q: jax.Array, v: jax.Array, t: jax.Array) -> jax.Array:
         weight = rotated(conjugate(q), self._weight())
         return self._gyroscopic(v) + self.length * jnp.cross(_AXIS, weight)
-
-    def kinematics(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        return quaternion_rate(q, v)
-
-    def move(self, q: jax.Array, w: jax.Array) -> jax.Array:
-        return turned(q, w)
 
     def momentum(self, q: jax.Array, v: jax.Array) -> jax.Array:
         return jnp.stack([rotated(q, self._inertia * v)[2], self.j_axis * v[1]])
