@@ -19,7 +19,7 @@ from bench.results.records import Record, Rows, endings
 from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import make_suite, read_profile
-from bench.running.progress import OnStandardError
+from bench.running.runner import OnStandardError
 from bench.running.session import solve as run_one
 from bench.running.session import solve_cells
 from problems.base.spec import SpecError

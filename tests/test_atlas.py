@@ -34,7 +34,7 @@ from bench.results.studies import (
     part_table,
 )
 from bench.running.inventory import Inventory
-from bench.running.progress import Progress
+from bench.running.runner import Progress
 from problems.base.spec import SpecError
 from problems.scenes.pendulums import Pendulum
 

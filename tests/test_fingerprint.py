@@ -33,7 +33,7 @@ def _afresh(monkeypatch):
 EDITS = {
     "problems/scenes/quarter_car.py": (True, True),
     "integrators/native/algebra/newton.py": (True, False),
-    "bench/running/errors.py": (True, False),
+    "bench/running/measure.py": (True, False),
     "bench/commands/main.py": (False, False),
     "reports/series.py": (False, False),
 }

@@ -14,8 +14,7 @@ from planted import Document
 from test_contributing import EXAMPLES
 
 from bench.plugins.registry import Registry
-from bench.running.linearisation import rates
-from bench.running.scene_records import drawings, equations, scene_record
+from bench.running.scene_records import drawings, equations, rates, scene_record
 from problems.scenes.ivp_test_set import CarAxis
 from problems.scenes.oscillators import SpringMass
 from problems.scenes.pendulums import Pendulum

@@ -20,9 +20,9 @@ from helpers import long
 from planted import Document
 
 from bench.plugins.registry import Registry, Sources
-from bench.running.errors import relative_errors
+from bench.running.measure import relative_errors
 from bench.running.process import NoAnswer
-from bench.running.progress import Progress
+from bench.running.runner import Progress
 from bench.running.worker import Worker
 from bench.sweeps import ensemble as members
 from bench.sweeps.ensemble import EnsembleRequest, ensemble, run_members

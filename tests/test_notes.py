@@ -11,7 +11,7 @@ from small_stores import atlas_with
 from bench.results.quantities import TRUST, WRONG
 from bench.results.records import Record, SceneRecord, endings
 from bench.results.store import Store
-from bench.running.linearisation import uncontrolled
+from bench.running.scene_records import uncontrolled
 from bench.running.worker import Worker
 from integrators import Tolerances, Trajectory
 from integrators.checks import caution

@@ -13,7 +13,7 @@ import pytest
 from helpers import cell_of, long
 
 from bench.plugins.registry import Registry
-from bench.running.progress import Progress
+from bench.running.runner import Progress
 from bench.running.worker import Worker
 from integrators import Integrator, Steps, Tolerances
 from integrators.adapters.scipy_ode import BDF

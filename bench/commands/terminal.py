@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING, Any, TextIO
 
 from bench.results.table import Table
-from bench.running import progress
+from bench.running.runner import Progress
 
 if TYPE_CHECKING:  # slow to import, and not needed for lists as JSON, help and pages
     from rich.console import Console
@@ -72,7 +72,7 @@ def show(*parts: Table | str) -> None:
             console.print(Text(part.note))
 
 
-class RunProgress(progress.Progress):
+class RunProgress(Progress):
     """A progress bar with the work in hand; without a terminal a line now and then.
 
     Parameters

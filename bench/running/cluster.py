@@ -14,8 +14,7 @@ from typing import Any
 
 from bench.plugins.registry import plugin_files
 from bench.running.process import Limits, NoAnswer
-from bench.running.progress import Progress
-from bench.running.runner import Runner, Task
+from bench.running.runner import Progress, Runner, Task
 from problems.base.spec import SpecError
 from problems.base.text import described, said
 

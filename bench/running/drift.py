@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.results.studies import Drift, LongRun
 from bench.running import measure
-from bench.running.errors import finite
+from bench.running.measure import finite
 from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators.contract import Trajectory

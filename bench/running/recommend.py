@@ -29,9 +29,8 @@ from bench.running.plan import (
     read_profile,
 )
 from bench.running.process import Limits
-from bench.running.progress import Progress
 from bench.running.race import FORMS, MOST_TIMED, SPREAD, TIE, Candidate, Race
-from bench.running.runner import Runner, Task
+from bench.running.runner import Progress, Runner, Task
 from bench.running.session import measure_suite, missing_cells, time_suite
 from bench.running.worker import Worker
 from problems.base.spec import SpecError, split_spec

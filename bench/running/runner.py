@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -13,7 +14,6 @@ from bench.results.records import TIMING_SECONDS
 from bench.running.inventory import SceneFacts
 from bench.running.plan import Cell
 from bench.running.process import REFERENCE, GuardedProcess, Limits, NoAnswer, wait_for_any
-from bench.running.progress import OnStandardError, Progress
 from bench.running.worker import Worker, start_worker
 from problems.base.spec import SpecError
 
@@ -52,6 +52,40 @@ def scene_task(scene: SceneFacts, t_end: float) -> Task:
     """Make the task that describes a scene up to ``t_end`` in s; it answers a `SceneRecord`."""
     about = f"reference of {scene.spec}"
     return Task(Worker.scene, (scene.spec, t_end), about, scene.spec, scene.sources)
+
+
+class Progress:
+    """Messages to the person who waits; this one passes them over."""
+
+    def __init__(self) -> None:
+        self._printed: set[str] = set()
+
+    def phase(self, name: str, total: int | None) -> None:
+        """Say that a phase begins, with its number of steps if it is known."""
+
+    def working(self, text: str) -> None:
+        """Say that this is in work."""
+
+    def advance(self) -> None:
+        """Say that one step is done."""
+
+    def note(self, text: str) -> None:
+        """Say that something went wrong that costs no cell."""
+
+    def printed(self, label: str, text: str) -> None:
+        """Note what a task printed, each line once: a library says the same in every worker."""
+        lines = [line for line in text.splitlines() if line not in self._printed]
+        self._printed.update(lines)
+        if lines:
+            self.note(f"{label} printed: " + "\n".join(lines))
+
+
+class OnStandardError(Progress):
+    """Notes on the standard error, and nothing else."""
+
+    def note(self, text: str) -> None:
+        """Print a line."""
+        print(text, file=sys.stderr)
 
 
 class _WorkerProcess(GuardedProcess):

@@ -29,8 +29,7 @@ from bench.running.cluster import ClusterRunner
 from bench.running.inventory import SceneFacts
 from bench.running.plan import Cell, Suite, resolution_of
 from bench.running.process import PREPARING, Limits, NoAnswer
-from bench.running.progress import Progress
-from bench.running.runner import Runner, Task, cell_task, scene_task
+from bench.running.runner import Progress, Runner, Task, cell_task, scene_task
 from bench.running.worker import CellResult, Worker
 from integrators.resolutions import Steps, check_end
 from problems.base.spec import SpecError

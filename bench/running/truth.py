@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bench.results.table import short_exponent
-from bench.running.errors import scales
+from bench.running.measure import scales
 from bench.running.worker import Worker
 from problems.base.spec import SpecError
 from problems.truth.reference import Reference, ReferenceFailed

@@ -20,18 +20,10 @@ from bench.plugins.registry import Registry, Sources, why
 from bench.results.quantities import PARTS, point_notes
 from bench.results.records import Record, Rows, SceneRecord
 from bench.running import measure
-from bench.running.errors import (
-    constraint_errors,
-    event_errors,
-    finite,
-    history_error,
-    relative_errors,
-)
 from bench.running.inventory import Inventory, load_registry
-from bench.running.linearisation import uncontrolled
 from bench.running.plan import Cell
 from bench.running.process import MEASURING, PREPARING, REFERENCE, RUNNING, Notify
-from bench.running.scene_records import drawings, scene_record
+from bench.running.scene_records import drawings, scene_record, uncontrolled
 from integrators import checks
 from integrators.contract import PreparedRun, Trajectory
 from problems.base.runtime import check_runtime, compile_sooner, jax, use_threads
@@ -158,16 +150,18 @@ class Worker:
             return
 
         def histories(reference: Reference) -> dict[str, Any]:
-            found = relative_errors(run, reference)
+            found = measure.relative_errors(run, reference)
             record.errors, record.components = found.errors, found.components
             record.reference_error = found.reference_errors
-            find = (lambda: constraint_errors(run, reference)) if whole else lambda: None
+            find = (lambda: measure.constraint_errors(run, reference)) if whole else lambda: None
             if held := part("violations are known", find, None):
                 record.errors |= held.errors
                 record.reference_error |= held.reference_errors
-            record.events = part("events are known", lambda: event_errors(run, reference), {})
+            record.events = part(
+                "events are known", lambda: measure.event_errors(run, reference), {}
+            )
             record.history_error = part(
-                "named points are known", lambda: history_error(run, reference), None
+                "named points are known", lambda: measure.history_error(run, reference), None
             )
             return found.histories
 
@@ -193,7 +187,7 @@ class Worker:
         noted = part(unknown, lambda: histories(reference), {}) if reference else {}
         drift = part("residuals of the constraints are known", violations, {}) if whole else {}
         drift |= {name: abs(values) for name, values in change.items()}
-        record.constraint = {name: finite(values.max()) for name, values in drift.items()}
+        record.constraint = {name: measure.finite(values.max()) for name, values in drift.items()}
         record.energy_drift = record.constraint.pop("energy", None)
         run.notes |= noted | drift
         if whole:
