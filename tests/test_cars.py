@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
+from helpers import run_of, toy
 from scipy.integrate import solve_ivp
 from test_scenes_identities import solved
 
-from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import Variables, jax, jnp
 from problems.equations.initial_values import consistent_start
 from problems.scenes.full_car import FullCar, FullCarPassive
 from problems.scenes.quarter_car import QuarterCar
-
-METHOD = GeneralizedAlpha(rho_inf=0.9)
 
 
 # ---- balances --------------------------------- -------------------------------------
@@ -71,8 +67,9 @@ def energies_and_momenta(scene, q, v):
     return jnp.stack([kinetic + stored, *plane, spin + own])
 
 
-def check_balances(scene):
-    random = np.random.default_rng(5)
+@pytest.mark.long
+def test_momenta_energy_and_controller_are_balanced():
+    scene, random = FullCar(), np.random.default_rng(5)
     size = np.array([9, 3, 0.02, 0.05, 0.03, 0.4, *[0.02] * 4, 0.1, 0.1])
     q, v, t = size * random.normal(size=12), 5 * size * random.normal(size=12), 2.3
     v[:2] = 9 * np.cos(q[5]) + 0.5, 9 * np.sin(q[5])
@@ -81,12 +78,11 @@ def check_balances(scene):
 
     y = np.zeros(8)
     y[:] = scene.output(Variables(q, v, np.zeros(12), np.zeros(2), x, y, t))
-    with_dampers = type(
-        "WithDampers",
-        (type(scene),),
-        {"force": lambda self, q, v, t: type(scene).force(self, q, v, t) + self.actuation() @ y},
-    )(**scene.parameters())
-    a, lam = solved(with_dampers, q, v, t)
+    with_dampers = toy(
+        base=FullCar,
+        force=lambda self, q, v, t: FullCar.force(self, q, v, t) + self.actuation() @ y,
+    )
+    a, lam = solved(with_dampers(), q, v, t)
     z = Variables(q, v, a, lam, x, y, t)
     xdot = np.asarray(scene.state_rate(z))
 
@@ -142,11 +138,6 @@ def check_balances(scene):
 
 
 @pytest.mark.long
-def test_momenta_energy_and_controller_are_balanced():
-    check_balances(FullCar())
-
-
-@pytest.mark.long
 def test_the_ride_model_has_the_published_frequencies():
     # Jazar, Vehicle Dynamics, example 508: undamped, without steering and tyre forces. There the
     # wheels that are closer to the middle (0.7 m; the others 0.75 m) are front left, rear right.
@@ -179,26 +170,17 @@ def test_cars_start_calmly_on_their_weight():
 
 
 # ---- the lane change -------------------------------------------------------------------
-@cache
-def lane_change(scene):
-    run = METHOD.prepare(scene, 12.0, Steps(0.01)).measure()
-    assert run.status == "ok", run.message
+def measures(scene):
+    """RMS accelerations of heave, roll and pitch, RMS of these, largest roll, RMS loads."""
+    run = run_of(GeneralizedAlpha(rho_inf=0.9), scene, 0.01, 12.0)
     loads = np.asarray(jax.jit(jax.vmap(scene._tyre_loads))(run.q, run.t))
-    return run, loads
-
-
-def rms(run, values):
-    return np.sqrt(np.trapezoid(values**2, run.t, axis=0) / 12.0)
+    values = np.hstack([run.a[:, 2:5], run.q[:, 2:5], loads - loads[0]])
+    rms = np.sqrt(np.trapezoid(values**2, run.t, axis=0) / 12.0)
+    return np.array([*rms[:6], np.abs(run.q[:, 3]).max(), rms[6:].mean()])
 
 
 @pytest.mark.long
 def test_the_controlled_car_heaves_rolls_and_pitches_less_than_the_passive_one():
-    def measures(scene):
-        """RMS accelerations of heave, roll and pitch, RMS of these, largest roll, RMS loads."""
-        run, loads = lane_change(scene)
-        roll, varied = np.abs(run.q[:, 3]).max(), rms(run, loads - loads[0]).mean()
-        return np.array([*rms(run, run.a[:, 2:5]), *rms(run, run.q[:, 2:5]), roll, varied])
-
     passive = measures(FullCarPassive())
     less = measures(FullCar()) / passive
     assert less == pytest.approx([0.89, 0.98, 0.97, 0.85, 0.93, 0.81, 0.9, 0.985], abs=0.006)
@@ -208,28 +190,19 @@ def test_the_controlled_car_heaves_rolls_and_pitches_less_than_the_passive_one()
 
 
 # ---- the quarter car, and characteristics of the damper ---------------------------------
-def random_states():
-    random = np.random.default_rng(3)
+def test_momentum_energy_and_control_of_the_quarter_car_are_balanced():
+    scene, random = QuarterCar(), np.random.default_rng(3)
+    masses = np.array([scene.m_body, scene.m_wheel])
     for _ in range(4):
         q, v = 0.05 * random.normal(size=2), 0.5 * random.normal(size=2)
-        yield q, v, np.array([*random.uniform(-0.5, 5.0, 2), random.normal()]), random.uniform(0, 2)
-
-
-def at(scene, q, v, x, t):
-    """Variables and xdot from the scene's blocks alone; a follows from the outputs."""
-    z = Variables(q, v, np.zeros(2), np.zeros(0), x, np.zeros(2), t)
-    y = np.asarray(scene.output(z))
-    right = scene.force(q, v, t) + scene.actuation() @ y
-    a = np.linalg.solve(scene.mass(q), right)
-    z = z._replace(a=a, y=y)
-    return z, np.asarray(scene.state_rate(z))
-
-
-def check_quarter(scene):
-    for q, v, x, t in random_states():
-        z, xdot = at(scene, q, v, x, t)
-        height, climb = map(float, jax.jvp(scene._road, (t,), (1.0,)))
-        masses = np.array([scene.m_body, scene.m_wheel])
+        x = np.array([*random.uniform(-0.5, 5.0, 2), random.normal()])
+        z = Variables(q, v, np.zeros(2), np.zeros(0), x, np.zeros(2), random.uniform(0, 2))
+        z = z._replace(y=np.asarray(scene.output(z)))
+        # From the scene's blocks alone.
+        right = scene.force(q, v, z.t) + scene.actuation() @ z.y
+        z = z._replace(a=np.linalg.solve(scene.mass(q), right))
+        xdot = np.asarray(scene.state_rate(z))
+        height, climb = map(float, jax.jvp(scene._road, (z.t,), (1.0,)))
         # Momentum: only the tyre acts from outside.
         tyre = scene.k_tyre * (height - q[1])
         assert masses @ z.a == pytest.approx(tyre, rel=1e-10, abs=1e-9)
@@ -251,10 +224,6 @@ def check_quarter(scene):
         usable = x[2] * (v[0] - v[1]) > 0
         middle = 0.5 * (scene.i_min + scene.i_max)
         assert (z.y[0] > middle) == (usable and 3.0 * abs(x[2]) > middle - scene.i_min)
-
-
-def test_momentum_energy_and_control_of_the_quarter_car_are_balanced():
-    check_quarter(QuarterCar())
 
 
 # ---- characteristics of the damper -----------------------------------------------------
