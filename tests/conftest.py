@@ -174,6 +174,17 @@ def browser(_chromium):
     assert complaints == []
 
 
+@pytest.fixture(scope="session")
+def plugins(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of the examples of the documents."""
+    from test_contributing import EXAMPLES
+
+    folder = tmp_path_factory.mktemp("examples")
+    for name, code in EXAMPLES.items():
+        (folder / name).write_text(code)
+    return folder
+
+
 @pytest.fixture
 def without_processes(monkeypatch):
     """Do jobs of commands in this process, and take no times; where no process is the point."""

@@ -4,7 +4,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from helpers import long, nothing_compiled, reference, run_of, slope, toy
+from helpers import long, nothing_compiled, reference, run_of, slope
+from probe import Probe
 from scipy.integrate import solve_ivp
 
 from integrators import Tolerances
@@ -14,7 +15,7 @@ from integrators.methods.generalized_alpha_adaptive import (
     GeneralizedAlphaAdaptive,
 )
 from integrators.output_rows import FIRST_ROWS, MOST_ROWS
-from problems import jax, jnp, parameter
+from problems import jax, jnp
 from problems.equations.formulations import ode_rate
 from problems.equations.initial_values import consistent_start
 from problems.scenes.contacts import SoftImpact
@@ -178,26 +179,19 @@ def test_new_tolerances_and_schemes_compile_nothing():
 
 
 # ---- ways to end -----------------------------------------------------------------------
-#: A free mass whose force goes wrong in the chosen way.
-Trouble = toy(
-    "Trouble", v=[1.0], interval=(0.0, 2.0),
-    nan_after=parameter(1e9, "s", "time after which the force is not a number"),
-    growth=parameter(0.0, "1/(m^2 s^2)", "cubic push that blows up in finite time"),
-    force=lambda self, q, v, t: jnp.where(t > self.nan_after, jnp.nan, self.growth * q**3),
-)  # fmt: skip
-
-
 def test_trouble_is_a_status_with_a_time_and_a_cure():
     for trouble, rtol, options, status, words in [
-        ({"growth": 0.5}, 1e-4, {"max_steps": 20}, "budget_exceeded",
+        ({"c": 0.3}, 1e-4, {"max_steps": 20}, "budget_exceeded",
          "20 steps were used up; raise max_steps"),
-        ({"nan_after": 1.0}, 1e-4, {}, "diverged",
+        ({"breaks_at": 1.0}, 1e-4, {}, "diverged",
          "Ended at t=1 s of 2 s: the solution grew"),
-        ({"growth": 2.0}, 1e-4, {}, "diverged", "grew beyond all bounds"),
-        ({"growth": 2.0}, 1e-12, {"max_steps": 3000}, "budget_exceeded", "a larger rtol or step"),
+        ({"c": 2.0}, 1e-4, {}, "diverged", "grew beyond all bounds"),
+        ({"c": 2.0}, 1e-12, {"max_steps": 3000}, "budget_exceeded", "a larger rtol or step"),
     ]:  # fmt: skip
         method = GeneralizedAlphaAdaptive(**options)
-        run = method.prepare(Trouble(**trouble), 2.0, Tolerances(rtol)).measure()
+        run = method.prepare(
+            Probe(**{"k": 0.0, "v0": 1.0} | trouble), 2.0, Tolerances(rtol)
+        ).measure()
         assert (run.status, words in run.message) == (status, True), run.message
         assert np.isfinite(run.q).all()
         assert len(run.t) > 5
@@ -214,6 +208,6 @@ def test_a_test_that_cannot_be_passed_ends_as_step_too_small():
         def functions(self):
             return Hopeless(super().functions().stabilised)
 
-    run = Planted().prepare(Trouble(), 2.0, Tolerances(1e-4)).measure()
+    run = Planted().prepare(Probe(k=0.0, v0=1.0), 2.0, Tolerances(1e-4)).measure()
     assert run.status == "step_too_small", run.message
     assert "Ended at t=1 s" in run.message

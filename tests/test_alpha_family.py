@@ -9,6 +9,7 @@ import pytest
 from helpers import errors_at, forget_programs, long, nothing_compiled, run_of, slope, toy
 from hypothesis import given
 from hypothesis import strategies as st
+from probe import Probe
 
 from bench.running.measure import stored_rows
 from integrators import Steps
@@ -30,7 +31,7 @@ from integrators.methods.generalized_alpha_step import (
 )
 from integrators.native.loops import constant_steps
 from integrators.output_rows import FIRST_ROWS, SPREAD_ROWS, spread_rows
-from problems import State, jax, jnp, parameter
+from problems import jax, jnp
 from problems.base.spec import SpecError, build
 from problems.equations import formulations
 from problems.equations.initial_values import consistent_start
@@ -319,19 +320,10 @@ def test_the_projector_keeps_what_constraints_act_on():
 
 
 # ---- the kernel ------------------------------------------------------------------------
-#: q'' = growth q, with a force that is NaN after t_nan; and a force with a needle, on which
-#: Newton's method cannot settle at large steps.
-Blowing = toy(
-    "Blowing", interval=(0.0, 4000.0), growth=parameter(-1.0, "1/s^2", "negative stiffness"),
-    t_nan=parameter(1e9, "s", "time after which the force is NaN"),
-    v0=parameter(0.5, "m/s", "velocity at the start"),
-    force=lambda self, q, v, t: jnp.where(t > self.t_nan, jnp.nan, self.growth) * q,
-    initial_state=lambda self: State(np.ones(1), np.array([self.v0])),
-)  # fmt: skip
+#: A force with a needle, on which Newton's method cannot settle at large steps.
 Jump = toy(
-    "Jump", base=Blowing,
-    force=lambda self, q, v, t: -1e3 * jnp.sign(v - 0.5) * jnp.abs(v - 0.5) ** 0.1,
-)  # fmt: skip
+    "Jump", v=[1.0], force=lambda self, q, v, t: -1e3 * jnp.sign(v - 0.5) * jnp.abs(v - 0.5) ** 0.1
+)
 
 
 def test_schemes_steps_patterns_and_parameters_compile_nothing_new():
@@ -374,12 +366,12 @@ def test_a_trajectory_keeps_enough_rows_whatever_the_number_of_steps(steps):
 
 
 def test_newton_work_is_counted():
-    work = run_of(GeneralizedAlpha(), Blowing(growth=-4.0), 0.1, 1.0).work
+    work = run_of(GeneralizedAlpha(), Probe(v0=0.5), 0.1, 1.0).work
     # A linear scene: one iteration solves a step, a second one confirms it.
     assert work.steps == 10
     assert work.newton == work.residuals == work.factorisations == 20
     # Central differences are explicit: equations that are linear in a alone.
-    work = run_of(Newmark(beta=0.0), Blowing(), 0.1, 10.0).work
+    work = run_of(Newmark(beta=0.0), Probe(k=1.0, v0=0.5), 0.1, 10.0).work
     assert work.newton <= 2 * work.steps
 
 
@@ -395,9 +387,9 @@ def test_constraints_hold_to_the_tolerance_that_shrinks_with_the_step():
 
 def test_numerical_trouble_is_a_status_that_names_the_time():
     for scene, h, status, time in [
-        (Blowing(growth=1e4), 0.01, "diverged", "0.2"),
-        (Blowing(growth=0.0, t_nan=0.55), 0.1, "diverged", "0.6"),
-        (Jump(v0=1.0), 0.5, "newton_failed", "0.5"),
+        (Probe(k=-1e4, v0=0.5), 0.01, "diverged", "0.2"),
+        (Probe(k=0.0, breaks_at=0.55), 0.1, "diverged", "0.6"),
+        (Jump(), 0.5, "newton_failed", "0.5"),
     ]:
         run = GeneralizedAlpha(rho_inf=1.0).prepare(scene, 1.0, Steps(h)).measure()
         assert run.status == status

@@ -46,7 +46,8 @@ def run(scene, name, cost, error=1e-5, h=0.01, **changes):
 
 
 def odd_runs():
-    """Every way in which a method can stand on a scene."""
+    """Every way in which a method can stand on a scene; errors differ by norm."""
+    pair = "one", "two"
     records = [
         *(run("won", name, cost) for name, cost in (("one", 100), ("two", 250), ("far", 9))),
         run("won", "two", 900, 1e-8, h=0.001),
@@ -57,51 +58,25 @@ def odd_runs():
         run("darkest", "unseen", None),
         run("darkest", "one", 10, 1e-2),
         run("alone", "one", 100),
-        *(run("missed", name, 10, 3e-3) for name in ("one", "two")),
+        *(run("missed", name, 10, 3e-3) for name in pair),
         run("broken", "one", 100),
-        *(run("coarse", n, 9, reference_error={"a": {"max": 2e-6}}) for n in ("one", "two")),
+        *(run("coarse", n, 9, reference_error={"a": {"max": 2e-6}}) for n in pair),
         run("lucky", "one", 100, later=[{"a": 1e-5}, {"a": 1e-2}]),
         run("lucky", "two", 300, later=[{"a": 1e-5}, {"a": 1e-5}]),
         run("lucky", "three", 500, later=[{"a": 1e-5}, {"a": 1e-5}]),
-    ]
-    records[2].errors["a"]["max"] = 1e-2
-    endings = {"two": "newton_failed", "cut": INTERRUPTED, "shy": UNSUPPORTED}
-    records += [
-        run("broken", n, None, status=s, errors={}, message="It takes no rods.")
-        for n, s in endings.items()
-    ]
-    return records
-
-
-def write_odd(folder, records):
-    """A run folder with these records, their times and a plan."""
-    with Store(folder, create=True) as store:
-        for record in records:
-            store.save(record, NONE)
-            samples = 1 if "once" in record.integrator else 7
-            for k in range(samples if record.work["residuals"] and record.status == "ok" else 0):
-                store.add_sample(record.key, k, 1e-6 * record.work["residuals"] * (1 + 0.001 * k))
-        names = dict.fromkeys(r.problem for r in records)
-        cells = {name: [r.key for r in records if r.problem == name] for name in names}
-        studies = [
-            Study(title=k, problem=k, t_end=1.0, figures=[], cells=own) for k, own in cells.items()
-        ]
-        store.keep(Plan(name="odd", title="Odd", samples=3, budget_s=1.0, studies=studies))
-    return folder
-
-
-def norms_apart():
-    """Runs whose errors differ by norm; some on an accuracy or beside it, some at no cost."""
-    records = odd_runs()
-    records += [run("edge", f"m{k}", 100 - k, 1e-4 * (1 + 1e-7 * k)) for k in (-1, 0, 1)]
-    records += [run("free", name, cost) for name, cost in (("one", 0), ("two", 7), ("three", 0))]
-    # Two runs at one cost, of which the more accurate counts; two that were timed but once.
-    records += [
+        # Some on an accuracy or beside it, some at no cost.
+        *(run("edge", f"m{k}", 100 - k, 1e-4 * (1 + 1e-7 * k)) for k in (-1, 0, 1)),
+        *(run("free", name, cost) for name, cost in (("one", 0), ("two", 7), ("three", 0))),
+        # Two runs at one cost, of which the more accurate counts; two that were timed but once.
         run("same", "one", 50, 1e-6, h=0.005),
         run("same", "one", 50),
         run("same", "two", 9),
+        *(run("single", f"timed once {k}", 100**k) for k in (1, 2)),
     ]
-    records += [run("single", f"timed once {k}", 100**k) for k in (1, 2)]
+    records[2].errors["a"]["max"] = 1e-2
+    for name, status in {"two": "newton_failed", "cut": INTERRUPTED, "shy": UNSUPPORTED}.items():
+        lost = {"status": status, "errors": {}, "message": "It takes no rods."}
+        records.append(run("broken", name, None, **lost))
     for record in records:
         for k, group in enumerate(record.errors):
             own = record.errors[group]["max"]
@@ -113,7 +88,19 @@ def norms_apart():
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    path = write_odd(tmp_path_factory.mktemp("any"), norms_apart())
+    """A run folder with these records, their times, a plan and pages."""
+    path, cells = tmp_path_factory.mktemp("any"), {}
+    with Store(path, create=True) as store:
+        for record in odd_runs():
+            store.save(record, NONE)
+            cells.setdefault(record.problem, []).append(record.key)
+            samples = 1 if "once" in record.integrator else 7
+            for k in range(samples if record.work["residuals"] and record.status == "ok" else 0):
+                store.add_sample(record.key, k, 1e-6 * record.work["residuals"] * (1 + 0.001 * k))
+        studies = [
+            Study(title=k, problem=k, t_end=1.0, figures=[], cells=own) for k, own in cells.items()
+        ]
+        store.keep(Plan(name="odd", title="Odd", samples=3, budget_s=1.0, studies=studies))
     write_html_report(path)
     return path
 
@@ -142,8 +129,10 @@ def test_the_table_of_the_page_and_python_agree(browser, folder):
     assert list(map(float, data["targets"])) == list(GRID)
     counted = answers(report.series, groups, GRID, tuple(NORMS))
     assert len(counted) == len(groups) * len(GRID) * len(RANKED_COSTS) * len(NORMS)
-    both = dict.fromkeys((q.group, q.norm) for q in counted)
-    asked = {key: browser.execute_script(ASK, *key) for key in both}
+    asked = {
+        key: browser.execute_script(ASK, *key)
+        for key in dict.fromkeys((q.group, q.norm) for q in counted)
+    }
     told = set()
     for question, found in counted.items():
         shown = asked[question.group, question.norm]
@@ -211,14 +200,9 @@ def test_an_accuracy_is_typed_and_kept(browser, folder):
         )
 
     assert browser.execute_script("return stepbench.question.target") == "2e-4"
-    for text, target in (
-        *(("0.002", "2e-3"), (" 5E-7 ", "5e-7"), ("1.25e-3", "1e-3"), ("0.9", "1e-1")),
-    ):
-        kept, said = typed(text)
-        assert kept == target
-        assert said == (
-            "" if float(text) == float(target) else f"The next accuracy of the table: {target}."
-        )
+    for text, target in ("0.002", "2e-3"), (" 5E-7 ", "5e-7"), ("1.25e-3", "1e-3"), ("0.9", "1e-1"):
+        other = f"The next accuracy of the table: {target}."
+        assert typed(text) == [target, "" if float(text) == float(target) else other]
     for text in ("", "much", "0", "-1", "1", "1e-10", "1e-4 m", "Infinity"):
         kept, said = typed(text)
         assert kept == "1e-1"

@@ -87,26 +87,10 @@ def run(experiments, *added, plugins=()):
     return {result.name: result for result in found}
 
 
-def found(among):
-    return run(read_experiments([name for name in NAMES if (name not in SHORT) == among]))
-
-
-def mutated():
-    return run([mutant(name) for name in MUTANTS])
-
-
-def mutant(name):
-    (p, c), change = MUTANTS[name]
-    experiment = read_experiments([name])[0]
-    part = experiment.part[p]
-    part.case = [msgspec.structs.replace(part.case[c], **change)]
-    experiment.part = [part]
-    return experiment
-
-
 @pytest.mark.parametrize("among", [False, *long(True)], ids=["short", "long"])
 def test_experiments_come_out_as_predicted(among):
-    for name, result in found(among).items():
+    names = [name for name in NAMES if (name not in SHORT) == among]
+    for name, result in run(read_experiments(names)).items():
         cases = [(part.text, case) for part in result.parts for case in part.cases]
         differ = [
             f"{name}, {text}, {case.label}: {case.number} is not {bounds(case.expected.bounds)}. "
@@ -123,7 +107,13 @@ def test_experiments_come_out_as_predicted(among):
 @pytest.mark.long
 def test_a_mutant_of_an_experiment_does_not():
     assert sorted(MUTANTS) == sorted(NAMES)
-    assert not [name for name, result in mutated().items() if result.as_predicted]
+    experiments = {experiment.name: experiment for experiment in read_experiments()}
+    for name, ((p, c), change) in MUTANTS.items():
+        part = experiments[name].part[p]
+        part.case = [msgspec.structs.replace(part.case[c], **change)]
+        experiments[name].part = [part]
+    found = run([*experiments.values()])
+    assert not [name for name, result in found.items() if result.as_predicted]
 
 
 def test_every_experiment_predicts_and_its_intervals_say_something():
@@ -165,6 +155,13 @@ def test_numbers_are_what_the_sweep_says():
     for take in ("slope", "last", "largest", "growth"):
         assert number_of(take, x, [1.6, None, 0.1]) is None
         assert number_of(take, [], []) is None
+    # A slope leaves out what is rounding.
+    x, y = [0.8, 0.4, 0.2, 0.1], [8e-11, 1e-11, 3e-13, 6e-13]
+    assert number_of("slope", x, y, 1e-12) == pytest.approx(3.0)
+    assert number_of("slope", x, y) < 2.8
+    assert number_of("slope", x, [1e-14] * 4, 1e-12) is None
+    # Errors that rise again at the smallest steps are rounding, and show it.
+    assert number_of("slope", x[:2], [1e-13, 1e-11], 1e-12) == pytest.approx(-6.64, abs=0.01)
 
 
 def test_the_scaled_tangent_does_not_depend_on_the_step():
@@ -251,63 +248,46 @@ def test_an_unknown_experiment_costs_one_sentence(stepbench, tmp_path):
     assert all(name in result.output for name in NAMES)
 
 
-def test_a_slope_leaves_out_what_is_rounding():
-    x, y = [0.8, 0.4, 0.2, 0.1], [8e-11, 1e-11, 3e-13, 6e-13]
-    assert number_of("slope", x, y, 1e-12) == pytest.approx(3.0)
-    assert number_of("slope", x, y) < 2.8
-    assert number_of("slope", x, [1e-14] * 4, 1e-12) is None
-    # Errors that rise again at the smallest steps are rounding, and show it.
-    assert number_of("slope", x[:2], [1e-13, 1e-11], 1e-12) == pytest.approx(-6.64, abs=0.01)
-
-
 @given(st.floats(-1e3, 1e3), st.floats(0, 1e3))
 def test_a_better_number_is_never_hit(number, better):
-    for experiment in EXPERIMENTS:
-        for part in experiment.part:
-            for s in part.case:
-                if s.measure in ("error", "energy", "constraint", "work"):
-                    order = s.take == "slope" and not s.over
-                    value = number if s.take == "slope" else abs(number)
-                    improved = value + better if order else value - better
-                    if s.take != "slope":
-                        improved = value / (1 + better)
-                    if within(value, part.healthy):
-                        assert within(improved, part.healthy), (experiment.name, part.text)
+    for part in (part for experiment in EXPERIMENTS for part in experiment.part):
+        for s in part.case:
+            if s.measure in ("error", "energy", "constraint", "work"):
+                value, improved = abs(number), abs(number) / (1 + better)
+                if s.take == "slope":
+                    value, improved = number, number - better if s.over else number + better
+                assert not within(value, part.healthy) or within(improved, part.healthy), part.text
 
 
-def planted(number, message="", **changes):
-    case = {
-        "label": "mine", "integrator": "mine", "family": "mine", "axis": "h", "x": [0.1],
-        "y": [number], "number": number, "expected": None, "as_expected": None,
-        "healthy": within(number, (1.8, np.inf)), "message": message,
-    }  # fmt: skip
-    return CaseResult(**case | changes)
-
-
-def result(*cases):
+def tables(*cases):
     part = PartResult(text="a part", quantity="q", take="slope", healthy=(1.8, None))
     parts = [msgspec.structs.replace(part, cases=[case]) for case in cases]
-    return ExperimentResult(
-        name="one", number=1, title="t", claim="c", remedy="r", source="s", parts=parts
-    )
+    facts = dict.fromkeys(("name", "title", "claim", "remedy", "source"), "")
+    whole = experiments_table([ExperimentResult(number=1, **facts, parts=parts)])
+    return [part_table(part) for part in parts], whole.rows[0][-1]
 
 
 def test_a_number_that_does_not_exist_is_no_verdict_and_its_reason_is_shown():
+    def planted(number, message="", **changes):
+        case = {
+            "label": "mine", "integrator": "mine", "family": "mine", "axis": "h", "x": [0.1],
+            "y": [number], "number": number, "expected": None, "as_expected": None,
+            "healthy": within(number, (1.8, np.inf)), "message": message,
+        }  # fmt: skip
+        return CaseResult(**case | changes)
+
     reason = "newton_failed: Newton's method did not converge in the step to t=0.1 s"
     cases = planted(3.0), planted(1.0), planted(None, reason), planted(None, "no steps", x=[], y=[])
-    assert [case.verdict for case in cases] == ["spared", "hit", "does not apply", "does not apply"]
-    tables = [part_table(part) for part in result(*cases).parts]
-    assert [table.head[-1] for table in tables] == ["verdict", "verdict", "remark", "remark"]
-    assert tables[2].rows[0][-1] == reason
-    assert tables[3].rows[0][-1] == "no steps"
+    verdicts = ["spared", "hit", "does not apply", "does not apply"]
+    parts, whole = tables(*cases)
+    assert [case.verdict for case in cases] == [t.rows[0][4] for t in parts] == verdicts
+    assert [table.head[-1] for table in parts] == ["verdict", "verdict", "remark", "remark"]
+    assert [table.rows[0][-1] for table in parts[2:]] == [reason, "no steps"]
+    assert (whole, tables(*cases[2:])[1]) == ("1 of 2", "does not apply")
     expected = Expected((2.9, 3.1), "theory", "", "")
     differs = planted(1.0, expected=expected, as_expected=False), planted(None, stopped=True)
-    remarks = [part_table(part).rows[0][-1] for part in result(*differs).parts]
+    remarks = [table.rows[0][-1] for table in tables(*differs)[0]]
     assert remarks == ["DIFFERS", "not measured"]
-    assert experiments_table([result(*cases)]).rows[0][-1] == "1 of 2"
-    assert experiments_table([result(*cases[2:])]).rows[0][-1] == "does not apply"
-    verdicts = [table.rows[0][4] for table in tables]
-    assert verdicts == [case.verdict for case in cases]
 
 
 def test_an_experiment_is_run_again_when_the_code_of_its_numbers_changes(monkeypatch):

@@ -2,11 +2,10 @@
 
 import ctypes
 import os
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import long
+from helpers import long, toy
 from probe import Probe
 
 from bench.plugins.registry import Registry
@@ -125,20 +124,15 @@ def test_values_that_differ_by_more_than_rounding_are_seen_in_each_equation():
 
 
 # ---- the way back to Python ------------------------------------------------------------
-@dataclass(frozen=True)
-class Sorted(Probe):
-    """Its force needs an order of numbers."""
-
-    def force(self, q, v, t):
-        return super().force(jnp.sort(jnp.stack([q[0], 9.0]))[:1], v, t)
+def sorted_force(self, q, v, t):
+    return Probe.force(self, jnp.sort(jnp.stack([q[0], 9.0]))[:1], v, t)
 
 
-@dataclass(frozen=True)
-class AtAZero(Probe):
-    """Its force is another one where v is zero, as at its start."""
-
-    def force(self, q, v, t):
-        return super().force(q, v, t) + 1e-5 * (v == 0)
+#: A force needs an order of numbers; one is another where v is zero, as at the start.
+Sorted = toy("Sorted", base=Probe, force=sorted_force)
+AtAZero = toy(
+    "AtAZero", base=Probe, force=lambda s, q, v, t: Probe.force(s, q, v, t) + 1e-5 * (v == 0)
+)
 
 
 def flip(name, c):

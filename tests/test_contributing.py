@@ -81,14 +81,6 @@ def test_every_command_of_the_documents_is_one_of_the_tool_with_its_options():
     assert found > 60
 
 
-@pytest.fixture(scope="module")
-def plugins(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("examples")
-    for name, code in EXAMPLES.items():
-        (folder / name).write_text(code)
-    return folder
-
-
 def test_the_examples_have_less_than_40_lines_of_code():
     names = "ramp_oscillator", "bathe_ode", "euler_dae", "sdirk3", "euler"
     assert list(EXAMPLES) == [f"{name}.py" for name in names]

@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers import toy
-from test_contributing import EXAMPLES
 
 from bench.plugins.registry import Registry
 from bench.running.plan import resolution_of
@@ -88,12 +87,8 @@ PATTERN = Steps(0.1, (0.3, 0.7))
         ("spring_mass", ADAPTIVE, {"k": [1.0, 4.0], "atol": [1e-4, 1e-6]}, None, 1e-8),
     ],
 )  # fmt: skip
-def test_members_are_single_runs_whatever_varies(
-    tmp_path, problem, integrator, vary, fixed, within
-):
-    for name, code in EXAMPLES.items():  # plugins run in numbers, too
-        (tmp_path / name).write_text(code)
-    registry = Registry([tmp_path])
+def test_members_are_single_runs_whatever_varies(plugins, problem, integrator, vary, fixed, within):
+    registry = Registry([plugins])  # they run in numbers, too
     scene, method = registry.problem(problem), registry.integrator(integrator)
     end = scene.interval[0] + 0.5
     found = ensemble(scene, method, vary, fixed, end)

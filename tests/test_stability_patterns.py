@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from helpers import long
 from planted import Document
-from test_contributing import EXAMPLES
 
 from bench.stability.matrices import matrices
 from bench.stability.patterns import (
@@ -122,14 +121,6 @@ def test_the_period_of_a_pattern_is_the_product_of_its_steps():
         product = matrices(method, Oscillator(zeta=0.1), [h * part]).a[0] @ product
     found = matrices(method, Oscillator(zeta=0.1), [h], pattern).a[0]
     np.testing.assert_allclose(found, product, atol=1e-12)
-
-
-@pytest.fixture(scope="module")
-def plugins(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("examples")
-    for name, code in EXAMPLES.items():
-        (folder / name).write_text(code)
-    return folder
 
 
 def found_by(stepbench, *arguments):
