@@ -14,8 +14,8 @@ from problems.variables import Component, State
 
 #: Newton's method takes less than ten iterations, or does not converge.
 _ITERATIONS = 50
-#: A start violates the constraints if Phi or its rate is larger than this, relative to q or v.
-_VIOLATED = 1e-9
+#: A start is consistent if its residuals, relative to the size of q or v, are below this.
+CONSISTENCY_TOLERANCE = 1e-9
 #: Singular values below this part of the largest are of dependent constraints.
 _DEPENDENT = 1e-10
 
@@ -65,9 +65,8 @@ def started(scene: Any, state: State, given: Mapping[str, float]) -> State:
         for part, own in zip(values, fixed, strict=True)
     )
     found = completed(scene, q, v, free_q, free_v)._replace(x=state.x)
-    sizes = (max(1.0, np.abs(part).max()) for part in found[:2])
-    off = [part / size for part, size in zip(violation(scene, found), sizes, strict=True)]
-    if not all(part <= _VIOLATED for part in off):
+    off = violation(scene, found)
+    if not all(part <= CONSISTENCY_TOLERANCE for part in off):
         told = ", ".join(f"{name}={value:g}" for name, value in given.items())
         raise spec.SpecError(
             f"{scene.name} has no start near its own with {told}: its constraints are violated by "
@@ -143,10 +142,12 @@ def closed(
     return np.asarray(q)
 
 
-def violation(scene: Any, state: State) -> tuple[float, float]:
-    """Return the largest entries of Phi, and of d/dt Phi and A v - b, at the start."""
+def violation(scene: Any, state: State) -> list[float]:
+    """Return the largest entries of Phi, relative to those of q or to 1, and of d/dt Phi and
+    A v - b, relative to those of v or to 1, at the start."""
     phi, _, rate, _ = constraints_at(scene, state.q, state.v, scene.interval[0])
-    return np.abs(phi).max(initial=0.0), np.abs(rate).max(initial=0.0)
+    parts = (phi, state.q), (rate, state.v)
+    return [np.abs(r).max(initial=0.0) / max(1.0, np.abs(of).max()) for r, of in parts]
 
 
 def constraints_at(

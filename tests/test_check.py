@@ -97,11 +97,11 @@ def test_a_wrong_scene_is_told_what_to_mend(registry):
         ("moody_force", "blocks", "force gives other values when called again"),
         ("hidden_slope", "blocks", "Derivatives of force are not its slope"),
         ("stubborn", "parameters", "A traced value of k does not act as a plain one"),
-        ("nan_sample", "start", "sample() returns demand=nan at t=0 s"),
-        ("long_sample", "start", "expected finite numbers of shape ()"),
+        ("nan_sample", "start", "at t=0 s: sample()['demand'] is nan, expected finite numbers"),
+        ("long_sample", "start", "expected real numbers of shape ()"),
         ("scalar_events", "start", "events has shape ()"),
         ("nan_events", "start", "events is [nan] at the start"),
-        ("misspelt_jump", "start", "jump() returns 'velocity', which is no held value"),
+        ("misspelt_jump", "start", "jump() is 'velocity', expected one of q, v, x"),
         ("idle", "description", "The parameter c has no unit"),
     ]
     assert told(registry, "problems", faults) == []

@@ -325,5 +325,5 @@ def test_bad_input_is_one_sentence(refused):
         (["sampled_pd[sampling=ignore]", *ensemble], "jump at samples or events"),
     ]:
         assert words in refused("solve", *arguments)
-    with pytest.raises(SpecError, match=r"sample\(\) returns 'w', which is no held value"):
+    with pytest.raises(SpecError, match=r"sample\(\) is 'w', expected one of q, v, x, u"):
         run(StormerVerlet(), Misspelt(), Steps(0.1))

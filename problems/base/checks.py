@@ -97,6 +97,15 @@ def array(
     return numbers
 
 
+def arrays(value: object, what: str, shapes: Mapping[str, tuple]) -> dict[str, np.ndarray]:
+    """Return arrays by name, each of which has a known shape, as fresh arrays of floats."""
+    named = dictionary(value, what, "arrays by name")
+    for name, rows in named.items():
+        known = one_of(name, f"a name in {what}", shapes)
+        named[name] = array(rows, f"{what}[{name!r}]", shapes[known])
+    return named
+
+
 def number(value: object, what: str, *, positive: bool = False) -> float:
     """Return a finite number as a float."""
     with suppress(FalseAnswer):
@@ -148,15 +157,13 @@ def closed_form(
 
     ``sizes`` are the numbers of components of all groups; y alone may be left out.
     """
-    groups = dictionary(value, "exact()", "arrays by group")
-    for name in groups:
-        one_of(name, "a group of exact()", sizes)
+    groups = arrays(value, "exact()", {g: (count, n) for g, n in sizes.items()})
     missing = [g for g in ("q", "v", "a", "lam", "x") if sizes[g] and g not in groups]
     if missing:
         raise FalseAnswer(
             f"exact() leaves out {', '.join(missing)}; give every group of the scene."
         )
-    return {g: array(rows, f"exact()[{g!r}]", (count, sizes[g])) for g, rows in groups.items()}
+    return groups
 
 
 def points(value: object, count: int) -> dict[str, Float[np.ndarray, "count n"]]:

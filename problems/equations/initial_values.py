@@ -19,12 +19,10 @@ from problems.equations import sparsity
 from problems.equations.compiled import compiled
 from problems.equations.formulations import Start, algebraic_residual
 from problems.equations.kinematics import q_rate
-from problems.starts import constraints_at
+from problems.starts import CONSISTENCY_TOLERANCE, constraints_at
 from problems.system import MechatronicSystem
 from problems.variables import State, Variables, algebraic_layout
 
-#: A start is consistent if its residuals, relative to the size of q or v, are below this.
-CONSISTENCY_TOLERANCE = 1e-9
 #: Accelerations solve their equations if the constraints' residual is below this part of them.
 _SOLVED = 1e-6
 #: A million roundings: a motion that is smaller, relative to what moves it, is rounding.

@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from problems.base import checks
 from problems.base.runtime import Array, Float, Int, jax, jnp
-from problems.base.spec import SpecError, suggest
+from problems.base.spec import SpecError
 from problems.equations.compiled import compiled
 from problems.equations.initial_values import InconsistentStart, check_constraints, consistent_start
 from problems.equations.programs import takes
@@ -146,7 +147,9 @@ def after(
     functions, p = compiled(phase), phase.parameters()
     block = "sample()" if event is None else "jump()"
     found = functions.sample(p, seen or z) if event is None else functions.jumps[event](p, z)
-    new = _checked(phase, found, z, block)
+    held = dict.fromkeys(phase.held_values(), ())
+    shapes = {group: np.shape(getattr(z, group)) for group in State._fields} | held
+    new = checks.arrays(found, f"{phase.spec} at t={float(z.t):.6g} s: {block}", shapes)
     state = State(*(new.pop(group, np.asarray(getattr(z, group))) for group in State._fields))
     following = phase.phase(float(z.t), state, {name: float(v) for name, v in new.items()})
     return on_constraints(following)
@@ -162,27 +165,6 @@ def on_constraints(phase: MechatronicSystem) -> MechatronicSystem:
         state = State(*map(np.asarray, state_layout(phase.sizes).split(moved)))
         return phase.phase(t, state, {})
     return phase
-
-
-def _checked(
-    scene: MechatronicSystem, found: object, z: Variables, block: str
-) -> dict[str, np.ndarray]:
-    held = {name: () for name in scene.held_values()}
-    known = {group: np.shape(getattr(z, group)) for group in State._fields} | held
-    if not isinstance(found, Mapping):
-        raise SpecError(f"{scene.spec}: {block} returns no dictionary of new values by name.")
-    for name, value in found.items():
-        if name not in known:
-            raise SpecError(
-                f"{scene.spec}: {block} returns {name!r}, which is no held value; "
-                f"{suggest(str(name), known)}."
-            )
-        if np.shape(value) != known[name] or not np.isfinite(value).all():
-            raise SpecError(
-                f"{scene.spec}: {block} returns {name}={value} at t={float(z.t):.6g} s; expected "
-                f"finite numbers of shape {known[name]}."
-            )
-    return {name: np.asarray(value, dtype=float) for name, value in found.items()}
 
 
 def _falling_at_start(phase: MechatronicSystem) -> Cut | None:

@@ -20,11 +20,10 @@ from problems.base.cache import cached
 from problems.base.runtime import CACHE, FEW_CALLS, Array, Float, jax, jnp
 from problems.base.spec import SpecError
 from problems.base.text import said
-from problems.equations.initial_values import CONSISTENCY_TOLERANCE
 from problems.mechanics.rotations import turned
 from problems.models.mjcf_model import Model
 from problems.models.mjcf_parts import load_mujoco
-from problems.starts import closed, shortest
+from problems.starts import CONSISTENCY_TOLERANCE, closed, shortest
 
 #: Largest difference from MuJoCo's numbers, relative to the largest of them, and the number of
 #: random states at which they are compared.

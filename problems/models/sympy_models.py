@@ -25,8 +25,7 @@ from sympy.printing.numpy import JaxPrinter
 from problems.base import spec
 from problems.base.spec import SpecError
 from problems.base.text import said
-from problems.equations.initial_values import CONSISTENCY_TOLERANCE
-from problems.starts import completed, constraints_at, violation
+from problems.starts import CONSISTENCY_TOLERANCE, completed, constraints_at, violation
 from problems.system import MechatronicSystem
 
 #: Time in the text of a class, and in models.
@@ -341,9 +340,8 @@ def _check_start(cls: type[MechatronicSystem]) -> None:
     if fault := cls.fault():
         raise SpecError(f"{cls.name}: {fault}")
     scene = cls()
-    state = scene.initial_state()
-    for level, values, worst in zip("qv", state, violation(scene, state), strict=False):
-        if not worst <= CONSISTENCY_TOLERANCE * max(1.0, np.abs(values).max()):
+    for level, worst in zip("qv", violation(scene, scene.initial_state()), strict=True):
+        if not worst <= CONSISTENCY_TOLERANCE:
             raise SpecError(
                 f"The initial {level} of {cls.name} violates the constraints by {worst:.3g}; leave "
                 f"out as many values as there are constraints, or give a guess of these."

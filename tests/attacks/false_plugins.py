@@ -164,7 +164,7 @@ SCENES = {
             "exact()['q'][0, 0] is nan, expected finite numbers"),
     "ExactLess": (closed(lambda z: {"q": z["q"]}), "reference", "exact() leaves out v, a"),
     "ExactMore": (closed(lambda z: z | {"speed": z["v"]}), "reference",
-                  "a group of exact() is 'speed', expected one of q, v, a"),
+                  "a name in exact() is 'speed', expected one of q, v, a"),
     "DrawNan": ({"draw": lambda self, q: [NAN * np.zeros((2, 2))]}, "reference",
                 "line 0 of draw()[0, 0] is nan, expected finite"),
     "EnergyVector": ({"energy": lambda self, q, v: jnp.stack([q, v])}, "conserved", "energy() is "),
