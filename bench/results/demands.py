@@ -99,35 +99,30 @@ def overviews(plan: Plan | None, records: Mapping[str, Record]) -> list[Table]:
             asked = demand(text)
         except SpecError:  # of an edited store
             continue
-        runs: dict[str, dict[int, list[Record]]] = {}
         own = [study for study in studies if text in study.demands]
-        for j, study in enumerate(own, 1):
-            for record in (records[key] for key in study.cells if key in records):
-                runs.setdefault(record.integrator, {}).setdefault(j, []).append(record)
+        runs = [[records[key] for key in study.cells if key in records] for study in own]
         tables.append(_overview(asked, [titles[s.problem, s.t_end] for s in own], runs))
     return tables
 
 
-def _overview(
-    asked: Demand, scenes: list[str], runs: Mapping[str, Mapping[int, list[Record]]]
-) -> Table:
-    """Times of methods, by scenes numbered from 1: first who meets it most often, then fastest."""
-    times: dict[str, dict[int, float]] = {}
-    for method, own in runs.items():
-        best = {j: asked.best(each) for j, each in own.items()}
-        times[method] = {j: run.seconds for j, run in best.items() if run and run.seconds}
+def _overview(asked: Demand, scenes: list[str], on_scenes: list[list[Record]]) -> Table:
+    """Times of methods by scenes: first who meets it most often, then fastest."""
+    methods = dict.fromkeys(run.integrator for runs in on_scenes for run in runs)
+    own = {m: [[run for run in runs if run.integrator == m] for runs in on_scenes] for m in methods}
+    best = {m: [asked.best(runs) for runs in each] for m, each in own.items()}
+    times = {m: [run.seconds if run else None for run in each] for m, each in best.items()}
 
-    def cell(method: str, j: int) -> str:
-        tried = any(run.status != UNSUPPORTED for run in runs[method].get(j, ()))
-        return number(times[method].get(j)) if j in times[method] or not tried else NOT_MET
+    def cell(seconds: float | None, runs: list[Record]) -> str:
+        tried = any(run.status != UNSUPPORTED for run in runs)
+        return NOT_MET if tried and seconds is None else number(seconds)
 
-    methods = sorted(runs, key=lambda m: (-len(times[m]), sum(times[m].values())))
-    columns = range(1, len(scenes) + 1)
-    least = {j: min((t[j] for t in times.values() if j in t), default=None) for j in columns}
+    order = sorted(methods, key=lambda m: (times[m].count(None), sum(filter(None, times[m]))))
+    least = [min(filter(None, column), default=0.0) for column in zip(*times.values(), strict=True)]
     return Table(
         f"Time [s] of the coarsest run with {asked}",
         ["integrator", *scenes],
-        [[method, *(cell(method, j) for j in columns)] for method in methods],
-        best={(i, j) for i, m in enumerate(methods) for j, t in times[m].items() if t == least[j]},
+        [[m, *map(cell, times[m], own[m])] for m in order],
+        best={(i, j + 1) for i, m in enumerate(order) for j, s in enumerate(times[m])
+              if s == least[j]},
         note=f"{NO_VALUE}: not tried or not supported.",
-    )
+    )  # fmt: skip
