@@ -8,7 +8,6 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
-from itertools import pairwise
 from typing import Any
 
 import jax
@@ -19,7 +18,7 @@ from bench.plugins.registry import Registry
 from bench.running.inventory import Inventory
 from bench.running.plan import Cell
 from integrators import Integrator, Steps, Tolerances, Trajectory
-from problems import MechatronicSystem, State, jnp
+from problems import MechatronicSystem, State, jnp, parameter
 from problems.truth.reference import Reference
 
 
@@ -71,6 +70,21 @@ def toy(
     return dataclasses.make_dataclass(name, fields, bases=(base,), namespace=rest, frozen=True)
 
 
+def _until_it_breaks(self, q, v, t):
+    return jnp.where(t > self.breaks_at, jnp.nan, -self.k * q + self.c * q**2)
+
+
+#: q'' = -k q + c q^2 until the force ceases to exist: linear, or with a pole at t = 1.
+Probe = toy(
+    "Probe", interval=(0.0, 2.0), force=_until_it_breaks,
+    initial_state=lambda self: State(np.ones(1), np.array([self.v0])),
+    k=parameter(4.0, "1/s^2", "stiffness per mass"),
+    c=parameter(0.0, "1/(m s^2)", "growth"),
+    v0=parameter(0.0, "m/s", "initial velocity"),
+    breaks_at=parameter(1e9, "s", "time after which the force is NaN"),
+)  # fmt: skip
+
+
 def forget_programs() -> None:
     """Forget what this process has compiled of scenes: before and after a function is patched."""
     for name, module in [*sys.modules.items()]:
@@ -118,6 +132,12 @@ def run_of(
     return run
 
 
+def worst(trajectory: Trajectory, scene: MechatronicSystem, group: str) -> float:
+    """Largest error over the rows, relative to the largest value."""
+    exact = reference(scene, float(trajectory.t[-1]))(trajectory.t)[group]
+    return np.abs(getattr(trajectory, group) - exact).max() / np.abs(exact).max()
+
+
 def errors_at(
     integrator: Integrator,
     scene: MechatronicSystem,
@@ -138,11 +158,3 @@ def errors_at(
 def slope(steps: list[float], errors: list[float]) -> float:
     """Least-squares slope in log-log."""
     return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
-
-
-def local_slopes(steps: list[float], errors: list[float]) -> list[float]:
-    """Slopes between neighbours."""
-    return [
-        float(np.log(e1 / e2) / np.log(h1 / h2))
-        for (h1, e1), (h2, e2) in pairwise(zip(steps, errors, strict=True))
-    ]

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from probe import Probe
+from helpers import Probe
 
 from problems import jnp, parameter
 from problems.base.runtime import jax

@@ -5,8 +5,7 @@ import os
 
 import numpy as np
 import pytest
-from helpers import long, toy
-from probe import Probe
+from helpers import Probe, long, toy
 
 from bench.plugins.registry import Registry
 from integrators import Tolerances

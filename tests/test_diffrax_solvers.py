@@ -4,8 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from helpers import errors_at, long, nothing_compiled, slope, toy
-from probe import Probe, worst
+from helpers import Probe, errors_at, long, nothing_compiled, slope, toy, worst
 
 from integrators import Steps, Tolerances
 from integrators.adapters.counting import run_counted

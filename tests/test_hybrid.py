@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import long, toy
+from helpers import long, run_of, toy
 
 from bench.running.measure import event_errors, relative_errors
 from integrators.adapters.cvode import CVODE
@@ -63,8 +63,7 @@ def test_methods_keep_their_order_and_follow_their_tolerance_through_samples():
         assert errors[-1] > 1e-9  # the digits are not those of the reference
     for method in (PHEM56(), IDA()):
         for rtol, most in ((1e-5, 1e-3), (1e-9, 1e-7)):
-            found = run(method, scene, Tolerances(rtol), end)
-            assert found.status == "ok"
+            found = run_of(method, scene, Tolerances(rtol), end)
             assert np.abs([found.q[-1, 0], found.v[-1, 0]] - exact).max() < most
         for k in range(1, 50):  # a row at each sample, which belongs to the phase before
             rows = np.flatnonzero(np.abs(found.t - 0.1 * k) < 1e-12)
@@ -174,8 +173,7 @@ def flights(scene, t):
 def test_impacts_are_located_to_rounding(method, resolution, most):
     scene = BouncingBall()
     q, v, impacts = flights(scene, 3.5)
-    found = run(method, scene, resolution, 3.5)
-    assert found.status == "ok"
+    found = run_of(method, scene, resolution, 3.5)
     assert len(found.events) == len(impacts) == 9
     assert np.abs(found.events[:, 0] - impacts).max() < most
     assert abs(found.q[-1, 0] - q) < 10 * most
@@ -280,8 +278,7 @@ Swings = toy(
 
 
 def test_an_event_between_two_steps_is_seen_by_its_cubic_and_missed_where_that_stays_positive():
-    found = run(StormerVerlet(), Dips(), Steps(0.5))
-    assert found.status == "ok"
+    found = run_of(StormerVerlet(), Dips(), Steps(0.5))
     assert found.events[0, 0] == pytest.approx(0.9, abs=1e-12)
     assert found.xd[-1, 0] == len(found.events)
     for parts, seen in [(1.5, 0), (2.5, 1)]:

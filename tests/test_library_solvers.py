@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import scipy.integrate._ivp.bdf as scipy_bdf
 import scipy.integrate._ivp.radau as scipy_radau
-from helpers import long, nothing_compiled, toy
+from helpers import Probe, long, nothing_compiled, toy, worst
 from odd_forces import RaisingForce
-from probe import Probe, worst
 
 from bench.plugins.registry import Registry
 from integrators import Tolerances

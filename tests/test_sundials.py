@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import odd_forces
 import pytest
-from helpers import cell_of, long
-from probe import Probe
+from helpers import Probe, cell_of, long
 from scipy.sparse import csc_matrix
 from sksundae import cvode
 from sksundae import ida as ida_of_sundae
