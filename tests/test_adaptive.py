@@ -4,8 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from helpers import long, nothing_compiled, reference, run_of, slope
-from probe import Probe
+from helpers import Probe, long, nothing_compiled, reference, run_of, slope
 from scipy.integrate import solve_ivp
 
 from integrators import Tolerances

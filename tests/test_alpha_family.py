@@ -6,10 +6,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers import errors_at, forget_programs, long, nothing_compiled, run_of, slope, toy
+from helpers import Probe, errors_at, forget_programs, long, nothing_compiled, run_of, slope, toy
 from hypothesis import given
 from hypothesis import strategies as st
-from probe import Probe
 
 from bench.running.measure import stored_rows
 from integrators import Steps

@@ -6,7 +6,7 @@ import re
 from itertools import product
 
 import pytest
-from helpers import cell_of, long, reference, scene_or_skip, toy
+from helpers import cell_of, long, reference, run_of, scene_or_skip, toy
 from planted import planted
 
 from bench.check.integrators import check_scenes
@@ -92,8 +92,7 @@ def test_every_pair_runs_or_refuses(kind, name):
         return
     h = scene.nominal_step / 8
     resolution = Steps(h) if method.controls == "step" else Tolerances(1e-3)
-    run = method.prepare(scene, scene.interval[0] + 3 * h, resolution).measure()
-    assert run.status == "ok", (name, run.message)
+    run_of(method, scene, resolution, scene.interval[0] + 3 * h)
 
 
 def test_a_refusal_is_no_crash(worker):

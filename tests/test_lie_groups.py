@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import long, reference, slope
+from helpers import long, reference, run_of, slope
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
@@ -105,14 +105,9 @@ def test_all_formulations_of_the_top_state_one_motion():
     assert so3[1].size == 0
 
 
-def run_of(method, scene, h, pattern=(1.0,)):
-    run = method.prepare(scene, T_END, Steps(h, pattern)).measure()
-    assert run.status == "ok", run.message
-    return run
-
-
 def error_of_the_centre(method, scene, h):
-    return named_points(scene, run_of(method, scene, h).q)["C"][-1] - scene.published[0].values
+    q = run_of(method, scene, h, T_END).q
+    return named_points(scene, q)["C"][-1] - scene.published[0].values
 
 
 @pytest.mark.parametrize(
@@ -138,7 +133,7 @@ def test_products_of_groups_differ_and_the_semidirect_one_is_free_of_constraints
     )
     assert (direct, screw) == pytest.approx((4.519e-4, 5.926e-3), rel=1e-3)
     assert screw == pytest.approx(alone, rel=1e-9)
-    free, held, apart = (run_of(method, s, h) for s in (SO3, SE3, R3_SO3))
+    free, held, apart = (run_of(method, s, h, T_END) for s in (SO3, SE3, R3_SO3))
     assert held.q[:, 3:] == pytest.approx(free.q, abs=1e-11)
     assert held.v[:, 3:] == pytest.approx(free.v, abs=1e-9)
     assert np.abs(apart.q[:, 3:] - free.q).max() > 1e-3
@@ -152,7 +147,7 @@ def test_products_of_groups_differ_and_the_semidirect_one_is_free_of_constraints
 
 @pytest.mark.parametrize("method", [GeneralizedAlphaLie(rho_inf=0.9), *long(BLieDF())], ids=str)
 def test_the_joint_and_the_norm_of_the_quaternion_are_kept_to_rounding(method):
-    run = run_of(method, R3_SO3, 1e-3)
+    run = run_of(method, R3_SO3, 1e-3, T_END)
     p0, p = run.q[:, 3], run.q[:, 4:]
     rows = [
         (a**2 - b @ b) * np.eye(3) + 2 * np.outer(b, b) + 2 * a * hat(b)
@@ -184,7 +179,7 @@ def test_all_groups_are_of_order_two_after_the_start(method, scene, of_start):
     """Of multipliers on the direct product, the largest error is that of the start."""
     steps = [5e-4, 2.5e-4, 1.25e-4]
     known = reference(scene, T_END)
-    tables = [relative_errors(run_of(method, scene, h), known).errors for h in steps]
+    tables = [relative_errors(run_of(method, scene, h, T_END), known).errors for h in steps]
     for group in ("q", "v", "a", "lam")[: 4 if scene.sizes.nl else 3]:
         settled = slope(steps, [table[group]["settled"] for table in tables])
         assert settled == pytest.approx(2.0, abs=0.1), group
@@ -195,18 +190,16 @@ def test_all_groups_are_of_order_two_after_the_start(method, scene, of_start):
 
 @pytest.mark.long
 def test_varying_steps_keep_the_order_of_bliedf():
-    steps = [1e-3, 5e-4, 2.5e-4]
-    tables = [
-        relative_errors(run_of(BLieDF(), R3_SO3, h, (0.3, 0.7)), reference(R3_SO3, T_END)).errors
-        for h in steps
-    ]
+    steps, known = [1e-3, 5e-4, 2.5e-4], reference(R3_SO3, T_END)
+    runs = [run_of(BLieDF(), R3_SO3, Steps(h, (0.3, 0.7)), T_END) for h in steps]
+    tables = [relative_errors(run, known).errors for run in runs]
     for group in "qv":
         assert slope(steps, [e[group]["max"] for e in tables]) == pytest.approx(2.0, abs=0.1)
 
 
 def test_steps_of_bliedf_are_the_published_formulas():
     h, scene = 1e-3, SO3
-    run = run_of(BLieDF(), scene, h)
+    run = run_of(BLieDF(), scene, h, T_END)
     turns = as_scipy(run.q)
     moved = (turns[:-1].inv() * turns[1:]).as_rotvec() / h
     v = run.v
@@ -223,7 +216,7 @@ def test_methods_of_groups_are_those_of_sums_where_coordinates_move_by_sums(scen
     for group in ("q", "v", "x", "lam"):
         wanted = getattr(one, group)
         assert getattr(two, group) == pytest.approx(wanted, rel=1e-6, abs=1e-8), group
-    one, two = (run_of(m, SO3, 1e-3) for m in (GeneralizedAlpha(), GeneralizedAlphaLie()))
+    one, two = (run_of(m, SO3, 1e-3, T_END) for m in (GeneralizedAlpha(), GeneralizedAlphaLie()))
     assert np.array_equal(one.q, two.q)
     with pytest.raises(SpecError, match=r"states no kinematics.* take generalized_alpha"):
         GeneralizedAlphaLie().prepare(Pendulum(), 1.0, Steps(0.1))
@@ -233,7 +226,6 @@ def test_methods_of_groups_are_those_of_sums_where_coordinates_move_by_sums(scen
 @pytest.mark.parametrize("scene", [SO3, R3_SO3, SE3], ids=str)
 @pytest.mark.parametrize("method", [PHEM56(), IDA()], ids=str)
 def test_methods_with_tolerances_reach_the_digits(method, scene):
-    run = method.prepare(scene, T_END, Tolerances(1e-9)).measure()
-    assert run.status == "ok", run.message
+    run = run_of(method, scene, Tolerances(1e-9), T_END)
     found = named_points(scene, run.q)["C"][-1]
     assert found == pytest.approx(scene.published[0].values, abs=1e-5)
