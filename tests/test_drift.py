@@ -14,7 +14,7 @@ from small_stores import A_LONG_RUN
 from bench.results.store import Store
 from bench.results.studies import LongRun, comparable_runs, drift_table
 from bench.running import measure
-from bench.running.drift import course, drift_job
+from bench.running.constant_steps import course, drift_job
 from bench.running.measure import LATER, errors_from_later_starts, scales
 from bench.running.scene_records import growth
 from integrators.contract import Trajectory

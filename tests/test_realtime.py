@@ -10,7 +10,7 @@ import pytest
 from helpers import long
 
 from bench.results.table import NO_VALUE
-from bench.running.realtime import (
+from bench.running.constant_steps import (
     RealTimeRun,
     realtime_job,
     realtime_sentence,

@@ -42,7 +42,7 @@ def drift(o: Given) -> None:
     scene, _ = o.asked_scene, o.asked_methods  # before there is a folder
     if o.step is not None:
         check_end(scene.interval[0], scene.interval[0] + o.count * Steps(o.step).h)
-    from bench.running.drift import drift_job
+    from bench.running.constant_steps import drift_job
     from reports.pages.studies import write_drift_page
 
     results = []
@@ -73,7 +73,12 @@ def realtime(o: Given) -> None:
       stepbench realtime quarter_car bdf2 --rate 500 --iterations 2
       stepbench realtime pendulum half_explicit_euler stormer_verlet --rate 1000 --duration 1 --json
     """
-    from bench.running.realtime import realtime_job, realtime_sentence, realtime_tables, steps_of
+    from bench.running.constant_steps import (
+        realtime_job,
+        realtime_sentence,
+        realtime_tables,
+        steps_of,
+    )
 
     task = o.rate, steps_of(o.asked_scene, o.rate, o.duration), o.iterations
     runs = [run for runs in o.measured(realtime_job, *task) for run in runs]
