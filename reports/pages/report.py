@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from bench.results.demands import overviews
+from bench.results.quantities import TRUST, quantity
 from bench.results.records import NOT_TRIED
 from bench.results.store import Store
 from reports.charts.errors import error_against_cost
 from reports.charts.line_styles import line_styles
 from reports.charts.work import size_charts
-from reports.formatting import file_name
+from reports.formatting import file_name, number
 from reports.pages.method_page import method_page
 from reports.pages.page import Figure, Page, Section, Text
 from reports.pages.scene_page import scene_page
@@ -125,13 +126,20 @@ class Report:
         return Page("failures.html", "Failures", learn, sections, **about)
 
     def _measured(self) -> Page:
-        """Rules, times, references and machines."""
-        known = references_table(self.stored.scenes)
-        how = (
+        """Why the results can be believed: references, times, rules and machines."""
+        known, group = references_table(self.stored.scenes), self.stored.first.group
+        errors = [s.reference_error.get(group, 0.0) for s in self.stored.scenes.values()]
+        reasons = [
             "A reference is a closed form, or Gauss collocation of order 24 with steps as short as "
             "round-off allows; its error is the distance from Radau IIA of order 23 with other "
-            "steps. Pages of scenes have published digits, where there are some."
-        )
+            f"steps: at most {number(max(errors, default=0.0))} in {quantity(group)}.",
+            f"Accuracies within {TRUST:g} times that error get no answer.",
+            self.times,
+            "A winner by time is named alone if the difference is significant; otherwise methods "
+            "tie.",
+            "The page of a scene has the command that repeats a run, and published digits where "
+            "there are some.",
+        ]
         machines = [
             {
                 "Date": e.date.replace("T", " "),
@@ -144,9 +152,9 @@ class Report:
         ]
         own = [Section(f"Environment {k}", [facts]) for k, facts in enumerate(machines, 1)]
         sections = [
+            Section("Reasons to believe it", [reasons]),
             Section("Rules", [method_of_measurement(self.stored.plan)]),
-            Section("Times", [Text(self.times)]),
-            Section("References", [Text(how), known] if known else []),
+            Section("References", [known]),
             Section("Environments", own or [Text("No environment is stored.")]),
         ]
         learn = "What the times, counts and errors mean, how far they can be trusted, and on which "
