@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import reference, toy
+from helpers import reference, run_of, toy
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipj, ellipk
 
 from bench.check.checker import CHECKS, examine
 from bench.check.verdicts import FAILED
 from bench.plugins.registry import Registry
-from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems import GROUND, Body, RigidBodies, SpringDamper, jax, jnp, parameter
 from problems.base.spec import SpecError
@@ -234,8 +233,7 @@ def test_the_examples_pass_every_check_and_do_what_the_page_says(tmp_path):
         assert one == pytest.approx(other, abs=1e-9)
     for gain in (0.0, 0.2, 2.0):  # the motor holds the crank at its speed
         scene = registry.problem(f"driven_four_bar[gain={gain}]")
-        run = GeneralizedAlpha().prepare(scene, 1.0, Steps(0.01)).measure()
-        assert run.status == "ok", run.message
+        run = run_of(GeneralizedAlpha(), scene, 0.01, 1.0)
         off.append(np.abs(run.v @ np.asarray(scene._motor()) - scene.speed).max())
     assert off[0] > 2 * off[1] > 6 * off[2]
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from chromium import each, visit
 from helpers import reference, toy
 from planted import plant, planted
 
@@ -209,10 +210,8 @@ def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_viol
     write_html_report(plant(tmp_path, records))
 
     def asked(scene, question):
-        browser.get("about:blank")
-        browser.get((tmp_path / "report" / f"scene-{scene}.html").as_uri() + question)
-        said = "return [...document.querySelectorAll(arguments[0])].map((node) => node.innerText)"
-        return [browser.execute_script(said, place) for place in ("[data-verdict]", ".methods tr")]
+        visit(browser, tmp_path / "report" / f"scene-{scene}.html", question)
+        return [each(browser, part, "node.innerText") for part in ("[data-verdict]", ".methods tr")]
 
     (verdict,), rows = asked("pendulum", "#group=constraint&target=1e-3&cost=operations")
     assert verdict.startswith(
