@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from itertools import product
 
+import numpy as np
 import pytest
 from helpers import cell_of, long, reference, run_of, scene_or_skip, toy
 from planted import planted
@@ -18,7 +19,9 @@ from bench.running.plan import Cell
 from integrators import Steps, Tolerances
 from integrators.native.step_method import NativeMethod
 from problems import MechatronicSystem, jnp
+from problems.base import runtime
 from problems.mechanics import rotations
+from problems.scenes.oscillators import Oscillator
 from problems.scenes.pendulums import Pendulum
 from reports.names import form_name
 
@@ -93,6 +96,21 @@ def test_every_pair_runs_or_refuses(kind, name):
     h = scene.nominal_step / 8
     resolution = Steps(h) if method.controls == "step" else Tolerances(1e-3)
     run_of(method, scene, resolution, scene.interval[0] + 3 * h)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", REGISTRY.integrators)
+def test_it_comes_to_the_right_end_and_no_library_lacks_what_it_uses(caplog, name):
+    runtime.slower.cache_clear()
+    method = REGISTRY.integrator(name)
+    scene = next((s for s in (Pendulum(), Oscillator()) if method.why_not(s) is None), None)
+    if scene is None:
+        pytest.skip(method.why_not(Pendulum()))
+    fine = Steps(1e-3) if method.controls == "step" else Tolerances(1e-5)
+    run = run_of(method, scene, fine, scene.interval[0] + 0.2)
+    assert (run.message, caplog.messages) == ("", [])
+    exact = scene.exact(run.t[-1:])["q"][0]
+    assert np.linalg.norm(run.q[-1] - exact) < 1e-2 * np.linalg.norm(exact)
 
 
 def test_a_refusal_is_no_crash(worker):
