@@ -16,9 +16,8 @@ from helpers import cell_of
 
 from bench.plugins.registry import Registry, Sources
 from bench.results.store import Store
-from bench.running.cluster import ClusterRunner
 from bench.running.process import Limits, NoAnswer
-from bench.running.runner import Runner, cell_task
+from bench.running.runner import ClusterRunner, Runner, cell_task
 from bench.running.worker import Worker
 from integrators.resolutions import Steps
 from problems.base.spec import SpecError
@@ -119,7 +118,7 @@ def test_a_worker_that_is_killed_costs_nothing(cluster, tmp_path):
 @pytest.fixture
 def lonely(tmp_path, monkeypatch):
     """A scheduler without workers: its process and its address."""
-    monkeypatch.setattr("bench.running.cluster.CONNECT_SECONDS", 2)
+    monkeypatch.setattr("bench.running.runner.CONNECT_SECONDS", 2)
     file = tmp_path / "scheduler.json"
     options = ("--port", "0", "--no-dashboard", "--scheduler-file", str(file))
     command = [sys.executable, "-m", "distributed.cli.dask_scheduler", *options]
@@ -174,7 +173,7 @@ def test_the_command_runs_a_suite_on_a_cluster(stepbench, cluster, tmp_path):
 def test_a_cluster_that_does_not_answer_or_lacks_its_library_costs_one_sentence(
     refused, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("bench.running.cluster.CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr("bench.running.runner.CONNECT_SECONDS", 0.5)
     (tmp_path / "p.toml").write_text(PROFILE)
     line = "run", tmp_path / "p.toml", "--out", tmp_path / "o", "--cluster"
     assert "is no address" in refused(*line, "nonsense://")

@@ -6,7 +6,6 @@ import re
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import TYPE_CHECKING
 
 import click
@@ -20,9 +19,8 @@ from bench.results.flat_rows import published_table
 from bench.results.quantities import NORMS
 from bench.results.records import Record, Rows
 from bench.results.table import NO_VALUE, Table, formatted
-from bench.running.cluster import ClusterRunner
 from bench.running.process import Limits
-from bench.running.runner import Runner
+from bench.running.runner import runner_for
 from bench.running.session import solve
 from problems.base.spec import SpecError
 from problems.base.usage import cores
@@ -161,8 +159,7 @@ def solve_ensemble(o: Given) -> None:
         raise SpecError(f"{o.file.name} is no table; give a name that ends in .csv.")
     began = time.perf_counter()
     limits = Limits(o.budget, processors=1 if o.cluster else cores())
-    make = partial(ClusterRunner, o.cluster) if o.cluster else partial(Runner, 1)
-    with RunProgress() as progress, make(limits, progress) as runner:
+    with RunProgress() as progress, runner_for(1, limits, progress, o.cluster) as runner:
         found, fault = ensemble.run_members(runner, request, scene.sources | method.sources)
     names = ("problem", "integrator", "t_end", "work", "compile_s", "run_s")
     counts = {"statuses": Counter(found.status), "summary": found.summary()}

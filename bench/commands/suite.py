@@ -17,8 +17,10 @@ from bench.results.store import Store
 from bench.running.interrupts import remark
 from bench.running.inventory import Inventory, SceneFacts
 from bench.running.plan import ProfileFile, StudyFile, Suite, make_suite, read_profile
+from bench.running.process import Limits
 from bench.running.recommend import Recommendation
-from bench.running.session import measure_suite, runner_for, time_suite
+from bench.running.runner import runner_for
+from bench.running.session import measure_suite, time_suite
 from problems.base.cache import put
 from problems.base.spec import SpecError
 from problems.base.text import said
@@ -45,9 +47,11 @@ def run_suite(
     chosen = suite.atlas if isinstance(suite.atlas, list) else []
     experiments = read_experiments(chosen) if suite.atlas else []
     added = [suite.plan.mine] if suite.plan.mine else []
+    limits = suite.plan.budget_s, suite.memory_gib
     with (
         RunProgress() as progress,
-        runner_for(suite, jobs, progress, cluster) as runner,  # a cluster answers before it counts
+        # A cluster answers before it counts.
+        runner_for(jobs, Limits(*limits), progress, cluster) as runner,
         Store(out, create=True, fresh=fresh) as store,
     ):
         remark("Finished runs are stored; the same command goes on.")
@@ -57,7 +61,6 @@ def run_suite(
         time_suite(suite, store, runner)
         runner.end_workers()
         stored = store.records()
-        limits = suite.plan.budget_s, suite.memory_gib
         results = complete_experiments(experiments, added, store, registry, jobs, progress, *limits)
     records = [stored[key] for key in suite.cells if key in stored]
     cut = any(record.status == INTERRUPTED for record in records)

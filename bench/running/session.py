@@ -25,7 +25,6 @@ from bench.results.records import (
 )
 from bench.results.store import Store
 from bench.results.timings import FEWEST, contenders
-from bench.running.cluster import ClusterRunner
 from bench.running.inventory import SceneFacts
 from bench.running.plan import Cell, Suite, resolution_of
 from bench.running.process import PREPARING, Limits, NoAnswer
@@ -39,12 +38,6 @@ from problems.base.spec import SpecError
 _TIMED = 100_000
 #: Timing samples of a run, if it is timed.
 _SAMPLES = 7
-
-
-def runner_for(suite: Suite, jobs: int, progress: Progress, cluster: str | None = None) -> Runner:
-    """Make the runner of a suite, on this machine or by the address of a cluster."""
-    limits = Limits(suite.plan.budget_s, suite.memory_gib)
-    return ClusterRunner(cluster, limits, progress) if cluster else Runner(jobs, limits, progress)
 
 
 def missing_cells(suite: Suite, store: Store) -> list[Cell]:

@@ -20,7 +20,6 @@ from pathlib import Path
 import numpy as np
 
 from bench.plugins.registry import Sources
-from bench.running.cluster import ClusterRunner
 from bench.running.interrupts import remark
 from bench.running.process import RUNNING
 from bench.running.runner import Runner, Task
@@ -199,7 +198,7 @@ def run_members(runner: Runner, request: EnsembleRequest, sources: Sources) -> t
         )
         for first, count in parts_of(request.count)
     ]
-    together = runner.together(len(tasks)) if isinstance(runner, ClusterRunner) else 1
+    together = runner.together(len(tasks))
     groups = [tasks[k : k + together] for k in range(0, len(tasks), together)]
     if len(tasks) > 1:
         runner.progress.phase("running members", len(tasks))
