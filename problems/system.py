@@ -119,12 +119,11 @@ class MechatronicSystem:
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        own = {name: cls.__dict__.get(name) for name in ("interval", "nominal_step")}
         with suppress(TypeError, ValueError):  # `fault` tells of what is no number
-            if own["interval"] is not None:
+            if "interval" in vars(cls):
                 start, end = cls.interval
                 cls.interval = float(start), float(end)
-            if own["nominal_step"] is not None:
+            if "nominal_step" in vars(cls):
                 cls.nominal_step = float(cls.nominal_step)
         if "name" not in cls.__dict__:
             cls.name = spec.snake_case(cls.__name__)

@@ -106,7 +106,10 @@ def convert(owner: str, field: dataclasses.Field[Any], value: Any) -> Any:
 
     if meta.get("optional") and str(value).lower() == "none":
         return None
-    kind = float if _is_number(meta, value) else meta["type"]
+    kind = meta["type"]
+    if meta.get("or_number"):  # a word, or a number
+        word = isinstance(value, str) and not re.fullmatch(r"[-+.\d].*", value)
+        kind = kind if word else float
     try:
         if kind is bool:
             result = {"true": True, "false": False}[str(value).lower()]
@@ -127,13 +130,6 @@ def convert(owner: str, field: dataclasses.Field[Any], value: Any) -> Any:
         limits = f"[{'-inf' if low is None else low}, {'inf' if high is None else high}]"
         raise refused(f"lies outside {limits}")
     return result
-
-
-def _is_number(meta: Mapping[str, Any], value: object) -> bool:
-    """True if an option that takes a word or a number is given a number."""
-    if not meta.get("or_number"):
-        return False
-    return not isinstance(value, str) or re.fullmatch(r"[-+.\d].*", value) is not None
 
 
 def build(cls: type[_T], options: Mapping[str, object], name: str) -> _T:

@@ -21,7 +21,7 @@ from problems.system import MechatronicSystem
 
 if TYPE_CHECKING:
     from jax import Array
-    from jaxtyping import Float, Int32
+    from jaxtyping import Float
     from scipy.sparse import csc_matrix
 
 #: Scenes with more coordinates, multipliers and outputs than this are solved by sparse linear
@@ -97,7 +97,7 @@ class Pattern:
     Attributes
     ----------
     rows, columns
-        Indices of the entries, ``(entries,)``; values are given in this order.
+        Indices of the entries ``(entries,)``, of 32 bits; values are given in this order.
     size
         Number of unknowns.
 
@@ -107,9 +107,6 @@ class Pattern:
         If the program has a part that asdex cannot follow, such as a solve, or asdex cannot be
         used.
     """
-
-    rows: Int32[np.ndarray, " entries"]
-    columns: Int32[np.ndarray, " entries"]
 
     def __init__(self, function: Callable[[Array], Array], n: int) -> None:
         asdex = _asdex()
