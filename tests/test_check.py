@@ -10,7 +10,6 @@ from helpers import long
 
 from bench.check.checker import CHECKS, examine, run_checks
 from bench.check.scenes import alike
-from bench.check.trials import ForcedOscillator, Trial, check_order
 from bench.check.verdicts import FAILED, NOT_APPLICABLE, PASSED
 from bench.plugins.registry import Registry
 from bench.running import process as limits
@@ -121,12 +120,6 @@ def test_a_run_tells_that_a_step_pattern_is_ignored(refused, tmp_path, command):
     step = ("--step", "0.01", "--t-end", "0.45") if command[0] == "solve" else ("--out", tmp_path)
     given = (*command, method, *step, "--pattern", "0.3,0.7", "--plugins", PLUGINS)
     assert "it ignores resolution.pattern" in refused(*given)
-
-
-def test_a_claim_for_multipliers_is_not_measured_where_a_scene_has_none(registry):
-    method, scene = registry.integrator("rattle"), ForcedOscillator()
-    assert "lam" in method.claims(scene)
-    assert "q 2.00 (2), v 2.00 (2)" in check_order([Trial(method, scene)])
 
 
 def test_a_check_without_an_object_says_why(registry):

@@ -143,7 +143,7 @@ class RungeKutta(StepMethod):
     """The classical method of four stages, of which it counts as many as it says."""
 
     formulation: ClassVar[str] = "ode"
-    orders: ClassVar = {"q": 4, "v": 4}
+    orders: ClassVar = {"q": 4, "v": 4, "lam": 4}
     counted: int = option(4, "stages counted in each step", low=0)
     looping: bool = option(False, "a loop of its own, which ends at once")
 
@@ -167,7 +167,7 @@ class RungeKutta(StepMethod):
         return state
 
 
-def test_steps_that_samples_cut_do_not_hide_an_order():
+def test_steps_that_samples_cut_do_not_hide_an_order_and_a_claim_may_be_of_multipliers():
     assert check_order([Trial(RungeKutta(), SampledPd())]) == (
         "Measured (claimed): q 3.99 (4), v 4.00 (4) on sampled_pd."
     )

@@ -393,14 +393,6 @@ def test_scenes_that_would_be_wrong_are_refused():
             MoreauJean().prepare(scene, 1.0, Steps(0.1))
 
 
-def test_events_that_end_in_rest_name_the_method_that_goes_on():
-    soft = BouncingBall(e=0.0)  # it stays on the ground, which events cannot tell
-    found = StormerVerlet().prepare(soft, soft.interval[1], Steps(0.05)).measure()
-    assert found.status == "step_too_small"
-    assert "contact that lasts is no event; take moreau_jean" in found.message
-    assert abs(run_of(MoreauJean(), soft, 0.01).q[-1, 0]) < 0.05
-
-
 @dataclass(frozen=True)
 class Through(StormerVerlet):
     """A method that claims to pass impacts, and knows none."""

@@ -88,11 +88,12 @@ def test_the_examples_have_less_than_40_lines_of_code():
         assert sum(bool(line.strip()) for line in code.splitlines()) < 40
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "name"),
     [
         ("problems", "ramp_oscillator"),
-        *long(*(("integrators", name) for name in ("euler_dae", "euler", "bathe_ode", "sdirk3"))),
+        *(("integrators", name) for name in ("euler_dae", "euler", "bathe_ode", "sdirk3")),
     ],
 )
 def test_the_examples_pass_every_check(plugins, kind, name):

@@ -246,6 +246,7 @@ def test_events_that_do_not_end_or_are_no_numbers_end_the_run_with_a_sentence(me
     found = run(StormerVerlet(), BouncingBall(e=0.0), Steps(0.05))
     assert found.status == "step_too_small"
     assert "held value" in found.message
+    assert "contact that lasts is no event; take moreau_jean" in found.message
     found = run(StormerVerlet(), Blind(), Steps(0.05))
     assert found.status == "diverged"
     assert found.message == "A function of `events` is not finite at t=0.35 s."
