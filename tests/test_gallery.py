@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from helpers import long
 from planted import Document
-from test_contributing import EXAMPLES
 
 from bench.plugins.registry import Registry
 from bench.running.scene_records import drawings, equations, rates, scene_record
@@ -108,14 +107,13 @@ def test_show_refuses_in_one_sentence(refused):
 
 
 @pytest.mark.long
-def test_a_scene_without_a_picture_is_told_so_and_still_catalogued(stepbench, tmp_path):
-    plugin = tmp_path / "ramp_oscillator.py"
-    plugin.write_text(EXAMPLES[plugin.name])
+def test_a_scene_without_a_picture_is_told_so_and_still_catalogued(stepbench, plugins, tmp_path):
+    plugin = plugins / "ramp_oscillator.py"
     result = stepbench("show", plugin.stem, "--plugins", plugin)
     assert result.exit_code != 0
     assert f"{plugin.stem} has no picture: it does not define draw(q)" in result.output
-    line = "list", plugin.stem, "spring_mass", "--draw", "--plugins", plugin, "--out", tmp_path
-    result = stepbench(*line)
+    line = "list", plugin.stem, "spring_mass", "--draw", "--plugins", plugin
+    result = stepbench(*line, "--out", tmp_path)
     assert result.exit_code == 0, result.output
     page = (tmp_path / "catalogue.html").read_text()
     for words in (
