@@ -286,7 +286,7 @@ def test_a_pole_of_the_solution_ends_the_run_near_it(method):
     assert found.t[-1] == pytest.approx(1.0, abs=5e-3)
 
 
-@each(IDA(), IDA(**PYTHON), RadauDAE(), more=[BDFDAE()])
+@each(IDA(), RadauDAE(), more=[IDA(**PYTHON), BDFDAE()])
 def test_equations_that_cannot_be_solved_end_within_the_budget_and_name_what_to_use(method, capfd):
     method, rtol = replace(method, max_calls=10_000), 1e-6 if isinstance(method, IDA) else 1e-10
     for wrong, remedy in (
