@@ -9,12 +9,14 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from helpers import long, run_of
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_banded
 
 from bench.plugins.registry import why
 from integrators import Steps, Tolerances
+from integrators.adapters.ida import IDA
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.methods.generalized_alpha_adaptive import GeneralizedAlphaAdaptive
 from integrators.native.loops import constant_steps
@@ -103,23 +105,18 @@ def test_rows_of_steps_known_beforehand_are_those_of_one_that_is_over(count, tim
 
 
 @pytest.mark.parametrize(
-    "kind", ["constant", pytest.param("adaptive", marks=pytest.mark.long), "ida"]
+    ("method", "at"),
+    [
+        (GeneralizedAlpha(rho_inf=0.8), 1e-3),
+        (IDA(), Tolerances(1e-7)),
+        *long((GeneralizedAlphaAdaptive(), Tolerances(1e-7))),
+    ],
+    ids=str,
 )
-def test_a_long_run_of_a_large_scene_keeps_few_rows(monkeypatch, kind):
-    scene = Chain(links=3)
+def test_a_long_run_of_a_large_scene_keeps_few_rows(monkeypatch, method, at):
+    scene, t_end = Chain(links=3), 0.2
     monkeypatch.setattr("integrators.output_rows.MOST_NUMBERS", 64 * width_of(scene.sizes))
-    t_end = 0.2
-    if kind == "constant":
-        run = GeneralizedAlpha(rho_inf=0.8).prepare(scene, t_end, Steps(1e-3))
-    elif kind == "adaptive":
-        run = GeneralizedAlphaAdaptive().prepare(scene, t_end, Tolerances(1e-7))
-    else:
-        pytest.importorskip("sksundae")
-        from integrators.adapters.ida import IDA
-
-        run = IDA().prepare(scene, t_end, Tolerances(1e-7))
-    found = run.measure()
-    assert found.status == "ok"
+    found = run_of(method, scene, at, t_end)
     assert found.work.steps > 100
     assert (found.t[0], found.t[-1]) == (0.0, pytest.approx(t_end))
     # One row after each of a quarter of 64 times, whatever chooses the steps.
