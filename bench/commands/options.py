@@ -40,8 +40,6 @@ BUDGET_S = 300.0
 MOST_MEMBERS = 1_000_000
 #: Linear test systems of `stepbench stability`.
 SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
-
-
 B = TypeVar("B", bound=float | None)
 
 

@@ -142,7 +142,6 @@ def compare_folders(old: Path, new: Path) -> Comparison:
                 times = {"old": one.seconds, "new": two.seconds, "ratio": found.value}
                 same = not pair and not _unedited(one, two)
                 changes.append(change(kind="time", name="seconds", **times, comparable=same))
-    quiet = not changes
     lost = {
         kind: [change_of(r)(kind=kind) for key, r in here.items() if key not in there]
         for kind, here, there in ((VANISHED, before, after), (APPEARED, after, before))
@@ -157,7 +156,7 @@ def compare_folders(old: Path, new: Path) -> Comparison:
         f"Times of {untold} runs are not compared: they need two samples.": untold,
         f"The machine was noisy: times that differ by less than {factor(noise)} are not told "
         "apart.": noise > LEAST_CHANGE["time"],
-        "Nothing changed in the runs that are in both.": pairs and quiet,
+        "Nothing changed in the runs that are in both.": pairs and not changes,
     }
     return Comparison(
         shared=len(pairs),

@@ -126,8 +126,6 @@ RANKED_COSTS = ("operations", "seconds", "residuals")
 PARTS = ("residuals", "Jacobians", "inner solves", "factorisations", "solves", "method")
 #: Cost by which runs are compared unless another is asked for.
 COST = "operations"
-
-
 #: A run that ends well with a larger error than this has nothing right.
 WRONG = 0.1
 #: Below this many times the reference's own error, an error says nothing.
