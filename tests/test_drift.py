@@ -183,15 +183,11 @@ def test_the_chart_has_the_size_of_gain_and_loss_and_the_table_the_sign():
     assert chart["concat"][0]["layer"][0]["encoding"]["y"]["scale"]["type"] == "log"
 
 
-def plant_long_runs(folder):
-    plant(folder, [planted("pendulum", "good", {"q": (1.0, 2)}, h=0.1)])
-    with Store(folder, create=True) as store:
+def test_long_runs_have_a_page_that_the_side_links(tmp_path):
+    plant(tmp_path, [planted("pendulum", "good", {"q": (1.0, 2)}, h=0.1)])
+    with Store(tmp_path, create=True) as store:
         for run in RUNS:
             store.keep(run)
-
-
-def test_long_runs_have_a_page_that_the_side_links(tmp_path):
-    plant_long_runs(tmp_path)
     report = read_report(tmp_path)
     site = Site(report, tmp_path)
     linked = [link.address for _, below in site.contents("report.html") for link in below]
