@@ -14,8 +14,8 @@ from helpers import long, slope
 
 from bench.plugins.registry import Registry
 from bench.results.store import Store
-from bench.running import judge
-from bench.running.judge import judge_job, template
+from bench.running import exchange
+from bench.running.exchange import judge_job, template
 from bench.running.measure import relative_errors
 from bench.running.worker import Worker
 from integrators.resolutions import Steps
@@ -177,7 +177,7 @@ def test_disorder_in_a_file_is_a_sentence(judged, tmp_path, change, facts, sente
         ("t,q1\n0.35,0.8\n0.36,zero\n", "is not as expected: could not convert"),
         ("t,q1,q1\n0.35,0.8,0.8\n", "has the column 'q1' twice"),
         ("", "it is empty"),
-        ("t\n" + "0.35\n" * (2 * judge.MOST_ROWS + 1), "rows; 2 to 1000000 are judged"),
+        ("t\n" + "0.35\n" * (2 * exchange.MOST_ROWS + 1), "rows; 2 to 1000000 are judged"),
     ],
 )
 def test_a_file_that_is_no_table_is_a_sentence(judged, tmp_path, text, sentence):

@@ -26,9 +26,9 @@ from bench.results.records import MethodFacts
 from bench.results.table import Table
 from bench.running.inventory import Inventory, SceneFacts
 from bench.running.plan import LARGEST_BUDGET
-from bench.running.process import Limits
+from bench.running.process import Limits, NoAnswer
 from bench.running.recommend import PARTS, RULES
-from bench.running.runner import answer_of
+from bench.running.runner import OnStandardError, Runner, Task
 from integrators.resolutions import Tolerances
 from problems.base.spec import SpecError
 
@@ -88,13 +88,18 @@ class Given(SimpleNamespace):
     ) -> Any:
         """Do a job of a worker in a process of its own, with plugins and within the budget.
 
-        A message on its failure begins with the words ``about`` it. A job of many ``threads`` may
-        keep all processors busy.
+        What it prints goes to the standard error. SpecError is raised if it refuses its arguments;
+        if it has no answer, with a message that begins with the words ``about`` it. A job of many
+        ``threads`` may keep all processors busy.
         """
         processors = (os.cpu_count() or 1) if threads else 1
         advice = "give it less to do, or a larger --budget"
         limits = Limits(self.budget, processors=processors, advice=advice)
-        return answer_of(about, job, arguments, sources, limits)
+        with Runner(1, limits, OnStandardError()) as runner:
+            ((_, answer),) = runner.run([[Task(job, arguments, about, sources=sources)]])
+        if isinstance(answer, NoAnswer):
+            raise SpecError(answer.message if answer.refused else f"{about}: {answer.message}")
+        return answer
 
     def measured(self, job: Callable[..., Any], *task: Any) -> Iterator[Any]:
         """Yield what a job of a worker gives of each integrator, on the scene if one is named; the

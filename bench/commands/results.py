@@ -177,7 +177,7 @@ def judge(o: Given) -> None:
       stepbench judge pendulum rows.csv
       stepbench judge slider_crank coarse.csv fine.csv finest.csv --out stepbench-results
     """
-    from bench.running.judge import judge_job, store_judgement, template
+    from bench.running.exchange import judge_job, store_judgement, template
     from reports.tables.order_table import order_table
 
     scene = o.asked_scene

@@ -303,24 +303,6 @@ class Runner:
                 self._spawn(worker.sources).group = worker.group
 
 
-def answer_of(
-    about: str, job: Callable[..., Any], arguments: tuple, sources: Sources, limits: Limits
-) -> Any:
-    """Do one job in a process of its own and return its answer; what it prints goes to the standard
-    error.
-
-    Raises
-    ------
-    SpecError
-        If the job refuses its arguments, or has no answer; then the message begins with ``about``.
-    """
-    with Runner(1, limits, OnStandardError()) as runner:
-        ((_, answer),) = runner.run([[Task(job, arguments, about, sources=sources)]])
-    if isinstance(answer, NoAnswer):
-        raise SpecError(answer.message if answer.refused else f"{about}: {answer.message}")
-    return answer
-
-
 # ---- clusters ----------------------------------------------------------------------------
 def runner_for(
     jobs: int, limits: Limits, progress: Progress | None, cluster: str | None = None
