@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from planted import STEPS, everything, plant, planted
+from planted import STEPS, planted
 from small_stores import atlas_with
 
 from bench.results.records import SceneRecord
-from bench.results.store import Store
-from reports.pages.report import Report
+from reports.pages.report import read_report
 from reports.pages.studies import jumps_page, policies_table
 from reports.questions import plain
 from reports.scenes import StoredRuns
@@ -118,8 +117,7 @@ def test_a_parameter_of_another_meaning_is_no_policy():
     assert policy(scene("s", "interpolate")) == "interpolate"
 
 
-def test_a_report_without_jumps_has_no_chapter_on_them(tmp_path):
-    with Store(plant(tmp_path / "plain", everything())) as store:
-        report = Report(store)
+def test_a_report_without_jumps_has_no_chapter_on_them(site):
+    report = read_report(site)
     assert "jumps.html" not in [chapter.file for chapter in report.chapters]
     assert not any(card for chapter in report.scenes for card in chapter.values["cards"][:1])
