@@ -66,7 +66,7 @@ def test_programs_of_which_no_times_are_taken_are_compiled_quickly(stepbench, mo
 
 
 @pytest.mark.usefixtures("without_processes")
-def test_an_order_has_a_window_errors_and_a_verdict():
+def test_an_order_has_a_window_and_errors():
     steps = [0.01, 0.005, 0.0025, 0.00125]
     found = order("pendulum", "generalized_alpha[rho_inf=0.5]", steps)
     for group in ("q", "v", "a", "lam"):
@@ -74,12 +74,6 @@ def test_an_order_has_a_window_errors_and_a_verdict():
         assert found.fits[group]["settled"].window == pytest.approx([0.01, 0.00125])
         assert len(found.errors[group]["settled"]) == 4
     assert found.orders["lam"]["max"] == pytest.approx(1.0, abs=0.1)
-    exact = order("bouncing_ball", "newmark", [0.1, 0.05, 0.025])
-    assert exact.fits["q"]["settled"].verdict == "not determined"
-    assert max(exact.errors["q"]["settled"]) < 1e-12
-    lost = order("pendulum", "generalized_alpha[rho_inf=1]", [0.02, 0.01, 0.005])
-    assert lost.fits["lam"]["max"].verdict == "does not converge"
-    assert lost.orders["q"]["max"] == pytest.approx(2.0, abs=0.05)
 
 
 @pytest.mark.usefixtures("without_processes")

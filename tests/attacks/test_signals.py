@@ -19,6 +19,7 @@ import pytest
 from busy_methods import BUSY
 from planted import everything, plant
 from processes import MODULE, STEPBENCH, Started, end_all, promised_seconds
+from test_contributing import EXAMPLES
 
 from bench.results.store import FILE
 
@@ -64,7 +65,7 @@ def folder(tmp_path, planted) -> Iterator[Path]:
     shutil.copytree(planted, tmp_path / "planted")
     (tmp_path / "small.toml").write_text(SMALL)
     (tmp_path / "busy.toml").write_text(HELD.format(how="well"))
-    shutil.copy(TESTS / "radau2.py", tmp_path / "method.py")
+    (tmp_path / "method.py").write_text(EXAMPLES["sdirk3.py"])
     shutil.copy(TESTS / "attacks" / "busy_methods.py", tmp_path / "busy.py")
     yield tmp_path
     end_all()
