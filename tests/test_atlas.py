@@ -175,12 +175,9 @@ def test_the_scaled_tangent_does_not_depend_on_the_step():
 
 
 @pytest.mark.long
-def test_a_plugin_gets_its_column_without_extra_code(tmp_path):
-    text = Path("CONTRIBUTING.md").read_text(encoding="utf-8")
-    code = re.search(r"```python\n(# bathe_ode.py\n.*?)```", text, re.DOTALL)[1]
-    (tmp_path / "bathe_ode.py").write_text(code)
+def test_a_plugin_gets_its_column_without_extra_code(plugins):
     names = ["undamped_index3", "spurious_acceleration", "condition"]
-    found = run(read_experiments(names), "bathe_ode", plugins=[str(tmp_path / "bathe_ode.py")])
+    found = run(read_experiments(names), "bathe_ode", plugins=[str(plugins)])
     column = {
         (name, part.text): next((c for c in part.cases if c.label == "bathe_ode"), None)
         for name, result in found.items()
