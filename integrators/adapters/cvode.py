@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from integrators.adapters.equations import given_ode
-from integrators.adapters.library_runs import ODESolver, callbacks_option
+from integrators.adapters.library_runs import ODESolver
 from integrators.adapters.sundials_runs import SundialsRun
 from integrators.contract import PreparedRun, option
 from integrators.program_costs import dense
@@ -43,8 +43,6 @@ class CVODE(ODESolver):
         "formulas: bdf, backward differences, for stiff equations; adams, of Adams and Moulton",
         choices=("bdf", "adams"),
     )
-    max_calls: int = option(50_000, "most calls of the right-hand side in a run", low=1)
-    callbacks: str = callbacks_option()
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances

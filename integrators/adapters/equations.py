@@ -24,16 +24,12 @@ from problems.equations.initial_values import consistent_start, sparse_complete
 from problems.equations.kinematics import projected_state, q_rate
 from problems.equations.sparsity import NoPattern, Pattern, prefers_sparse
 from problems.system import MechatronicSystem
-from problems.variables import Layout, Sizes, State, dae_layout, state_layout
+from problems.variables import Layout, State, dae_layout, state_layout
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int32
 
     Sparsity = tuple[Int32[np.ndarray, " entries"], Int32[np.ndarray, " n+1"]]
-
-#: Absolute tolerance that takes a variable out of the error test, and of the test of convergence of
-#: Newton's method.
-_NOT_TESTED = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,16 +286,3 @@ def start_vectors(
     wdot[layout.q] = q_rate(scene, start.z.q, start.z.v)
     wdot[layout.v], wdot[layout.x] = start.z.a, start.xdot
     return w, wdot
-
-
-def absolute_tolerances(
-    sizes: Sizes, formulation: str, atol: float, multipliers_tested: bool
-) -> Float[np.ndarray, " n"]:
-    """An absolute tolerance for each entry of w, with the multipliers in the error test or not."""
-    layout = dae_layout(sizes, formulation)
-    atols = np.full(layout.size, atol)
-    if not multipliers_tested:
-        atols[layout.lam] = atols[layout.mu] = _NOT_TESTED
-        if sizes.nl and formulation != "index1":
-            atols[layout.y] = _NOT_TESTED
-    return atols

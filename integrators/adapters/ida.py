@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from integrators.adapters import equations
-from integrators.adapters.library_runs import LibrarySolver, callbacks_option
+from integrators.adapters.library_runs import DAESolver
 from integrators.adapters.sundials_runs import SundialsRun
 from integrators.contract import PreparedRun, option
 from integrators.program_costs import dense, sparse
@@ -20,7 +20,7 @@ from problems.system import MechatronicSystem
 
 
 @dataclass(frozen=True)
-class IDA(LibrarySolver):
+class IDA(DAESolver):
     """BDF of order 1 to 5 with adaptive steps on the DAE in the chosen formulation.
 
     The Jacobian dF/dw + cj dF/dwdot is exact (automatic differentiation). By default the
@@ -47,9 +47,6 @@ class IDA(LibrarySolver):
         choices=[f for f in FORMULATIONS if f != "ode"],
         always=True,
     )
-    multipliers_in_error_test: bool = option(
-        False, "test the errors of multipliers like those of q, v and x"
-    )
     linear_solver: str = option(
         "auto",
         "dense; sparse: SuperLU_MT on the Jacobian's pattern (extra [sparse]); auto: by size and "
@@ -57,24 +54,20 @@ class IDA(LibrarySolver):
         choices=("auto", "dense", "sparse"),
     )
     max_order: int = option(5, "highest order of the BDF formulas", low=1, high=5)
-    max_calls: int = option(50_000, "most residual calls in a run", low=1)
-    callbacks: str = callbacks_option()
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances
     ) -> PreparedRun:
-        form, tested = self.formulation, self.multipliers_in_error_test
-        key = scene.template(), form
-        atol = equations.absolute_tolerances(scene.sizes, form, resolution.atol, tested)
-        options = {"max_order": self.max_order, "rtol": resolution.rtol, "atol": atol}
-        n = len(atol)
+        key = scene.template(), self.formulation
+        options = {"max_order": self.max_order, **self.tolerances(scene, resolution)}
+        n = len(options["atol"])
         if sparsity.uses_sparse(self.linear_solver, scene, lambda: equations.dae_pattern(*key)):
             jacobian, entries = equations.sparse_jacobian(*key)
             rows, starts = entries
             algebra = sparse(rows, np.repeat(np.arange(n), np.diff(starts)), n)
         else:
             jacobian, entries, algebra = equations.packed_jacobian(*key), None, dense(n)
-        given = equations.given_dae(scene, form, jacobian, entries)
+        given = equations.given_dae(scene, self.formulation, jacobian, entries)
         return SundialsRun(self, given, t_end, algebra, options)
 
     def advice(self, scene: MechatronicSystem, cause: str) -> str:

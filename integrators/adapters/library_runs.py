@@ -16,9 +16,14 @@ from integrators.lowering.graph import NotLowered
 from integrators.native.step.method_options import DriftHandling
 from integrators.output_rows import RowKeeper, width_of
 from integrators.program_costs import OWN, Algebra, Cost, NotCounted, bill, of_calls
+from integrators.resolutions import Tolerances
 from problems.base.runtime import slower
 from problems.system import MechatronicSystem
+from problems.variables import dae_layout
 
+#: Absolute tolerance that takes a variable out of the error test, and of the test of convergence of
+#: Newton's method.
+_NOT_TESTED = 1e6
 NOT_FINITE = "the equations gave a value that is not finite"
 
 
@@ -38,24 +43,20 @@ class EarlyEnd(Exception):
         self.status, self.reason, self.remedy = status, reason, remedy
 
 
-def callbacks_option() -> Any:
-    """The option that chooses how equations are called."""
-    return option(
+@dataclass(frozen=True)
+class LibrarySolver(Integrator):
+    """Base of adaptive solvers of other libraries."""
+
+    controls = "tolerance"
+    takes: ClassVar[tuple[str, ...]] = tuple(WIDER)
+
+    max_calls: int = option(50_000, "most calls of the residual or right-hand side in a run", low=1)
+    callbacks: str = option(
         "compiled",
         "compiled: the solver calls equations in C, where there is a C compiler; python: it calls "
         "JAX's compiled functions through Python",
         choices=("compiled", "python"),
     )
-
-
-class LibrarySolver(Integrator):
-    """Base of adaptive solvers of other libraries; they have the options ``max_calls`` and
-    `callbacks_option`."""
-
-    controls = "tolerance"
-    takes: ClassVar[tuple[str, ...]] = tuple(WIDER)
-    callbacks: str
-    max_calls: int
 
     def advice(self, scene: MechatronicSystem, cause: str) -> str:
         """Return advice after an early end of this status, or with the step too small."""
@@ -64,6 +65,25 @@ class LibrarySolver(Integrator):
         if cause == "diverged":
             return "check the scene's equations beyond this time or use a smaller rtol"
         return "use a larger rtol; near a jump of the solution, a smaller one"
+
+
+@dataclass(frozen=True)
+class DAESolver(LibrarySolver):
+    """Base of solvers of other libraries on the fully implicit DAE."""
+
+    multipliers_in_error_test: bool = option(
+        False, "test the errors of multipliers like those of q, v and x"
+    )
+
+    def tolerances(self, scene: MechatronicSystem, resolution: Tolerances) -> dict[str, Any]:
+        """Return ``rtol``, and ``atol`` for each entry of w, of which others are not tested."""
+        layout = dae_layout(scene.sizes, self.formulation)
+        atol = np.full(layout.size, resolution.atol)
+        if not self.multipliers_in_error_test:
+            atol[layout.lam] = atol[layout.mu] = _NOT_TESTED
+            if scene.sizes.nl and self.formulation != "index1":
+                atol[layout.y] = _NOT_TESTED
+        return {"rtol": resolution.rtol, "atol": atol}
 
 
 @dataclass(frozen=True)

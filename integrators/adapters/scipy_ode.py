@@ -18,9 +18,8 @@ from integrators.adapters.library_runs import (
     LibraryRun,
     LibrarySolver,
     ODESolver,
-    callbacks_option,
 )
-from integrators.contract import PreparedRun, Work, option
+from integrators.contract import PreparedRun, Work
 from integrators.program_costs import dense
 from integrators.resolutions import Tolerances
 from problems.base.runtime import Float
@@ -47,9 +46,6 @@ class ScipySolver(ODESolver):
     family: ClassVar[str] = "scipy"
     #: Name of the solver's class in scipy.integrate.
     library_class: ClassVar[str]
-
-    max_calls: int = option(50_000, "most calls of the right-hand side in a run", low=1)
-    callbacks: str = callbacks_option()
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Tolerances

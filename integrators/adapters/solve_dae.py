@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from typing import ClassVar
 
 from integrators.adapters import equations
-from integrators.adapters.library_runs import LibrarySolver, callbacks_option
+from integrators.adapters.library_runs import DAESolver
 from integrators.adapters.scipy_ode import ScipyRun
 from integrators.contract import PreparedRun, option
 from integrators.resolutions import Tolerances
@@ -16,7 +16,7 @@ from problems.system import MechatronicSystem
 
 
 @dataclass(frozen=True)
-class SolveDAESolver(LibrarySolver):
+class SolveDAESolver(DAESolver):
     """Base of the methods of solve_dae: a method states ``library_class`` and its source.
 
     The Jacobians dF/dw and dF/dwdot are exact (automatic differentiation). solve_dae does not take
@@ -44,11 +44,6 @@ class SolveDAESolver(LibrarySolver):
         choices=[f for f in FORMULATIONS if f != "ode"],
         always=True,
     )
-    multipliers_in_error_test: bool = option(
-        False, "test the errors of multipliers like those of q, v and x"
-    )
-    max_calls: int = option(50_000, "most residual calls in a run", low=1)
-    callbacks: str = callbacks_option()
 
     def supports(self, scene: MechatronicSystem) -> str | None:
         if find_spec("solve_dae") is None:
@@ -60,11 +55,10 @@ class SolveDAESolver(LibrarySolver):
     ) -> PreparedRun:
         from solve_dae import integrate
 
-        form, tested = self.formulation, self.multipliers_in_error_test
-        atol = equations.absolute_tolerances(scene.sizes, form, resolution.atol, tested)
-        given = equations.given_dae(scene, form, equations.packed_jacobians(scene.template(), form))
+        jacobians = equations.packed_jacobians(scene.template(), self.formulation)
+        given = equations.given_dae(scene, self.formulation, jacobians)
         solver = getattr(integrate, self.library_class)
-        return ScipyRun(self, given, t_end, solver, {"rtol": resolution.rtol, "atol": atol})
+        return ScipyRun(self, given, t_end, solver, self.tolerances(scene, resolution))
 
     def advice(self, scene: MechatronicSystem, cause: str) -> str:
         if scene.has("constraint"):
