@@ -24,8 +24,6 @@ from problems.base.runtime import Array, Bool, Float, Int, jnp
 
 #: Nodes that a graph may have, constants and operations that nobody needs included.
 _MOST_NODES = 300_000
-
-
 #: Floating-point operations of an elementary function, such as sin or exp; about what their
 #: polynomials take.
 ELEMENTARY = 10
@@ -65,14 +63,6 @@ _RENAMED = {
 }
 _ELEMENTARY = ("log", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh")
 _FUNCTIONS = {**_RENAMED, **{name: name for name in (*_ELEMENTARY, "atanh", "cbrt")}}
-_COMPARISONS = {
-    "EQ": ("==", np.equal),
-    "NE": ("!=", np.not_equal),
-    "LT": ("<", np.less),
-    "LE": ("<=", np.less_equal),
-    "GT": (">", np.greater),
-    "GE": (">=", np.greater_equal),
-}
 # As in JAX, NaN wins in maximum and minimum, and -0 is less than 0.
 _LARGER = "{0} > {1} || {0} != {0} || ({0} == {1} && signbit((double){1})) ? {0} : {1}"
 _SMALLER = "{0} < {1} || {0} != {0} || ({0} == {1} && signbit((double){0})) ? {0} : {1}"
@@ -97,10 +87,12 @@ OPERATORS = {
     "round_nearest_even": Operator("rint({})", np.rint),
     "floor": Operator("floor({})", np.floor),
     "ceil": Operator("ceil({})", np.ceil),
-    **{
-        name: Operator(f"{{}} {sign} {{}}", function, kind="b")
-        for name, (sign, function) in _COMPARISONS.items()
-    },
+    "EQ": Operator("{} == {}", np.equal, kind="b"),
+    "NE": Operator("{} != {}", np.not_equal, kind="b"),
+    "LT": Operator("{} < {}", np.less, kind="b"),
+    "LE": Operator("{} <= {}", np.less_equal, kind="b"),
+    "GT": Operator("{} > {}", np.greater, kind="b"),
+    "GE": Operator("{} >= {}", np.greater_equal, kind="b"),
     "and": Operator("{} & {}", np.bitwise_and, kind="b"),
     "or": Operator("{} | {}", np.bitwise_or, kind="b"),
     "xor": Operator("{} ^ {}", np.bitwise_xor, kind="b"),
@@ -159,9 +151,9 @@ class Graph:
         key = "f", struct.pack("d", value)
         return self._node(key, "constant", float(value), "f")
 
-    def input(self, argument: int, entry: int) -> int:
-        """The node of an entry of an argument of the function."""
-        return self._node(("input", argument, entry), "input", (argument, entry), "f")
+    def input(self, entry: int) -> int:
+        """The node of an entry of the function's argument."""
+        return self._node(("input", entry), "input", (0, entry), "f")
 
     def state(self, entry: int, kind: str) -> int:
         """A new node, of a value that the turns of a loop change."""

@@ -43,13 +43,8 @@ class _Known(NamedTuple):
 _Value = _Known | np.ndarray
 
 
-def lowered(function: Callable[..., Any], lengths: tuple[int | None, ...]) -> LoweredFunction:
-    """Follow a traceable function of one vector whose result is one array.
-
-    Parameters
-    ----------
-    lengths
-        Lengths of the arguments that stand side by side in the vector; None for a scalar.
+def lowered(function: Callable[..., Any], size: int) -> LoweredFunction:
+    """Follow a traceable function of one vector of this size whose result is one array.
 
     Raises
     ------
@@ -57,13 +52,11 @@ def lowered(function: Callable[..., Any], lengths: tuple[int | None, ...]) -> Lo
         If it has an operation without a rule, an index that depends on an argument, or too many
         operations.
     """
-    sizes = [1 if n is None else n for n in lengths]
     graph = Graph()
-    nodes = [graph.input(k, entry) for k, n in enumerate(sizes) for entry in range(n)]
-    vector = jax.ShapeDtypeStruct((sum(sizes),), float)
+    vector = jax.ShapeDtypeStruct((size,), float)
     try:
         follower = _Follower(program(function, vector), graph)
-        (result,) = follower.called("main", [np.array(nodes, int)])
+        (result,) = follower.called("main", [np.array([*map(graph.input, range(size))], int)])
     except NotLowered:
         raise
     except Exception as error:  # of whatever kind: another release of JAX has other programs

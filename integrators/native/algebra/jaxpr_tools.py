@@ -98,9 +98,9 @@ def tangent_pattern(program: ClosedJaxpr, n: int) -> Bool[np.ndarray, "m n"]:
         residual = partial(with_constants, program, replaced(program, differs, constants))
         return jax.jvp(residual, (u,), (change,))[1]
 
-    lengths = (n, n, *(math.prod(shape) for shape, _ in shapes))
-    graph, results = lowered(tangent, lengths)
-    return graph.dependence(results.ravel().tolist(), [graph.input(1, k) for k in range(n)])
+    size = sum(math.prod(shape) for shape, _ in (*unknowns, *shapes))
+    graph, results = lowered(tangent, size)
+    return graph.dependence(results.ravel().tolist(), [*map(graph.input, range(n, 2 * n))])
 
 
 def tangent_along(

@@ -228,9 +228,9 @@ def _side_by_side(program: ClosedJaxpr, order: EliminationPlan) -> Callable[...,
         return jnp.stack([product(jnp.asarray(seed)) for seed in order.seeds])
 
     try:
-        first = lowered(coefficients, (sum(math.prod(shape) for shape, _ in shapes),))
+        first = lowered(coefficients, sum(math.prod(shape) for shape, _ in shapes))
         n = len(order.entries)
-        second = lowered(products, (len(first.results) - n,))
+        second = lowered(products, len(first.results) - n)
         steps = side_by_side(first), side_by_side(second)
     except NotLowered:
         return None
