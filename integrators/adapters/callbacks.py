@@ -32,18 +32,14 @@ class PackedFunction:
     Parameters
     ----------
     function
-        Traceable function of arrays.
+        Traceable function of arrays; an attribute, too.
     lengths
-        Lengths of its arguments, which are vectors; None for a scalar.
+        Lengths of its arguments, which are vectors, None for a scalar; an attribute, too.
 
     Attributes
     ----------
-    function
-        The function itself.
     program
         The compiled function of one array, in which all arguments stand side by side.
-    lengths
-        Lengths of its arguments.
     places, size
         Places of the arguments in the array, and its length.
     """

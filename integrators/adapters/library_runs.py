@@ -125,8 +125,9 @@ class LibraryRun(PreparedRun):
         self.given, self.method, self.t_end = given, method, float(t_end)
         self._name, self._algebra = type(method).__name__, algebra
         self.functions = given.bound()
-        #: Orders of the steps that were measured last.
-        self._orders: list[float] = []
+        #: Orders of the steps that were measured last, and factorisations and solves of complex
+        #: systems among them.
+        self._orders, self._complex = list[float](), (0, 0)
         #: Why the equations are not called in C; empty if they are.
         self.why = "callbacks=python was asked for"
         if method.callbacks == "compiled":
@@ -143,8 +144,9 @@ class LibraryRun(PreparedRun):
 
         Its methods are ``whole()``, which solves to the end, ``step()``, which returns time and
         unknowns after one step of its own, and ``work(steps)``; they raise `EarlyEnd` where the run
-        ends. ``order`` is that of the last step, or its number of stages. ``counts`` tells whether
-        counts that cost time are wanted.
+        ends. ``order`` is that of the last step, or its number of stages; ``complex_ones`` are
+        factorisations and solves of complex systems. ``counts`` tells whether counts that cost
+        time are wanted.
         """
 
     def execute(self) -> Any:
@@ -165,7 +167,7 @@ class LibraryRun(PreparedRun):
                         kept.add((time, unknowns))
                         self._orders.append(solver.order)
                 finally:
-                    work = solver.work(kept.steps)
+                    work, self._complex = solver.work(kept.steps), solver.complex_ones
         except EarlyEnd as early_end:
             end = early_end.with_traceback(None)  # whose frames would keep the solver alive
         t, w = map(np.array, zip(*kept.rows(), strict=True))
@@ -187,7 +189,9 @@ class LibraryRun(PreparedRun):
         given, work = self.given, run.work
         if work.factorisations is None:
             raise NotCounted(f"{self._name} no longer calls its lu and solve_lu")
-        factorisations, solves = self._linear_algebra(work)
+        counted = zip((work.factorisations, work.solves or 0), self._complex, strict=True)
+        # A complex operation is four real ones, and these systems are among those counted.
+        factorisations, solves = (count + 3 * more for count, more in counted)
         attempts = (work.steps or 0) + (work.rejected or 0)
         each = float(np.mean(self._orders or [0.0])), attempts, work.newton or 0
         own = own_work(self._name, given.size, *each, work.factorisations)
@@ -199,7 +203,3 @@ class LibraryRun(PreparedRun):
             Cost(OWN, operations=own),
         ]
         return bill(costs, given.scene, run)
-
-    def _linear_algebra(self, work: Work) -> tuple[int, int]:
-        """The numbers of real factorisations and solves."""
-        return work.factorisations or 0, work.solves or 0

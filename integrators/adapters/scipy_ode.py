@@ -90,19 +90,10 @@ class ScipyRun(LibraryRun):
 
     @contextlib.contextmanager
     def _solver(self, counts: bool) -> Iterator[CountedSolver]:
-        solver = CountedSolver(self, counts)
-        if counts:
-            self._measured = solver
         # A singular matrix or an overflow on the way to a failure: the status says the same.
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            yield solver
-
-    def _linear_algebra(self, work: Work) -> tuple[int, int]:
-        # A complex operation is four real ones, and these systems are among those counted.
-        algebra = zip((work.factorisations, work.solves), self._measured.complex_ones, strict=True)
-        factorisations, solves = ((count or 0) + 3 * more for count, more in algebra)
-        return factorisations, solves
+            yield CountedSolver(self, counts)
 
 
 class CountedSolver:

@@ -239,6 +239,8 @@ class _Solver:
     Functions that free its memory are put into ``memories``.
     """
 
+    complex_ones = 0, 0
+
     def __init__(self, run: SundialsRun, memories: contextlib.ExitStack) -> None:
         it, self._run, (t0, *vectors), options = library(), run, run.given.start, run.options
         self._library, self._memories, self._calls = it, memories, run.calls
@@ -300,7 +302,6 @@ class _Solver:
         return new
 
     def _linear_algebra(self, n: int) -> tuple[int, int]:
-        """A new matrix and a new linear solver."""
         it, context, sparsity = self._library, self._context, self._run.given.sparsity
         if sparsity:
             matrix = it.SUNSparseMatrix(n, n, len(sparsity[0]), _CSC, context)
@@ -345,5 +346,4 @@ class _Solver:
 
 
 def _address(function: Any) -> int:
-    """The address of a function in C."""
     return ctypes.cast(function, c_void_p).value or 0
