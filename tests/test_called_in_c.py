@@ -9,9 +9,9 @@ from helpers import Probe, long, toy
 
 from bench.plugins.registry import Registry
 from integrators import Tolerances
-from integrators.adapters import callbacks
-from integrators.adapters.callbacks import PackedFunction, same_to_rounding
+from integrators.adapters import equations
 from integrators.adapters.cvode import CVODE
+from integrators.adapters.equations import PackedFunction, same_to_rounding
 from integrators.adapters.ida import IDA
 from integrators.adapters.scipy_ode import BDF, Radau
 from integrators.adapters.solve_dae import RadauDAE
@@ -155,7 +155,7 @@ def test_what_stands_against_c_is_told_in_a_sentence_and_leads_to_python(method,
     for plant, reason, scene, methods in REASONS:
         if method not in methods:
             continue
-        for kept in (callbacks.in_c, c_source.load_c, slower):
+        for kept in (equations.in_c, c_source.load_c, slower):
             kept.cache_clear()
         caplog.clear()
         with pytest.MonkeyPatch.context() as at:
@@ -166,7 +166,7 @@ def test_what_stands_against_c_is_told_in_a_sentence_and_leads_to_python(method,
             assert sentence.startswith(f"{method.__name__} calls")
             assert reason in sentence
             assert found.measure().status == "ok"
-    for kept in (callbacks.in_c, c_source.load_c, slower):
+    for kept in (equations.in_c, c_source.load_c, slower):
         kept.cache_clear()
     assert not run(method(), AtAZero()).why
 

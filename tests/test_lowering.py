@@ -10,9 +10,9 @@ from helpers import EVERY_OPERATION, long, scene_or_skip, toy
 from bench.plugins.registry import Registry
 from integrators import Tolerances
 from integrators.adapters import equations
-from integrators.adapters.callbacks import PackedFunction
-from integrators.adapters.callbacks import in_c as compiled_in_c
 from integrators.adapters.cvode import CVODE
+from integrators.adapters.equations import PackedFunction
+from integrators.adapters.equations import in_c as compiled_in_c
 from integrators.adapters.scipy_ode import BDF
 from integrators.lowering import c_source, graph
 from integrators.lowering.c_source import c_function

@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from integrators.adapters.callbacks import in_c
-from integrators.adapters.equations import GivenEquations
+from integrators.adapters.equations import GivenEquations, in_c
 from integrators.adapters.library_runs import (
     NOT_FINITE,
     EarlyEnd,

@@ -221,7 +221,7 @@ def load_c(source: str) -> ctypes.CDLL:
     if compiler is None:
         raise NotLowered(f"there is no C compiler named {_COMPILER}")
     try:
-        about = "\0".join((source, platform.machine(), compiler_version(compiler), *_FLAGS))
+        about = "\0".join((source, platform.machine(), _version(compiler), *_FLAGS))
         file = _CACHE / f"{hashlib.sha256(about.encode()).hexdigest()[:32]}.so"
         if kept(file) is not None:
             with suppress(OSError):  # of another system: it is made anew
@@ -247,14 +247,8 @@ def _compile(compiler: str, source: str) -> bytes:
 
 
 @cache
-def compiler_version(compiler: str = _COMPILER) -> str:
-    """Return the first line of what a compiler says of itself.
-
-    Raises
-    ------
-    OSError, subprocess.TimeoutExpired
-        If there is none, or it hangs.
-    """
+def _version(compiler: str) -> str:
+    """The first line of what a compiler says of itself."""
     return _run([compiler, "--version"]).stdout.decode(errors="replace").partition("\n")[0]
 
 
