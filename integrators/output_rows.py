@@ -72,19 +72,17 @@ def _reached(part: Any, times: Any) -> Any:
     return (part * times + _ROUNDING) // 1
 
 
-def spread_rows(
-    steps: int, most: int = SPREAD_ROWS, first: int = FIRST_ROWS
-) -> Int[np.ndarray, " k"]:
+def spread_rows(steps: int) -> Int[np.ndarray, " k"]:
     """Choose the first steps and some spread over the run.
 
-    They are the start, the ``first`` steps, and at most ``most`` more at equal distance, in
+    They are the start, `FIRST_ROWS` steps, and at most `SPREAD_ROWS` more at equal distance, in
     ascending order from 0 to ``steps``. The distance is a whole number of steps where a divisor of
     their number allows it, so that runs with nested steps are shown at the same times.
     """
-    most, least = min(steps, most), most // 2
+    most, least = min(steps, SPREAD_ROWS), SPREAD_ROWS // 2
     rows = next((d for d in range(most, least, -1) if steps % d == 0), most)
     spread = np.round(np.arange(rows + 1) * (steps / max(rows, 1))).astype(np.int64)
-    return np.union1d(np.arange(min(first, steps) + 1), spread)
+    return np.union1d(np.arange(min(FIRST_ROWS, steps) + 1), spread)
 
 
 class RowKeeper:

@@ -15,7 +15,7 @@ from sksundae import ida as ida_of_sundae
 from bench.plugins.registry import Registry
 from bench.running.session import solve_cells
 from integrators import Tolerances
-from integrators.adapters import sundials, sundials_runs
+from integrators.adapters import sundials
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
 from integrators.adapters.sundials import library
@@ -99,7 +99,7 @@ def test_the_same_equations_give_the_run_of_scikit_sundae_to_the_bit():
 def test_a_call_that_is_interrupted_for_signals_goes_on_where_it_was(method, monkeypatch):
     run = prepared(method, SliderCrank(), 0.1)
     whole = run.execute()
-    monkeypatch.setattr(sundials_runs, "_STEPS_IN_A_CALL", 7)
+    monkeypatch.setattr(sundials, "_STEPS_IN_A_CALL", 7)
     cut = run.execute()
     assert whole[0] == cut[0] == run.t_end
     assert whole[1].tobytes() == cut[1].tobytes()

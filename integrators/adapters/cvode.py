@@ -9,7 +9,7 @@ import numpy as np
 
 from integrators.adapters.equations import given_ode
 from integrators.adapters.library_runs import ODESolver
-from integrators.adapters.sundials_runs import SundialsRun
+from integrators.adapters.sundials import SundialsRun
 from integrators.contract import PreparedRun, option
 from integrators.program_costs import dense
 from integrators.resolutions import Tolerances

@@ -9,7 +9,7 @@ import numpy as np
 
 from integrators.adapters import equations
 from integrators.adapters.library_runs import DAESolver
-from integrators.adapters.sundials_runs import SundialsRun
+from integrators.adapters.sundials import SundialsRun
 from integrators.contract import PreparedRun, option
 from integrators.program_costs import dense, sparse
 from integrators.resolutions import Tolerances
