@@ -13,9 +13,8 @@ from bench.check.trials import FiniteTimeBlowUp
 from integrators import Integrator, PreparedRun, Steps, Work, option
 from integrators.methods.generalized_alpha import Newmark
 from problems import MechatronicSystem, State, jax, jnp, parameter
-from problems.mechanics.rotations import rotated, turned
+from problems.mechanics.rotations import quaternion_rate, rotated, turned
 from problems.scenes.contacts import BouncingBall
-from problems.scenes.heavy_top import HeavyTopSE3
 from problems.scenes.oscillators import SampledPd
 from problems.scenes.pendulums import Chain, Pendulum
 
@@ -168,7 +167,11 @@ SCENES = {
     "MoodyForce": (Pendulum, {"force": lambda *at: Pendulum.force(*at) + RANDOM.normal()}),
     "HiddenSlope": (Pendulum, {"force": lambda self, q, v, t: (
         Pendulum.force(self, q, v, t) - jax.lax.stop_gradient(v))}),
-    "Skidding": (HeavyTopSE3, {"move": straight}),
+    "Skidding": (MechatronicSystem, {
+        "mass": lambda self, q: jnp.eye(6), "force": lambda self, q, v, t: jnp.zeros(6),
+        "initial_state": lambda self: State(np.eye(7)[3], np.ones(6)), "move": straight,
+        "kinematics": lambda self, q, v: jnp.concatenate(
+            [rotated(q[3:], v[:3]), quaternion_rate(q[3:], v[3:])])}),
     "WrongSlope": (MechatronicSystem, {
         "mass": lambda self, q: jnp.eye(1), "force": lambda self, q, v, t: -jnp.ones(1) + 0 * q,
         "initial_state": lambda self: State(np.zeros(1), np.zeros(1)), "exact": straight_fall}),
