@@ -157,21 +157,16 @@ def relative_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:
     """
     t, exact, table = trajectory.t, _exact(trajectory, reference), ErrorTable({}, {}, {}, {})
     for group in GROUPS:
-        if not exact[group].shape[1]:
-            continue
         found = getattr(trajectory, group)
-        if group == "xd" and not len(found):  # of a run that knows nothing of them
+        # A run may know nothing of held values.
+        if not exact[group].shape[1] or not len(found) or not (told := ~np.isnan(found[0])).any():
             continue
         difference = found - exact[group]
-        told = ~np.isnan(found[0])
-        if not told.any():
-            continue
         sizes, unsure = scales(reference, group), reference.error[group]
         each = {name: component_errors(difference, t, sizes, name) for name in NORMS}
         table.components[group] = {name: [*map(finite, e)] for name, e in each.items()}
-        table.histories[error_note(group)] = (np.abs(difference) / sizes.components)[:, told].max(
-            axis=1
-        )
+        relative = np.abs(difference) / sizes.components
+        table.histories[error_note(group)] = relative[:, told].max(axis=1)
         table.errors[group] = {name: finite(e[told].max()) for name, e in each.items()}
         table.errors[whole(group)] = {
             name: finite(float(whole_error(difference, t, sizes, name))) for name in NORMS

@@ -230,6 +230,13 @@ class Runner:
             worker.end()
             self.workers.remove(worker)
         self.workers.append(worker := _WorkerProcess(sources, self._limits, self.draft))
+
+        def tell(phase: str, words: str) -> None:
+            """Name the reference while it is made, else the task."""
+            if worker.task:
+                self.progress.working(words if phase == REFERENCE else worker.task.label)
+
+        worker.on_phase = tell
         return worker
 
     def _timekeeper(self, task: Task) -> _WorkerProcess:
@@ -251,12 +258,6 @@ class Runner:
             if worker.group and not worker.task:
                 worker.task = task = worker.group.popleft()
                 self.progress.working(task.label)
-
-                def tell(phase: str, words: str, label: str = task.label) -> None:
-                    """Name the reference while it is made, else the task."""
-                    self.progress.working(words if phase == REFERENCE else label)
-
-                worker.on_phase = tell
                 lacking = self._lacking.get(task.scene or "")
                 named = {"lacking": lacking} if lacking else {}
                 worker.start(task.job, *task.arguments, **named)

@@ -25,7 +25,7 @@ from bench.running.plan import Cell
 from bench.running.process import MEASURING, PREPARING, REFERENCE, RUNNING, Notify
 from bench.running.scene_records import drawings, scene_record, uncontrolled
 from integrators import checks
-from integrators.contract import PreparedRun, Trajectory
+from integrators.contract import Integrator, PreparedRun, Trajectory
 from problems.base.runtime import check_runtime, compile_sooner, jax, use_threads
 from problems.base.spec import SpecError
 from problems.base.text import said
@@ -125,24 +125,25 @@ class Worker:
         method = self.registry.integrator(cell.integrator) if cell else None
         unknown = "errors are known, the reference failed"
 
-        def part(what: str, find: Callable[[], Any], otherwise: Any) -> Any:
+        def part(what: str, find: Callable[..., Any], *about: Any) -> Any:
             try:
-                return find()
+                return find(*about)
             except BaseException as error:
                 _add(record, f"No {what}: {why(error)}")
-                return otherwise
 
         if lacking:
             _add(record, f"No errors are known. {lacking}")
             record.stopped = REFERENCE
         elif errors:
-            reference = part(unknown, lambda: self.reference(scene, record.t_end), None)
+            reference = part(unknown, self.reference, scene, record.t_end)
         if reference and reference.missing:
             _add(record, f"No errors are known. {reference.missing}")
             reference = None
         whole = bool(np.isfinite(run.q).all() and np.isfinite(run.v).all())
-        energy = lambda: measure.invariant_changes(scene, run, reference, ["energy"])  # noqa: E731
-        change = part("energy drift is known", energy, {}) if whole else {}
+        change = {}
+        if whole:
+            asked = scene, run, reference, ["energy"]
+            change = part("energy drift is known", measure.invariant_changes, *asked) or {}
         if reference:
             measure.end_at_blow_up(run, reference, change)
         if run.status != "ok":
@@ -153,16 +154,12 @@ class Worker:
             found = measure.relative_errors(run, reference)
             record.errors, record.components = found.errors, found.components
             record.reference_error = found.reference_errors
-            find = (lambda: measure.constraint_errors(run, reference)) if whole else lambda: None
-            if held := part("violations are known", find, None):
+            both = run, reference
+            if whole and (held := part("violations are known", measure.constraint_errors, *both)):
                 record.errors |= held.errors
                 record.reference_error |= held.reference_errors
-            record.events = part(
-                "events are known", lambda: measure.event_errors(run, reference), {}
-            )
-            record.history_error = part(
-                "named points are known", lambda: measure.history_error(run, reference), None
-            )
+            record.events = part("events are known", measure.event_errors, *both) or {}
+            record.history_error = part("named points are known", measure.history_error, *both)
             return found.histories
 
         def points() -> dict[str, Any]:
@@ -179,24 +176,28 @@ class Worker:
             record.constraint_unit = measure.constraint_unit(scene)
             return measure.violations(scene, run)
 
+        def bill(prepared: PreparedRun) -> dict[str, float]:
+            return checks.checked_bill(prepared.bill(run), PARTS)
+
+        def claims(method: Integrator) -> dict[str, int]:
+            return checks.checked_orders(method.claims(scene), "claims()")
+
         def cautions() -> str:
             caution = (checks.caution(method, scene) if method else None) or ""
             overlap = measure.end_at_overlap(run, scene, bool(method and method.passes_impacts))
             return f"{caution} {overlap} {uncontrolled(scene, run, record.rtol)}"
 
-        noted = part(unknown, lambda: histories(reference), {}) if reference else {}
-        drift = part("residuals of the constraints are known", violations, {}) if whole else {}
+        noted = (reference and part(unknown, histories, reference)) or {}
+        drift = (whole and part("residuals of the constraints are known", violations)) or {}
         drift |= {name: abs(values) for name, values in change.items()}
         record.constraint = {name: measure.finite(values.max()) for name, values in drift.items()}
         record.energy_drift = record.constraint.pop("energy", None)
         run.notes |= noted | drift
         if whole:
-            run.notes |= part("named points or published digits are known", points, {})
+            run.notes |= part("named points or published digits are known", points) or {}
         if cell and method:
-            bill = lambda: checks.checked_bill(self.prepared[cell.key].bill(run), PARTS)  # noqa: E731
-            record.operations = part("operations are known", bill, {})
-            claims = lambda: checks.checked_orders(method.claims(scene), "claims()")  # noqa: E731
-            record.claims = part("claimed orders are known", claims, None)
+            record.operations = part("operations are known", bill, self.prepared[cell.key]) or {}
+            record.claims = part("claimed orders are known", claims, method)
             # A run that takes longer than its preparation would double the time of the suite.
             quick = self._seconds[cell.key] < max(record.compile_s or 0.0, 1.0)
             if reference and record.errors and quick:
@@ -205,7 +206,7 @@ class Worker:
                         method, cell.resolution, reference
                     )
                     _add(record, " ".join(failed))
-        _add(record, part("cautions are known", cautions, "") if whole else "")
+        _add(record, (whole and part("cautions are known", cautions)) or "")
 
     def run(self, cell: Cell) -> tuple[Trajectory, float | None]:
         """Run a cell; return its trajectory, however it ends, and processor seconds to prepare."""
