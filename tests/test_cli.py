@@ -8,6 +8,7 @@ import webbrowser
 import numpy as np
 import pytest
 from small_stores import a_record
+from test_alpha_family import DIGITS
 
 from bench import order
 from bench.commands import results
@@ -20,13 +21,6 @@ from bench.running.plan import make_suite, read_profile
 from bench.running.runner import Runner
 from problems.scenes.oscillators import SpringMass
 from problems.truth.reference import Reference
-
-DIGITS = {
-    "q": -0.569897683826460,
-    "v": 2.052987649185013,
-    "a": -0.427636884093702,
-    "x": -3.348650952505259,
-}
 
 
 @pytest.mark.usefixtures("without_processes")

@@ -35,11 +35,6 @@ def folder(tmp_path: Path) -> Callable[..., Path]:
     return call
 
 
-def records(folder: Path) -> dict[str, Record]:
-    with Store(folder) as store:
-        return store.records()
-
-
 def elsewhere(folder: Path, **changes: object) -> Path:
     """The same results from another machine or other versions."""
     there = msgspec.structs.replace(MACHINE, **changes)
@@ -152,7 +147,8 @@ def test_slower_runs_fail_on_the_same_machine_only(old, stepbench):
     def slower(record: Record) -> None:
         record.run_s = [3.0 * s for s in record.run_s]
 
-    before = {key: r for key, r in records(old).items() if r.run_s}
+    with Store(old) as store:
+        before = {key: r for key, r in store.records().items() if r.run_s}
     here = compare_folders(old, edited(old, "slow", slower))
     assert len(here.changes) == len(before)
     for change in here.changes:
