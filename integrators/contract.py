@@ -103,9 +103,8 @@ def _of_taken_scenes(prepare: Callable[..., PreparedRun]) -> Callable[..., Prepa
     ) -> PreparedRun:
         if reason := self.why_not(scene):
             raise spec.SpecError(f"{self.spec} does not take {scene.spec}: {reason}")
-        steps_over = self.passes_impacts and scene.has("gaps")
-        jumps = scene.has("sample") or (scene.has("events") and not steps_over)
-        if not jumps or "in_phase" in vars(scene):
+        steps_over = self.passes_impacts and scene.has("gaps") and not scene.has("sample")
+        if steps_over or not scene.is_hybrid:
             return prepare(self, scene, t_end, resolution)
         from integrators.hybrid_runs import prepared  # few scenes need it
 

@@ -61,12 +61,11 @@ def prepared(
     SpecError
         If the scene, or its policy at samples, cannot be used with this resolution.
     """
-    if scene.has("sample") and scene.sampling == "ignore":
-        inner = followed(scene)
-        if not inner.is_hybrid:
-            return _FollowedRun(prepare(inner, t_end, resolution), scene)
+    ignored = scene.has("sample") and scene.sampling == "ignore"
+    inner = followed(scene) if ignored else scene
+    if inner.is_hybrid:
         return PhasedRun(prepare, inner, t_end, resolution)
-    return PhasedRun(prepare, scene, t_end, resolution)
+    return _FollowedRun(prepare(inner, t_end, resolution), scene)
 
 
 class PhasedRun(PreparedRun):

@@ -59,6 +59,11 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "CVodeInit": (c_int, c_void_p, c_void_p, c_double, c_void_p),
     "CVode": (c_int, c_void_p, c_double, c_void_p, _FLOATS, c_int),
 }
+#: Functions of numbers of setups, error test failures, failed solves, and iterations.
+_COUNTS = tuple(
+    f"GetNum{what}"
+    for what in ("LinSolvSetups", "ErrTestFails", "StepSolveFails", "NonlinSolvIters")
+)
 #: Functions that both solvers have, each with its own name before these.
 _OF_BOTH: dict[str, tuple[Any, ...]] = {
     "SVtolerances": (c_int, c_void_p, c_double, c_void_p),
@@ -69,13 +74,7 @@ _OF_BOTH: dict[str, tuple[Any, ...]] = {
     "SetMaxNumSteps": (c_int, c_void_p, c_long),
     "SetStopTime": (c_int, c_void_p, c_double),
     "GetLastOrder": (c_int, c_void_p, POINTER(c_int)),
-    **dict.fromkeys(
-        (
-            *("GetNumLinSolvSetups", "GetNumErrTestFails"),
-            *("GetNumStepSolveFails", "GetNumNonlinSolvIters"),
-        ),
-        (c_int, c_void_p, POINTER(c_long)),
-    ),
+    **dict.fromkeys(_COUNTS, (c_int, c_void_p, POINTER(c_long))),
     "Free": (None, POINTER(c_void_p)),
 }
 _SIGNATURES |= {
@@ -415,8 +414,7 @@ class _Solver:
 
     def work(self, steps: int) -> Work:
         """The counts of the run: steps, residuals and Jacobians by us, the others by SUNDIALS."""
-        names = "LinSolvSetups", "ErrTestFails", "StepSolveFails", "NonlinSolvIters"
-        setups, errors, fails, newton = (self._number(f"GetNum{k}", c_long()) for k in names)
+        setups, errors, fails, newton = (self._number(name, c_long()) for name in _COUNTS)
         calls = self._calls.residuals, self._calls.jacobians
         return Work(steps, errors + fails, newton, *calls, setups, newton)
 

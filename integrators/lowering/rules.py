@@ -9,6 +9,7 @@ LAPACK does. Source: https://openxla.org/stablehlo/spec
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -61,10 +62,9 @@ def _reduce(graph: Graph, step: Step, x: np.ndarray, *others: np.ndarray) -> np.
     if len(others) != 1:
         raise NotLowered("it folds several arrays at once")
     axes = step.numbers("dimensions")
-    kept = [k for k in range(x.ndim) if k not in axes]
-    length = int(np.prod([x.shape[k] for k in axes]))
-    rows = np.transpose(x, [*kept, *axes]).reshape(*(x.shape[k] for k in kept), length)
-    return _folded(graph, step, rows, *others)
+    rows = np.moveaxis(x, axes, range(-len(axes), 0))
+    kept = rows.shape[: x.ndim - len(axes)]
+    return _folded(graph, step, rows.reshape(*kept, math.prod(rows.shape[len(kept) :])), *others)
 
 
 def _reduce_window(graph: Graph, step: Step, x: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -197,8 +197,8 @@ def _dynamic_update_slice(
 
 def _gather(step: Step, x: np.ndarray, indices: np.ndarray) -> np.ndarray:
     numbers, sizes = step.fields("dimension_numbers"), step.numbers("slice_sizes")
-    pairs = numbers["operand_batching_dims"], numbers["start_indices_batching_dims"]
-    starts = _starts(numbers, indices, numbers["start_index_map"], x.ndim, *pairs)
+    axes = "start_index_map", "operand_batching_dims", "start_indices_batching_dims"
+    starts = _starts(numbers, indices, x.ndim, axes)
     windows = np.array([x[_window(x, start, sizes)] for start in starts.reshape(-1, x.ndim)])
     dropped = {*numbers["collapsed_slice_dims"], *numbers["operand_batching_dims"]}
     kept = [size for k, size in enumerate(sizes) if k not in dropped]
@@ -226,9 +226,8 @@ def _scatter(
     window = numbers["update_window_dims"]
     lengths = iter([updates.shape[k] for k in window])
     sizes = [1 if k in dropped else next(lengths) for k in range(x.ndim)]
-    pairs = numbers["input_batching_dims"], numbers["scatter_indices_batching_dims"]
-    starts = _starts(numbers, indices, numbers["scatter_dims_to_operand_dims"], x.ndim, *pairs)
-    starts = starts.reshape(-1, x.ndim)
+    axes = "scatter_dims_to_operand_dims", "input_batching_dims", "scatter_indices_batching_dims"
+    starts = _starts(numbers, indices, x.ndim, axes).reshape(-1, x.ndim)
     news = np.moveaxis(updates, window, range(-len(window), 0)).reshape(len(starts), *sizes)
     x = x.copy()
     for start, new in zip(starts, news, strict=True):
@@ -263,17 +262,14 @@ INDICES = {
 
 
 def _starts(
-    numbers: dict[str, list[int]],
-    indices: np.ndarray,
-    axes: list[int],
-    ndim: int,
-    own: list[int],
-    theirs: list[int],
+    numbers: dict[str, list[int]], indices: np.ndarray, ndim: int, names: tuple[str, str, str]
 ) -> np.ndarray:
     """The first index of each window, along the last axis; the others are those of the indices.
 
-    ``axes`` of the operand are indexed; ``own`` axes of it go with ``theirs`` of the indices.
+    The names are those of indexed axes of the operand, of its other axes that go with axes of the
+    indices, and of these.
     """
+    axes, own, theirs = (numbers[name] for name in names)
     (along,) = numbers["index_vector_dim"] or [0]
     indices = np.moveaxis(indices, along, -1) if along < indices.ndim else indices[..., None]
     starts = np.zeros((*indices.shape[:-1], ndim), int)
