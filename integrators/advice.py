@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextvars import ContextVar
 from importlib.metadata import entry_points
+from itertools import islice
 
 from problems.system import MechatronicSystem
 
@@ -20,15 +21,13 @@ def advice(scene: MechatronicSystem, *names: str) -> str:
     """
     if _ASKED.get():
         return ""
-    asked, taking = _ASKED.set(True), []
+    asked = _ASKED.set(True)
     try:
-        for name in names:
-            if len(taking) < _MOST and _takes(name, scene):
-                taking.append(name)
+        taking = [*islice((name for name in names if _takes(name, scene)), _MOST)]
     finally:
         _ASKED.reset(asked)
-    *first, last = taking or [""]
-    return last and f"; take {' or '.join([*[', '.join(first)] * bool(first), last])}"
+    several = " or ".join(filter(None, (", ".join(taking[:-1]), *taking[-1:])))
+    return several and f"; take {several}"
 
 
 def _takes(name: str, scene: MechatronicSystem) -> bool:
