@@ -16,13 +16,7 @@ from msgspec.structs import replace
 
 from bench.plugins.fingerprint import environment
 from bench.plugins.registry import Sources, plugin_files
-from bench.results.records import (
-    INTERRUPTED,
-    TIMING_SECONDS,
-    Record,
-    Rows,
-    SceneRecord,
-)
+from bench.results.records import INTERRUPTED, TIMING_SECONDS, Record, Rows, SceneRecord
 from bench.results.store import Store
 from bench.results.timings import FEWEST, contenders
 from bench.running.inventory import SceneFacts
@@ -135,14 +129,13 @@ def time_suite(suite: Suite, store: Store, runner: Runner) -> None:
 
 
 def solve_cells(
-    cells: list[Cell], budget_s: float, memory_gib: float = 4.0, progress: Progress | None = None
+    cells: list[Cell], budget_s: float, progress: Progress | None = None
 ) -> list[CellResult]:
     """Measure a few cells without a store and times: programs are compiled quickly, not well."""
-    groups = [[cell_task(Worker.measure, cell) for cell in cells]]
-    with Runner(1, Limits(budget_s, memory_gib), progress) as runner:
+    tasks = [cell_task(Worker.measure, cell) for cell in cells]
+    with Runner(1, Limits(budget_s, memory_gib=4.0), progress) as runner:
         runner.draft = True
-        found = {task.label: answer for task, answer in runner.run(groups)}
-    return [result_of(cell, found[cell.key]) for cell in cells]
+        return [_finished(task, answer, runner.progress) for task, answer in runner.run([tasks])]
 
 
 def describe_scenes(
