@@ -99,7 +99,7 @@ def scenes(name: str) -> dict[str, list[str]]:
     """The integrators of a built-in suite by scene: printed names, with patterns of steps."""
     found: dict[str, dict[str, None]] = {}
     for cell in make_suite(*read_profile(name), INVENTORY).cells.values():
-        record = cell.record(*cell.facts(INVENTORY), "ok")
+        record = cell.record("ok")
         found.setdefault(record.problem, {})[label_of(record)] = None
     return {scene: list(labels) for scene, labels in found.items()}
 
