@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -107,38 +106,34 @@ def test_a_rod_on_a_hinge_is_a_physical_pendulum():
     assert z["lam"] == pytest.approx(np.column_stack([force, 0 * t, 0 * t]), abs=1e-9)
 
 
-@dataclass(frozen=True)
-class Driven(PartsPendulum):
-    """The rod, turned in its own axes, with a lighter one at a hinge on it, and a motor in each."""
+def two_rods(self):
+    (one,) = rod(self)
+    tip, far = 2 * one.position, 2 * one.position + jnp.array([0.3, 0.0, 0.0])
+    tilted = {"orientation": (0.3, -0.5, 0.8), "angular_velocity": (0.0, 0.0, 2.0)}
+    lighter = Body("tip", 0.5, (0.01, 0.02, 0.015), (tip + far) / 2, **tilted)
+    return one._replace(angular_velocity=(0.0, 0.0, -1.5)), lighter
 
-    energy = None
-    torques = (0.7, -0.3)
 
-    def bodies(self):
-        (rod,) = super().bodies()
-        tip, far = 2 * rod.position, 2 * rod.position + jnp.array([0.3, 0.0, 0.0])
-        tilted = {"orientation": (0.3, -0.5, 0.8), "angular_velocity": (0.0, 0.0, 2.0)}
-        lighter = Body("tip", 0.5, (0.01, 0.02, 0.015), (tip + far) / 2, **tilted)
-        return rod._replace(angular_velocity=(0.0, 0.0, -1.5)), lighter
+def motors(self):
+    axis = (0.0, 0.0, 5.0)
+    return jnp.stack([self.torque(GROUND, "rod", axis), self.torque("rod", "tip", axis)], axis=1)
 
-    def joints(self):
-        tip = 2 * super().bodies()[0].position
-        return *super().joints(), Revolute("rod", "tip", tip, (0.0, 0.0, 1.0))
 
-    def _motors(self):
-        axis = (0.0, 0.0, 5.0)
-        return self.torque(GROUND, "rod", axis), self.torque("rod", "tip", axis)
-
-    def actuation(self):
-        return jnp.stack(self._motors(), axis=1)
-
-    def output(self, z):
-        return jnp.array(self.torques)
+TORQUES = np.array([0.7, -0.3])
+#: The rod, turned in its own axes, with a lighter one at a hinge on it, and a motor in each.
+Driven = toy(
+    "Driven", base=PartsPendulum, energy=None, bodies=two_rods, actuation=motors,
+    joints=lambda self: (
+        *PartsPendulum.joints(self),
+        Revolute("rod", "tip", 2 * rod(self)[0].position, (0.0, 0.0, 1.0)),
+    ),
+    output=lambda self, z: jnp.asarray(TORQUES),
+)  # fmt: skip
 
 
 def test_a_motor_turns_one_body_and_the_other_back():
     scene = Driven()
-    speeds = np.array(scene._motors()) @ scene.initial_state().v
+    speeds = scene.initial_state().v @ np.asarray(scene.actuation())
     assert speeds == pytest.approx([-1.5, 3.5], abs=1e-12)
     with pytest.raises(SpecError, match="torque has no body 'rot'; did you mean 'rod'"):
         scene.torque("rot", "tip", (0.0, 0.0, 1.0))
@@ -149,7 +144,7 @@ def test_the_power_of_motors_is_the_rate_of_the_energy_with_the_weights():
     scene, start = Driven(), consistent_start(Driven()).z
     rate_of = jax.jit(lambda *z: jax.jvp(lambda q, v: RigidBodies.energy(scene, q, v), *z)[1])
     rate = rate_of((start.q, start.v), (scene.kinematics(start.q, start.v), start.a))
-    assert rate == pytest.approx(np.dot(scene.torques, [-1.5, 3.5]), abs=1e-9)
+    assert rate == pytest.approx(TORQUES @ [-1.5, 3.5], abs=1e-9)
 
 
 TILTED = np.array([[0.05, 0.01, 0.0], [0.01, 0.04, 0.005], [0.0, 0.005, 0.06]])
@@ -239,12 +234,8 @@ def test_the_examples_pass_every_check_and_do_what_the_page_says(tmp_path):
 
 
 # ---- what cannot be used ---------------------------------------------------------------
-def variant(**blocks):
-    """The pendulum with other parts."""
-    return type("Variant", (PartsPendulum,), blocks)()
-
-
 def test_what_cannot_be_is_told_in_a_sentence():
+    other = lambda **blocks: toy(base=PartsPendulum, **blocks)()  # noqa: E731
     wild = Body("rod", 1.0, (0.1, 0.1, 0.1), velocity=(1.0, 0.0, 0.0))
     skew = Universal(GROUND, "rod", np.zeros(3), AXIS, AXIS + SQUARE)
     flat = lambda self: (Body("thin", 1.0, (1.0, 2.0, 9.5)),)  # noqa: E731  no body has it
@@ -252,16 +243,16 @@ def test_what_cannot_be_is_told_in_a_sentence():
     still = Revolute("ground", "thin", (0, 0, 0), (0, 0, 0))
     turned = lambda self: (Body("turned", 1.0, (1, 1, 1), orientation=(self.angle, 0, 0)),)  # noqa: E731
     for scene, sentence in (
-        (variant(bodies=lambda self: (wild,)), r"at velocity level .* equation ground-rod x;"),
-        (variant(joints=lambda self: (skew,)), r"at position level .* equation ground-rod "),
+        (other(bodies=lambda self: (wild,)), r"at velocity level .* equation ground-rod x;"),
+        (other(joints=lambda self: (skew,)), r"at position level .* equation ground-rod "),
         (
-            variant(joints=lambda self: (Spherical(GROUND, "rood", POINT),)),
+            other(joints=lambda self: (Spherical(GROUND, "rood", POINT),)),
             r"Spherical has no body 'rood'; did you mean 'rod'\?",
         ),
-        (variant(joints=lambda self: ()), "has no joints; write constraint = None"),
-        (variant(bodies=lambda self: PartsPendulum().bodies() * 2), "two bodies have the name"),
-        (variant(bodies=lambda self: (Body("rod", 0.0, (1, 1, 1)),)), "no body has the mass 0 kg"),
-        (variant(bodies=turned), "orientation of body 'turned'"),
+        (other(joints=lambda self: ()), "has no joints; write constraint = None"),
+        (other(bodies=lambda self: PartsPendulum().bodies() * 2), "two bodies have the name"),
+        (other(bodies=lambda self: (Body("rod", 0.0, (1, 1, 1)),)), "no body has the mass 0 kg"),
+        (other(bodies=turned), "orientation of body 'turned'"),
         (thin, "9.5 kg m.2 of 'thin'"),
     ):
         with pytest.raises((InconsistentStart, SpecError), match=sentence):
