@@ -199,6 +199,9 @@ class Here:
     def __init__(self, *faults):
         self.faults = list(faults)
 
+    def together(self, count):
+        return 1
+
     def run(self, groups):
         for task in [task for group in groups for task in group][::-1]:
             fault = self.faults.pop(0) if self.faults else None
