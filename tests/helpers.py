@@ -102,7 +102,7 @@ def nothing_compiled() -> Iterator[None]:
     """Within it XLA may compile nothing."""
     events = []
 
-    def note(event: str, seconds: float, **_: object) -> None:
+    def note(event: str, duration_secs: float, **_: object) -> None:
         if "backend_compile" in event:
             events.append(event)
 
