@@ -21,7 +21,7 @@ from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ErrorControl, ImplicitStepMethod
 from problems.base.runtime import Array, Float, Int, jax, jnp
 from problems.equations.formulations import Start
-from problems.equations.kinematics import Displaced, Place, advance, displaced
+from problems.equations.kinematics import Displaced, advance, displaced
 from problems.system import MechatronicSystem
 from problems.variables import state_layout
 
@@ -51,21 +51,19 @@ class BDF2(StageMethod, Formulated, ImplicitStepMethod):
     )
 
     def own(self, scene: MechatronicSystem, start: Start, h: Time) -> tuple[Base, Array]:
-        """Return what `kept` keeps of q, v and x at the start of the last step, and whether there
+        """Return the displacement of q in the last step, v and x at its start, and whether there
         was none."""
-        z = start.z
-        kept = self.kept(z.q, displaced(scene, z.q, 0.0 * z.v), 0.0 * z.v)
-        return Base(kept, z.v, z.x), jnp.asarray(True)
+        return Base(0.0 * start.z.v, start.z.v, start.z.x), jnp.asarray(True)
 
     def step(
         self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
     ) -> StageState:
-        now, _, ((q, v, x), is_first) = state
+        now, _, ((moved, v, x), is_first) = state
         w = h / state.guess.h
         newest, older = (1 + w) ** 2 / (1 + 2 * w), w**2 / (1 + 2 * w)
         tau = h * (1 + w) / (1 + 2 * w)
         v_base = newest * now.v - older * v
-        q_base = self.extrapolated(scene, now.q, q, (newest, older), tau * v_base)
+        q_base = displaced(scene, now.q, older * moved, tau * v_base)
         later = Base(q_base, v_base, newest * now.x - older * x)
         # Of the first step's acceleration and rate only those of the start are there.
         a, xdot = now.a, now.xdot
@@ -75,20 +73,10 @@ class BDF2(StageMethod, Formulated, ImplicitStepMethod):
         slopes, base = jax.tree.map(lambda one, two: jnp.where(is_first, one, two), *both)
         e = stage_equations(scene, self.formulation, base, slopes, t, (now.q, t - h))
         z, xdot, guess = e.solve_from(work, state.guess, h)
-        kept = Base(self.kept(now.q, base.q, slopes.q * z.a), now.v, now.x)
+        on_group = isinstance(base.q, Displaced)
+        moved = base.q.w + slopes.q * z.a if on_group else z.q - now.q
         shown = self.reported(scene, z, xdot, work)
-        return StageState(shown, guess, (kept, jnp.asarray(False)))
-
-    def extrapolated(
-        self, scene: MechatronicSystem, q: Array, kept: Array, weights: tuple, change: Array
-    ) -> Place:
-        """Move q by the formula and ``change``; weights are those of now and of before."""
-        newest, older = weights
-        return newest * q - older * kept + change
-
-    def kept(self, q: Array, base: Place, change: Array) -> Array:
-        """Return what the next step takes of a step that moved q to ``base`` and by ``change``."""
-        return q
+        return StageState(shown, guess, (Base(moved, now.v, now.x), jnp.asarray(False)))
 
 
 @dataclass(frozen=True)
@@ -107,14 +95,6 @@ class BLieDF(BDF2):
     source: ClassVar[str] = "Wieloch & Arnold (2021), doi:10.1016/j.cam.2019.112517"
 
     formulation: str = formulation_option("index3", "index2")
-
-    def extrapolated(
-        self, scene: MechatronicSystem, q: Array, kept: Array, weights: tuple, change: Array
-    ) -> Place:
-        return displaced(scene, q, weights[1] * kept, change)
-
-    def kept(self, q: Array, base: Place, change: Array) -> Array:
-        return change + (base.w if isinstance(base, Displaced) else base - q)
 
 
 #: Differences that are kept: order five needs those up to the seventh for its choice.
