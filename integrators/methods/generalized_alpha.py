@@ -204,8 +204,7 @@ class HHT(UpdatableMethod):
     )
 
     def second_order(self) -> SecondOrder:
-        gamma = 0.5 + self.alpha
-        return SecondOrder(0.0, self.alpha, 0.25 * (gamma + 0.5) ** 2, gamma)
+        return second_order_parameters(1.0, alpha_m=0.0, alpha_f=self.alpha)
 
     def first_order(self) -> FirstOrder:
         return first_order_parameters((1 - self.alpha) / (1 + self.alpha))
@@ -220,9 +219,9 @@ class WBZ(UpdatableMethod):
     rho_inf: float = rho_inf_option(0.8)
 
     def second_order(self) -> SecondOrder:
-        alpha_m = (self.rho_inf - 1) / (self.rho_inf + 1)
-        gamma = 0.5 - alpha_m
-        return SecondOrder(alpha_m, 0.0, 0.25 * (gamma + 0.5) ** 2, gamma)
+        return second_order_parameters(
+            self.rho_inf, alpha_m=(self.rho_inf - 1) / (self.rho_inf + 1), alpha_f=0.0
+        )
 
     def first_order(self) -> FirstOrder:
         return first_order_parameters(self.rho_inf)

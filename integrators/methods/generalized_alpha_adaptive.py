@@ -30,6 +30,7 @@ from integrators.methods.generalized_alpha_step import (
     AlphaState,
     AlphaStep,
     Scheme,
+    Weight,
     smallest_safe_ratio,
     weights,
 )
@@ -85,26 +86,22 @@ class AdaptiveAlphaStep(AlphaStep):
 
     def estimate(self, before: AlphaState, after: AlphaState, h: Time) -> Errors:
         """Local errors of q, v and x."""
-        s, w = self.scheme, weights(self.scheme, before, h)
+        s, (gamma, theta) = self.scheme, weights(self.scheme, before, h)
         bend, bend_x = bends_before(s, before, h)
         old, new = before.past, after.past
 
-        def of_rate(weight: Any, shifts: tuple, bends: tuple, rate: Any, old_rate: Any) -> Any:
+        def of_rate(w: Weight, bend: Any, bend_end: Any, rate: Any, old_rate: Any) -> Any:
             """Local error of v or x; its first part vanishes if the weight is updated."""
-            first = (1 - weight) * shifts[0] + weight * (h + shifts[1]) - h / 2
-            bend_end = bends[1] + h * shifts[1] + h**2 / 2
-            then = (1 - weight) * bends[0] + weight * bend_end - h**2 / 6
-            return h * (first * rate + then * second(rate, old_rate))
+            first = (1 - w.weight) * w.shift + w.weight * (h + w.shift_end) - h / 2
+            bend_end = bend_end + h * w.shift_end + h**2 / 2
+            then = (1 - w.weight) * bend + w.weight * bend_end - h**2 / 6
+            return h * (first * rate + then * (2 * (rate - old_rate) / (h + old.gap)))
 
-        def second(now: Any, before: Any) -> Any:
-            return 2 * (now - before) / (h + old.gap)
-
-        c_q = (0.5 - s.beta) * w.shift + s.beta * (h + w.shift_end) - h / 6
-        shifts, shifts_x = (w.shift, w.shift_end), (w.shift_x, w.shift_x_end)
+        c_q = (0.5 - s.beta) * gamma.shift + s.beta * (h + gamma.shift_end) - h / 6
         return Errors(
             q=h**2 * c_q * new.rate_a,
-            v=of_rate(w.gamma, shifts, (bend, new.bend), new.rate_a, old.rate_a),
-            x=of_rate(w.theta, shifts_x, (bend_x, new.bend_x), new.rate_xdot, old.rate_xdot),
+            v=of_rate(gamma, bend, new.bend, new.rate_a, old.rate_a),
+            x=of_rate(theta, bend_x, new.bend_x, new.rate_xdot, old.rate_xdot),
         )
 
     def ratios(self) -> tuple[Scalar, Scalar]:
@@ -121,10 +118,10 @@ def bend_after(m: Scalar, f: Scalar, bend: Scalar, shift_end: Scalar, h: Scalar)
 
 def bends_before(s: Scheme, state: AlphaState, h: Scalar) -> tuple[Scalar, Scalar]:
     """The bends at the start of a step; zero after a restart, like the shifts."""
-    w, past = weights(s, state, h), state.past
+    (gamma, theta), past = weights(s, state, h), state.past
     return (
-        jnp.where(w.shift == state.shift, past.bend, 0.0),
-        jnp.where(w.shift_x == state.shift_x, past.bend_x, 0.0),
+        jnp.where(gamma.shift == state.shift, past.bend, 0.0),
+        jnp.where(theta.shift == state.shift_x, past.bend_x, 0.0),
     )
 
 

@@ -173,44 +173,36 @@ class AlphaState(NamedTuple):
     past: Any = None
 
 
-class Weights(NamedTuple):
-    """Gamma and theta of a step, its auxiliary values at the start, and shifts at both ends.
+class Weight(NamedTuple):
+    """Gamma or theta of a step, the auxiliary value at its start, and shifts at both ends.
 
     After too sharp a cut the values at the start are those of a restart.
     """
 
+    weight: Scalar
     aux: Array
-    auxx: Array
     shift: Scalar
-    shift_x: Scalar
-    gamma: Scalar
-    theta: Scalar
     shift_end: Scalar
-    shift_x_end: Scalar
 
 
-def weights(s: Scheme, state: AlphaState, h: Scalar) -> Weights:
+def weights(s: Scheme, state: AlphaState, h: Scalar) -> tuple[Weight, Weight]:
     """Return gamma and theta of the next step, of size h in s, by the policy of the scheme.
 
     If they are updated and the scheme is guarded, a cut below the safe ratio restarts the
     recurrence; order two is kept.
     """
     ratio, guarded = h / state.guess.h, s.updated & s.guarded
-    again = guarded & (ratio < smallest_safe_ratio(s.alpha_m) * (1 - 1e-9))
-    again_x = guarded & (ratio < smallest_safe_ratio(s.delta_m) * (1 - 1e-9))
-    shift = jnp.where(again, 0.0, state.shift)
-    shift_x = jnp.where(again_x, 0.0, state.shift_x)
-    gamma, shift_end = updated_weight(s.alpha_m, s.alpha_f, shift, h)
-    theta, shift_x_end = updated_weight(s.delta_m, s.delta_f, shift_x, h)
-    return Weights(
-        aux=jnp.where(again, state.a, state.aux),
-        auxx=jnp.where(again_x, state.shown.xdot, state.auxx),
-        shift=shift,
-        shift_x=shift_x,
-        gamma=jnp.where(s.updated, gamma, s.gamma),
-        theta=jnp.where(s.updated, theta, s.theta),
-        shift_end=shift_end,
-        shift_x_end=shift_x_end,
+
+    def one(m: Scalar, f: Scalar, fixed: Scalar, true: Array, aux: Array, shift: Scalar) -> Weight:
+        again = guarded & (ratio < smallest_safe_ratio(m) * (1 - 1e-9))
+        shift = jnp.where(again, 0.0, shift)
+        weight, shift_end = updated_weight(m, f, shift, h)
+        aux = jnp.where(again, true, aux)
+        return Weight(jnp.where(s.updated, weight, fixed), aux, shift, shift_end)
+
+    return (
+        one(s.alpha_m, s.alpha_f, s.gamma, state.a, state.aux, state.shift),
+        one(s.delta_m, s.delta_f, s.theta, state.shown.xdot, state.auxx, state.shift_x),
     )
 
 
@@ -252,8 +244,7 @@ class AlphaStep(StepFunctions):
         self, scene: MechatronicSystem, state: AlphaState, t: Time, h: Time, work: StepWork
     ) -> AlphaState:
         s, now = self.scheme, state.shown
-        w = weights(s, state, h)
-        aux, auxx = w.aux, w.auxx
+        (gamma, aux, _, shift), (theta, auxx, _, shift_x) = weights(s, state, h)
         # Auxiliary values at the end are linear: base + slope a, and base + slope xdot.
         aux_slope = (1 - s.alpha_f) / (1 - s.alpha_m)
         auxx_slope = (1 - s.delta_f) / (1 - s.delta_m)
@@ -262,12 +253,10 @@ class AlphaStep(StepFunctions):
         change = h**2 * ((0.5 - s.beta) * aux + s.beta * aux_base)
         base = Base(
             displaced(scene, now.q, h * now.v, change),
-            now.v + h * ((1 - w.gamma) * aux + w.gamma * aux_base),
-            now.x + h * ((1 - w.theta) * auxx + w.theta * auxx_base),
+            now.v + h * ((1 - gamma) * aux + gamma * aux_base),
+            now.x + h * ((1 - theta) * auxx + theta * auxx_base),
         )
-        slopes = Slopes(
-            h**2 * s.beta * aux_slope, h * w.gamma * aux_slope, h * w.theta * auxx_slope
-        )
+        slopes = Slopes(h**2 * s.beta * aux_slope, h * gamma * aux_slope, h * theta * auxx_slope)
 
         def for_controller(z: Variables) -> Variables:
             return z._replace(a=jnp.where(s.classical, aux_base + aux_slope * z.a, z.a))
@@ -278,10 +267,9 @@ class AlphaStep(StepFunctions):
         )  # fmt: skip
         z, xdot, guess = e.solve_from(work, state.guess, h)
         aux_end, auxx_end = aux_base + aux_slope * z.a, auxx_base + auxx_slope * xdot
-        notes = h, w.gamma, w.theta
-        shown = Reading.of(for_controller(z), xdot)._replace(notes=notes)
-        return AlphaState(shown, z.a, aux_end, auxx_end, w.shift_end, w.shift_x_end, guess)
+        # The notes are the step's size and weights.
+        shown = Reading.of(for_controller(z), xdot)._replace(notes=(h, gamma, theta))
+        return AlphaState(shown, z.a, aux_end, auxx_end, shift, shift_x, guess)
 
     def read(self, scene: MechatronicSystem, state: AlphaState) -> Reading:
-        """Return the variables; the notes are the step's size and weights."""
         return state.shown
