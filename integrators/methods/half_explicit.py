@@ -18,12 +18,7 @@ from integrators.native.algebra import small_matrices
 from integrators.native.algebra.step_records import Errors, Scalar, Time
 from integrators.native.step.method_options import EndMethod, EndState
 from integrators.native.step.step_work import StepWork
-from integrators.native.step_method import (
-    FreeSteps,
-    NewtonSettings,
-    StepMethod,
-    linear_solver_option,
-)
+from integrators.native.step_method import FreeSteps, LinearAlgebra, NewtonSettings, StepMethod
 from problems.base.runtime import Array, Int, jnp
 from problems.equations import formulations
 from problems.equations.kinematics import (
@@ -82,7 +77,7 @@ def stage(
 
 
 @dataclass(frozen=True)
-class HalfExplicit(EndMethod, StepMethod):
+class HalfExplicit(LinearAlgebra, EndMethod, StepMethod):
     """Base of the methods."""
 
     family: ClassVar[str] = "half-explicit"
@@ -90,11 +85,7 @@ class HalfExplicit(EndMethod, StepMethod):
     formulation: ClassVar[str] = "index2"  # pyright: ignore[reportIncompatibleVariableOverride]
     drift = "unprojected"
 
-    linear_solver: str = linear_solver_option()
-
-    @property
-    def newton_settings(self) -> NewtonSettings:
-        return NewtonSettings(_TOLERANCE, _MOST, linear_solver=self.linear_solver)
+    settings = NewtonSettings(_TOLERANCE, _MOST)
 
 
 @dataclass(frozen=True)

@@ -38,11 +38,7 @@ import numpy as np
 from integrators.contract import option
 from integrators.native.algebra.linear_solvers import StageTangents, full_tangent
 from integrators.native.algebra.step_records import Errors, Reading, Scalar, Time, largest
-from integrators.native.step.method_options import (
-    Formulated,
-    OwnValues,
-    formulation_option,
-)
+from integrators.native.step.method_options import Formulated, OwnValues, formulation_option
 from integrators.native.step.stage_equations import (
     Base,
     Slopes,
@@ -55,7 +51,7 @@ from integrators.native.step_method import FreeSteps, ImplicitStepMethod
 from problems.base.runtime import Array, Bool, Float, jax, jnp
 from problems.equations import formulations
 from problems.equations.formulations import Start
-from problems.equations.kinematics import advance, constraint_force, constraint_velocity
+from problems.equations.kinematics import advance, constraint_force, constraint_rows
 from problems.equations.programs import output_takes
 from problems.system import MechatronicSystem
 from problems.variables import Variables, stage_layout
@@ -270,10 +266,8 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
     def _rows(self, scene: MechatronicSystem, z: Variables, xdot: Array, h: Time) -> list[Array]:
         """Residuals of a stage."""
         rows = [formulations.dynamics_residual(scene, z)]
-        if scene.sizes.nl and self.formulation != "index2":
-            rows.append(scene.constraint(z.q, z.t) / h**2)
-        if scene.sizes.nl and self.formulation != "index3":
-            rows.append(constraint_velocity(scene, z.q, z.v, z.t) / h)
+        if scene.sizes.nl:
+            rows += constraint_rows(scene, self.formulation, z, h**2, h)
         return rows + formulations.control_residuals(scene, z, xdot)
 
     def _errors(

@@ -32,12 +32,7 @@ from integrators.native.step.method_options import (
     moved_onto_constraints,
 )
 from integrators.native.step.step_work import StepWork
-from integrators.native.step_method import (
-    FreeSteps,
-    NewtonSettings,
-    StepMethod,
-    linear_solver_option,
-)
+from integrators.native.step_method import FreeSteps, LinearAlgebra, NewtonSettings, StepMethod
 from problems.base.runtime import Array, Int, jax, jnp
 from problems.equations import formulations
 from problems.equations.kinematics import (
@@ -101,7 +96,7 @@ _ROWS = np.arange(len(_PLACES)), np.array(_PLACES), np.array(_OF_TIME)
 
 
 @dataclass(frozen=True)
-class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
+class Rodas5P(LinearAlgebra, EndMethod, DriftHandling, FreeSteps, StepMethod):
     """Rodas5P: eight stages, order five, L-stable and stiffly accurate, for index 1.
 
     An embedded method of order four estimates the errors of q, v and x. On index 2 the orders fall
@@ -120,8 +115,7 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
         "method is not made",
         choices=("index1", "index2"),
     )
-    linear_solver: str = linear_solver_option()
-
+    settings = NewtonSettings(most=1, modified=True)
     order = 5
 
     def claims(self, scene: MechatronicSystem) -> dict[str, int]:
@@ -135,10 +129,6 @@ class Rodas5P(EndMethod, DriftHandling, FreeSteps, StepMethod):
     def order_of_estimate(self) -> int:
         """Order of the embedded method."""
         return 4
-
-    @property
-    def newton_settings(self) -> NewtonSettings:
-        return NewtonSettings(most=1, modified=True, linear_solver=self.linear_solver)
 
     def supports(self, scene: MechatronicSystem) -> str | None:
         if self.formulation == "index2" and self.baumgarte(scene):

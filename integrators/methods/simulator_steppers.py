@@ -25,7 +25,7 @@ from integrators.native.algebra import small_matrices
 from integrators.native.algebra.step_records import Reading, Time
 from integrators.native.step.method_options import OwnValues
 from integrators.native.step.step_work import StepWork
-from integrators.native.step_method import NewtonSettings, StepMethod, linear_solver_option
+from integrators.native.step_method import LinearAlgebra, StepMethod
 from problems.base.runtime import Array, jax, jnp
 from problems.equations.formulations import Start, control_residuals, inertia
 from problems.equations.kinematics import advance, constraint_force, constraint_velocity, pulled
@@ -40,7 +40,7 @@ _ERP = "part of the constraints' error that a step takes back (Baumgarte)"
 
 
 @dataclass(frozen=True)
-class SimulatorStepper(OwnValues, StepMethod):
+class SimulatorStepper(LinearAlgebra, OwnValues, StepMethod):
     """Base of the steppers: one linear system in a step."""
 
     family: ClassVar[str] = "simulator steppers"
@@ -48,15 +48,10 @@ class SimulatorStepper(OwnValues, StepMethod):
     orders: ClassVar[dict[str, int]] = {"q": 1, "v": 1, "a": 1, "lam": 1, "x": 1, "y": 1}
 
     erp: float = option(0.2, _ERP, low=0.0, high=1.0, always=True)
-    linear_solver: str = linear_solver_option()
 
     @property
     def drift(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
         return "baumgarte" if self.erp else "unprojected"
-
-    @property
-    def newton_settings(self) -> NewtonSettings:
-        return NewtonSettings(most=1, linear_solver=self.linear_solver)
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> Reading:
         return self.reported(scene, start.z, start.xdot)

@@ -157,6 +157,19 @@ class StepMethod(NativeMethod, StepFunctions):
 
 
 @dataclass(frozen=True)
+class LinearAlgebra(NativeMethod):
+    """Base of methods whose steps solve linear equations, by default without iteration."""
+
+    settings: ClassVar[NewtonSettings] = NewtonSettings(most=1)
+
+    linear_solver: str = linear_solver_option()
+
+    @property
+    def newton_settings(self) -> NewtonSettings:
+        return self.settings._replace(linear_solver=self.linear_solver)
+
+
+@dataclass(frozen=True)
 class NewtonOptions(NativeMethod):
     """Options of methods whose steps solve equations; inherit from `ImplicitStepMethod`."""
 
