@@ -64,14 +64,8 @@ def test_axe_finds_no_grave_fault_on_pages_of_a_folder_or_of_a_single_file(brows
             assert grave(browser) == [], (page.name, scheme)
 
 
-def test_axe_finds_a_planted_fault(browser, site):
-    show(browser, site / "report.html")
-    browser.execute_script("document.querySelector('#answer').style.color = '#aaa5'")
-    assert [fault[0] for fault in grave(browser)] == ["color-contrast"]
-
-
 def test_the_first_page_has_no_grave_fault_whatever_the_shade_of_its_table(browser, site):
-    for scheme in ("light", "dark"):
+    for scheme in ("dark", "light"):
         show(browser, site / "report.html", scheme)
         browser.execute_script(
             """
@@ -83,6 +77,8 @@ def test_the_first_page_has_no_grave_fault_whatever_the_shade_of_its_table(brows
             """
         )
         assert grave(browser) == [], scheme
+    browser.execute_script("document.querySelector('#answer').style.color = '#aaa5'")
+    assert [fault[0] for fault in grave(browser)] == ["color-contrast"]  # as was planted
 
 
 def test_paper_has_the_question_and_the_answer_and_nothing_to_operate(browser, site):

@@ -246,13 +246,11 @@ def test_the_command_of_a_scene_follows_the_question(browser, folder):
     assert "verdict" in found[0][1]
     assert "No method reaches 1e-9" in found[2][1]
     assert "1.0e-8" in found[2][1] or "1e-8" in found[2][1]
-
-
-def test_the_command_of_a_tie_repeats_the_run_whose_number_stands_first(browser, folder):
+    # Of a tie it repeats the run whose number stands first.
     file = folder / "report" / "scene-behind.html"
     visit(browser, file, "#group=a&target=1e-4&cost=operations")
-    said, command = browser.execute_script(
-        "return ['[data-verdict] p', '[data-try]'].map((k) => document.querySelector(k).innerText)"
+    said, command = (
+        each(browser, k, "node.innerText")[0] for k in ("[data-verdict] p", "[data-try]")
     )
     assert "one (1050 operations at h=0.01) and two (1000 operations at h=0.01) tie" in said
     assert command.startswith("stepbench solve behind one --step 0.01")
