@@ -270,7 +270,8 @@ def recommend_(o: Given) -> None:
                 put(o.out / FILE, options.json_text(found.plain))
                 shown = []
                 for race in found.races:
-                    shown += [race.table(), *race.sentences(), *[race.program] * bool(race.order)]
+                    program = [race.program] if race.order else []
+                    shown += [race.table(), *race.sentences(), *program]
                 o.answer(found.plain, *shown, *found.tables)
     if not o.as_json:
         write_reports(o.out)
