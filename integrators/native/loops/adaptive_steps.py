@@ -30,14 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from integrators.contract import Trajectory, Work
-from integrators.native.algebra.step_records import (
-    COUNTS,
-    Errors,
-    Reading,
-    Scalar,
-    Time,
-    largest,
-)
+from integrators.native.algebra.step_records import COUNTS, Errors, Reading, Scalar, Time, largest
 from integrators.native.loops.kernel import (
     STEPS,
     Ending,
