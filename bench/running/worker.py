@@ -104,7 +104,9 @@ class Worker:
     def judge(self, cell: Cell, run: Trajectory) -> CellResult:
         """Measure a run that reached the end of a cell in another program; components that it does
         not tell are NaN in all rows."""
-        record = cell.record(run.status)
+        if wrong := check_runtime():
+            run = Trajectory.failed("crashed", wrong)
+        record = cell.record(run.status, run.message)
         self._compare(record, run)
         return CellResult(record, measure.stored_rows(run, partial=True))
 
