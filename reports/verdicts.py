@@ -36,7 +36,7 @@ HEADLINES = {
     "several": "{who} are each cheapest on {on}{but}.",
 }
 #: A winner that other starts of the motion make one, and one with wrong accelerations.
-LATER = "it ties: the cheapest where the run starts later in the motion"
+LATER = "a tie, as it is the cheapest if the same motion is run from a later instant"
 WRONG_A = "its acceleration is wrong in every run"
 
 
@@ -107,7 +107,8 @@ def verdict(found: SceneAnswer, names: Names) -> str:
         most = times(second.ratio) if found.first[0].value else f"{second.value:g}"
         said += f"; next: {names.get(second.label, second.label)}, {most}"
     elif len(found.tied) == 1 and not unknown:
-        said += " alone reaches it" if len(found.entries) > 1 else "; none to compare"
+        alone = len(found.entries) > 1
+        said += " alone reaches it" + _near(found, names) if alone else "; none to compare"
     return said + f"; {unknown}" * bool(unknown)
 
 
@@ -144,9 +145,10 @@ def _costs(entry: RankEntry, found: SceneAnswer) -> str:
 
 
 def _near(found: SceneAnswer, names: Names) -> str:
-    """The smallest error of any run, with the run."""
+    """The smallest error of those that do not reach the accuracy, with the run."""
     group, norm = found.question.group, found.question.norm
-    known = [own for e in found.entries.values() if (own := e.series.nearest(group, norm))]
+    others = (e.series.nearest(group, norm) for e in found.entries.values() if not e.reached)
+    known = [own for own in others if own]
     if not known:
         return ""
     error, run = min(known, key=lambda pair: pair[0])

@@ -274,7 +274,7 @@ def test_each_is_compared_with_the_highlighted_method_or_else_with_the_best(brow
     for scene, cost, said in (
         ("won", "seconds", "2.5 x (2.49 to 2.51), significant"),
         ("won", "residuals", "2.5 x, told apart"),
-        ("near", "operations", "1.05 x, not told apart"),
+        ("near", "operations", "1.05 x, a tie"),
         ("near", "residuals", "1.05 x, told apart"),
     ):
         for highlight, place in (("one", 3), ("", 2)):

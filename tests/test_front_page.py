@@ -120,7 +120,10 @@ def test_a_scene_without_the_quantity_is_not_counted_and_says_so(browser, site):
     assert each(browser, "#panels .chart", "node.innerHTML")[0] == f'<p class="note">{said}</p>'
     # Its own page has neither table nor command, but for a quantity that it has.
     scene = site / "report" / "scene-spring_mass.html"
-    for group, words in (("lam", said), ("a", "9600 operations at h=0.003125) alone reaches it.")):
+    for group, words in (
+        ("lam", said),
+        ("a", "9600 operations at h=0.003125) alone reaches it; nearest: poor ("),
+    ):
         visit(browser, scene, f"#group={group}&target=1e-4&cost=operations")
         seen = each(browser, "[data-methods], [data-try]", "Boolean(node.offsetParent)")
         assert seen == [group == "a"] * 2

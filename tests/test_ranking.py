@@ -173,7 +173,8 @@ def test_a_verdict_in_words():
     )
     far = run("one", "lean", 0.04, None, 1)
     by = judged(run("one", "quick", 0.01, None, 9), far)
-    assert worded(by["residuals"]) == f"quick (9 {at} alone reaches it"
+    near = "(nearest: lean, 0.00144 at h=0.04)"
+    assert worded(by["residuals"]) == f"quick (9 {at} alone reaches it {near}"
     assert not by["seconds"].votes
 
 

@@ -152,7 +152,7 @@ class Report:
         ]
         own = [Section(f"Environment {k}", [facts]) for k, facts in enumerate(machines, 1)]
         sections = [
-            Section("Reasons to believe it", [reasons]),
+            Section("Reasons to believe it, and limits", [reasons]),
             Section("Rules", [method_of_measurement(self.stored.plan)]),
             Section("References", [known]),
             Section("Environments", own or [Text("No environment is stored.")]),

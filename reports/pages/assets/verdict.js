@@ -26,12 +26,10 @@
   stepbench.verdict = (scene, question = stepbench.question) => {
     const own = stepbench.answer(question)[scene];
     if (!own) return [stepbench.unjudged(scene, question)];
-    if (!own.first.length) {
-      const near = nearest(data.runs_of[scene], question);
-      if (own.reached) return ["It is reached, at costs that are not measured."];
-      const at = near && ` (${number(near.error)} at ${runsOf(scene, near.index).resolutions[near.k]}).`;
-      return [`No method reaches ${question.target} in ${quantity(question)}`, ...(near ? ["; nearest: ", stepbench.methodRef(near.index), at] : ["."])];
-    }
+    const near = nearest(data.runs_of[scene].filter((runs) => own.states[runs.method] && !stepbench.reaches(own.states[runs.method])), question);
+    const closest = near ? ["; nearest: ", stepbench.methodRef(near.index), ` (${number(near.error)} at ${runsOf(scene, near.index).resolutions[near.k]}).`] : ["."];
+    if (!own.first.length)
+      return own.reached ? ["It is reached, at costs that are not measured."] : [`No method reaches ${question.target} in ${quantity(question)}`, ...closest];
     const run = (m) => {
       const [, k, cost] = own.states[m], runs = runsOf(scene, m), off = columnOf(runs, "constraint")?.[k];
       const said = [`${stepbench.costWithUnit(cost, question.cost)} at ${runs.resolutions[k]}`];
@@ -43,7 +41,7 @@
     };
     const next = own.second;
     const rest = next !== null ? ["; next: ", stepbench.methodRef(next), `, ${stepbench.multiple(own.states[next][0])} times.`]
-      : [own.votes ? "." : "; none to compare."];
+      : own.votes && own.first.length < 2 ? closest : [own.votes ? "." : "; none to compare."];
     return [...stepbench.listed(own.first.map(run)),
       own.first.length > 1 ? " tie" : own.votes && next === null ? " alone reaches it" : " is cheapest", ...rest];
   };
@@ -74,12 +72,12 @@
   });
 
   // The cost of a run over that of another one; of times with their interval, and whether it is significant.
-  const against = (runs, k, other, j, cost) => {
+  const against = (runs, k, other, j, cost, tied) => {
     const ratio = columnOf(runs, cost)[k] / columnOf(other, cost)[j];
     const [a, b] = cost === "seconds" ? [runs.spread[k], other.spread[j]] : [], known = a && b, ends = known ? [a[0] / b[1], a[1] / b[0]] : [ratio, ratio];
     const tie = Math.max(ratio, 1 / ratio) <= data.apart[cost === "seconds" && !known ? "few" : cost] || ends[0] <= 1 && ends[1] >= 1;
-    const said = known ? ` (${ends.map(number).join(" to ")})` : cost === "seconds" ? " (too few times for an interval)" : "";
-    return `${number(ratio)} ×${said}, ${tie ? "not " : ""}${cost === "seconds" ? "significant" : "told apart"}`;
+    const said = known ? ` (${ends.map(number).join(" to ")})` : "", few = cost === "seconds" && !known ? ` (few times, ${tie ? "at most" : "more than"} ${data.apart.few} ×)` : "";
+    return `${number(ratio)} ×${said}, ${tied ? "a tie" : (tie ? "not " : "") + (cost === "seconds" ? "significant" : "told apart")}${few}`;
   };
   const heads = (question, mine) => [stepbench.costName(question), "multiple of the best",
     ...(mine ? [`multiple of ${data.methods[mine.index].short}`] : []),
@@ -97,7 +95,8 @@
       return html("tr", { class: "out" }, ...lead, html("td", { colspan: 3 + 2 * held + Boolean(mine) }, text));
     }
     const [multiple, k, cost] = state, off = held ? columnOf(runs, "constraint")[k] : NaN;
-    const beside = (other) => other?.k === undefined || index === other.index ? "" : against(runs, k, runsOf(scene, other.index), other.k, question.cost);
+    const { first } = stepbench.answer()[scene], beside = (other) => other?.k === undefined || index === other.index ? ""
+      : against(runs, k, runsOf(scene, other.index), other.k, question.cost, first.includes(index) && first.includes(other.index));
     // Without a method to compare with, the best has its interval.
     const best = !mine && multiple > 1 && reaching(scene, stepbench.answer()[scene].states.findIndex((own) => own?.[0] === 1));
     const cells = [[stepbench.costText(cost, question.cost)], [best ? beside(best) : `${stepbench.multiple(multiple)} ×`], ...(mine ? [[beside(mine)]] : []),
@@ -113,7 +112,9 @@
     const found = [...(states || []).entries(), ...others].filter(([, state]) => state !== null).sort((one, two) => multiple(one) - multiple(two) || 0);
     table.closest("section").hidden = !found.length;
     const held = data.scenes[scene].groups.includes("constraint"), own = placeOf(question.highlight), mine = reaching(scene, own);
-    const why = mine ? "" : own < 0 ? "; highlight a method to compare all with it" : `; ${data.methods[own].short} does not reach it`;
+    const near = own >= 0 && !mine && runsOf(scene, own) && nearest([runsOf(scene, own)], question), next = near && data.targets.findLast((target) => Number(target) >= near.error);
+    const why = mine ? "" : own < 0 ? "; highlight a method to compare all with it" : `; ${data.methods[own].short} does not reach it` +
+      (near ? `: its least error is ${number(near.error)}${next ? `, so ask for ${next}` : ""}` : "");
     const names = ["method", ...(held ? ["form"] : []), ...heads(question, mine), ...(held ? ["violation of Φ", "relative"] : [])];
     fill(table, `Cheapest run of each ${aim(question)}${why}`, [columns(...names)], found.map(([index, state]) => {
       const method = data.methods[index], form = held ? [html("td", {}, method.form)] : [];
