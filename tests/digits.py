@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from bench.plugins.registry import Registry, Sources
-from bench.running.exchange import truth_job
 from bench.running.inventory import load_registry
+from bench.running.truth import truth_job
 from bench.running.worker import Worker
 
 FILE = Path(__file__).parents[1] / "problems" / "truth" / "digits.json"

@@ -9,13 +9,8 @@ from helpers import reference, toy
 from planted import plant, planted
 
 from bench.results.quantities import NORMS, RANKED_COSTS, VIOLATIONS
-from bench.running.measure import (
-    ROUNDING,
-    constraint_errors,
-    constraint_sizes,
-    constraint_unit,
-    relative_errors,
-)
+from bench.running.errors import ROUNDING, constraint_errors, constraint_sizes, relative_errors
+from bench.running.measure import constraint_unit
 from integrators.contract import Trajectory, Work
 from problems import jnp
 from problems.scenes.oscillators import Oscillator

@@ -11,7 +11,8 @@ from helpers import cell_of, long, run_of, slope, toy
 from scipy.integrate import solve_ivp
 
 from bench.plugins.registry import Registry
-from bench.running.measure import end_at_overlap, event_errors, relative_errors
+from bench.running.errors import event_errors, relative_errors
+from bench.running.measure import end_at_overlap
 from bench.running.worker import Worker
 from integrators.adapters.ida import IDA
 from integrators.methods.half_explicit import PHEM56

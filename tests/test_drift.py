@@ -15,7 +15,8 @@ from bench.results.store import Store
 from bench.results.studies import LongRun, comparable_runs, drift_table
 from bench.running import measure
 from bench.running.constant_steps import course, drift_job
-from bench.running.measure import LATER, errors_from_later_starts, scales
+from bench.running.errors import scales
+from bench.running.measure import LATER, errors_from_later_starts
 from bench.running.scene_records import growth
 from integrators.contract import Trajectory
 from integrators.methods.generalized_alpha import GeneralizedAlpha

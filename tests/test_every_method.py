@@ -13,8 +13,8 @@ from planted import planted
 from bench.check.integrators import check_scenes
 from bench.plugins.registry import Registry
 from bench.running.constant_steps import drift_job
+from bench.running.errors import constraint_errors
 from bench.running.inventory import Inventory, SceneFacts
-from bench.running.measure import constraint_errors
 from bench.running.plan import Cell
 from integrators import Steps, Tolerances
 from integrators.native.step_method import NativeMethod

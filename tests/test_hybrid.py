@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 from helpers import long, run_of, toy
 
-from bench.running.measure import event_errors, relative_errors
+from bench.running.errors import event_errors, relative_errors
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
 from integrators.methods.bdf import BDF2

@@ -15,8 +15,8 @@ from helpers import long, slope
 from bench.plugins.registry import Registry
 from bench.results.store import Store
 from bench.running import exchange
+from bench.running.errors import relative_errors
 from bench.running.exchange import judge_job, template
-from bench.running.measure import relative_errors
 from bench.running.worker import Worker
 from integrators.resolutions import Steps
 from problems.base.spec import SpecError

@@ -6,7 +6,7 @@ from helpers import long, reference, run_of, slope
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from bench.running.measure import relative_errors
+from bench.running.errors import relative_errors
 from integrators import Steps, Tolerances
 from integrators.adapters.ida import IDA
 from integrators.methods.bdf import BDF2, BLieDF

@@ -20,7 +20,7 @@ from helpers import long
 from planted import Document
 
 from bench.plugins.registry import Registry, Sources
-from bench.running.measure import relative_errors
+from bench.running.errors import relative_errors
 from bench.running.process import NoAnswer
 from bench.running.runner import Progress
 from bench.running.worker import Worker

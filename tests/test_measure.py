@@ -11,7 +11,8 @@ from small_stores import a_record
 
 from bench.results.quantities import GROUPS, NORMS
 from bench.results.store import Store
-from bench.running.measure import invariant_changes, norms, relative_errors, stored_rows, violations
+from bench.running.errors import norms, relative_errors
+from bench.running.measure import invariant_changes, stored_rows, violations
 from bench.running.scene_records import rates
 from integrators import Steps, Tolerances
 from integrators.adapters.diffrax_methods import Kvaerno3

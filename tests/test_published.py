@@ -14,8 +14,8 @@ from bench.check.scenes import check_published
 from bench.check.verdicts import Failed
 from bench.plugins.registry import Registry, Sources
 from bench.running import inventory
+from bench.running.errors import THRESHOLD
 from bench.running.inventory import Inventory
-from bench.running.measure import THRESHOLD
 from bench.running.plan import make_suite, read_profile
 from integrators import Steps, Tolerances
 from integrators.methods.generalized_alpha import GeneralizedAlpha

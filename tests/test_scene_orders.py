@@ -7,7 +7,7 @@ import pytest
 from helpers import long, reference, slope, toy
 
 from bench.plugins.registry import Registry
-from bench.running.measure import relative_errors
+from bench.running.errors import relative_errors
 from integrators import Steps, Tolerances
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA

@@ -17,7 +17,7 @@ from helpers import long, scene_or_skip
 from test_scenes_solutions import CAR_AXIS, CRANK
 
 from bench.plugins.registry import Registry
-from bench.running.exchange import truth_job
+from bench.running.truth import truth_job
 from bench.running.worker import Worker
 from problems import State
 from problems.base.spec import SpecError

@@ -18,8 +18,8 @@ from bench.results.quantities import NORM, NORMS, TRUST
 from bench.results.records import INTERRUPTED, MethodFacts, Record, Rows
 from bench.results.store import Store
 from bench.results.studies import CaseResult, ExperimentResult, PartResult
+from bench.running.errors import finite
 from bench.running.inventory import Inventory
-from bench.running.measure import finite
 from bench.running.process import Limits, NoAnswer
 from bench.running.runner import Progress, Runner, Task, cell_task
 from bench.running.session import result_of

@@ -13,7 +13,7 @@ import numpy as np
 from bench.check.trials import reference
 from bench.check.verdicts import DoesNotApply, Failed, round_trip, shortly
 from bench.plugins.registry import Registry
-from bench.running.measure import relative_reference_error
+from bench.running.errors import relative_reference_error
 from problems import ContactSystem, jax, jnp
 from problems.base import checks, spec
 from problems.equations.compiled import compiled

@@ -14,7 +14,7 @@ import numpy as np
 from bench.check.verdicts import DoesNotApply, Failed
 from bench.plugins.registry import Registry
 from bench.results.quantities import TRUST
-from bench.running.measure import relative_errors
+from bench.running.errors import relative_errors
 from integrators import checks
 from integrators.contract import Integrator, PreparedRun, Trajectory
 from integrators.resolutions import Steps, Tolerances

@@ -206,7 +206,7 @@ def truth(o: Given) -> None:
       stepbench truth slider_crank --at 0,0.5,1 --json
       stepbench truth duffing --every 0.5 --csv > duffing.csv
     """
-    from bench.running.exchange import truth_job
+    from bench.running.truth import truth_job
 
     if o.every is not None:
         options.refuse("does not go with --every; give one of them.", "at")

@@ -67,7 +67,7 @@ ERROR_MEANING = (
     "component's natural size, or where the scene states none by its largest absolute value in the "
     "reference, the largest over all steps."
 )
-#: Titles of the norms over time; `bench.running.measure.norms` computes them.
+#: Titles of the norms over time; `bench.running.errors.norms` computes them.
 NORMS = {
     "max": "largest over time",
     "end": "at the end",

@@ -105,10 +105,10 @@ class Record(msgspec.Struct, kw_only=True):
     scenes that conserve it. ``reference_error[group][norm]`` is the reference's own estimated
     error, relative like ``errors``: below a hundred times that, an error says nothing.
     ``points`` are the coordinates of the named points at the end, in m; ``history_error`` is the
-    error of `bench.running.measure.history_error` over time; ``published`` has the published digits
+    error of `bench.running.errors.history_error` over time; ``published`` has the published digits
     for which the run has a row.
     ``events`` compares the events of the run with those of the reference, by
-    `bench.running.measure.event_errors`.
+    `bench.running.errors.event_errors`.
     ``operations`` is the bill of the run: floating-point operations by part, empty where a part is
     not known.
     ``claims`` are the orders that the integrator claims on the scene at equal steps, by group; None

@@ -15,8 +15,8 @@ import numpy as np
 from bench.results.studies import Drift, LongRun
 from bench.results.table import NO_VALUE, Table, number
 from bench.running import measure
+from bench.running.errors import finite, relative_errors
 from bench.running.inventory import SceneFacts
-from bench.running.measure import finite, relative_errors
 from bench.running.plan import Cell
 from bench.running.worker import Worker
 from integrators import checks

@@ -14,7 +14,7 @@ from bench.plugins.fingerprint import fingerprint
 from bench.plugins.registry import why
 from bench.results.records import SceneRecord
 from bench.running import measure
-from bench.running.measure import relative_reference_error, scales
+from bench.running.errors import relative_reference_error, scales
 from integrators.contract import Trajectory
 from problems.base import checks
 from problems.base.runtime import Float, jax, jnp

@@ -20,6 +20,13 @@ from bench.plugins.registry import Registry, Sources, why
 from bench.results.quantities import PARTS, point_notes
 from bench.results.records import Record, Rows, SceneRecord
 from bench.running import measure
+from bench.running.errors import (
+    constraint_errors,
+    event_errors,
+    finite,
+    history_error,
+    relative_errors,
+)
 from bench.running.inventory import Inventory, load_registry
 from bench.running.plan import Cell
 from bench.running.process import MEASURING, PREPARING, REFERENCE, RUNNING, Notify
@@ -153,15 +160,15 @@ class Worker:
             return
 
         def histories(reference: Reference) -> dict[str, Any]:
-            found = measure.relative_errors(run, reference)
+            found = relative_errors(run, reference)
             record.errors, record.components = found.errors, found.components
             record.reference_error = found.reference_errors
             both = run, reference
-            if whole and (held := part("violations are known", measure.constraint_errors, *both)):
+            if whole and (held := part("violations are known", constraint_errors, *both)):
                 record.errors |= held.errors
                 record.reference_error |= held.reference_errors
-            record.events = part("events are known", measure.event_errors, *both) or {}
-            record.history_error = part("named points are known", measure.history_error, *both)
+            record.events = part("events are known", event_errors, *both) or {}
+            record.history_error = part("named points are known", history_error, *both)
             return found.histories
 
         def points() -> dict[str, Any]:
@@ -192,7 +199,7 @@ class Worker:
         noted = (reference and part(unknown, histories, reference)) or {}
         drift = (whole and part("residuals of the constraints are known", violations)) or {}
         drift |= {name: abs(values) for name, values in change.items()}
-        record.constraint = {name: measure.finite(values.max()) for name, values in drift.items()}
+        record.constraint = {name: finite(values.max()) for name, values in drift.items()}
         record.energy_drift = record.constraint.pop("energy", None)
         run.notes |= noted | drift
         if whole:

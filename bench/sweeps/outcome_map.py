@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bench.results.quantities import GROUPS, group_and_norm
-from bench.running.measure import component_errors, finite, scales, whole_error
+from bench.running.errors import component_errors, finite, scales, whole_error
 from bench.running.process import REFERENCE, RUNNING
 from bench.running.worker import Worker
 from bench.sweeps.batch import Batch
@@ -42,7 +42,7 @@ def outcome_map(
 
     ``over`` are the names of both, ``ranges`` texts such as "h:1e-3..0.1" for some
     (`bench.sweeps.variation.find_range` has the others), ``grid`` the numbers of values. A run
-    whose relative ``error`` of a group at the end, as `bench.running.measure.relative_errors` has
+    whose relative ``error`` of a group at the end, as `bench.running.errors.relative_errors` has
     it, is above the ``threshold`` is inaccurate.
 
     Returns

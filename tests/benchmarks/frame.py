@@ -21,7 +21,7 @@ import numpy as np
 
 from bench.plugins.fingerprint import environment
 from bench.plugins.registry import Registry
-from bench.running.measure import relative_errors
+from bench.running.errors import relative_errors
 from integrators import Steps, Tolerances
 from integrators.native.step_method import NativeMethod
 from problems.scenes.slider_crank import SliderCrank
