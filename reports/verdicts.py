@@ -41,7 +41,7 @@ WRONG_A = "its acceleration is wrong in every run"
 
 
 def headline(found: Answer, names: Names, of: Answer | None = None) -> Sentence:
-    """'A is cheapest on 6 of 9 scenes; nobody reaches 2.': twelve words, a name counted as one.
+    """'A is cheapest on 6 of 9 scenes; nobody reaches 2.'
 
     Where the leader of ``of``, by another cost, does not lead, its count is told: '; B on 1'.
     """
@@ -58,7 +58,7 @@ def headline(found: Answer, names: Names, of: Answer | None = None) -> Sentence:
     on = every if count == judged else f"{count} of {judged} scenes"
     but = f"; nobody reaches {missed}" if missed else ""
     if alone == 0 or (len(lead) == 1 and alone < count):
-        but = f", {alone or 'none'} alone"
+        but = f", tied on {count - alone}" if alone else ", always tied"
     kind = "one" if len(lead) == 1 else "several"
     said = HEADLINES[kind].rpartition("{who}")[2].format(on=on, but=but)
     who = listed([method_ref(s.label, names)] for s in lead)
@@ -89,8 +89,9 @@ def differing_costs(found: Mapping[Question, Answer], runs: Iterable[Record], na
         if label_of(run) in each and run.seconds and (count := run.cost("operations")):
             each[label_of(run)].append(1e9 * run.seconds / count)
     said = [f"{number(median(own))} ns in {names[k]}" for k, own in each.items() if own]
-    words = f"Times rank otherwise: an operation takes {named(said)} (medians). "
-    return f"{words * (len(said) > 1)}Operations of libraries are estimates."
+    words = "Times rank otherwise, as they depend on machine and language: an operation takes "
+    words = f"{words}{named(said)} (medians). " if len(said) > 1 else ""
+    return f"{words}Operations of libraries are estimates."
 
 
 def verdict(found: SceneAnswer, names: Names) -> str:

@@ -185,7 +185,7 @@ def test_the_table_of_the_page_and_python_agree(browser, folder):
 
 
 def test_an_accuracy_is_typed_and_kept(browser, folder):
-    visit(browser, folder / "report.html", "#group=a&target=0.0002&cost=residuals&norm=rms")
+    visit(browser, folder / "report.html", "#group=a&target=0.0003&cost=residuals&norm=rms")
 
     def typed(text):
         return browser.execute_script(
@@ -200,6 +200,8 @@ def test_an_accuracy_is_typed_and_kept(browser, folder):
         )
 
     assert browser.execute_script("return stepbench.question.target") == "2e-4"
+    said = browser.execute_script("return document.querySelector('#question output').textContent")
+    assert said == "The next accuracy of the table: 2e-4."
     for text, target in ("0.002", "2e-3"), (" 5E-7 ", "5e-7"), ("1.25e-3", "1e-3"), ("0.9", "1e-1"):
         other = f"The next accuracy of the table: {target}."
         assert typed(text) == [target, "" if float(text) == float(target) else other]
@@ -284,6 +286,18 @@ def test_each_is_compared_with_the_highlighted_method_or_else_with_the_best(brow
             cells = {row.split("\t")[0]: row.split("\t") for row in rows}
             assert cells["two"][place] == said
             assert cells["one"][place] == ("" if highlight else "1 x")
+        visit(browser, folder / "report" / f"scene-{scene}.html", fragment + "two")
+        lines = each(browser, "[data-verdict] p", "node.innerText.replaceAll('\u00d7', 'x')")
+        beside = [line for line in lines if line.startswith("two: ")]
+        assert [line.partition(", ")[2] for line in beside] == (
+            [] if "tie" in said else [f"{said}, beside one."]
+        )
+    visit(browser, folder / "report" / "scene-won.html", "#group=a&target=1e-4&highlight=far")
+    said = each(browser, "[data-verdict] p", "node.innerText")[1]
+    assert said == "far does not reach it: its least error is 0.01; ask for 1e-2."
+    browser.execute_script("document.querySelector('[data-verdict] button').click()")
+    assert browser.execute_script("return stepbench.question.target") == "1e-2"
+    assert each(browser, "[data-verdict] p", "node.innerText")[0].startswith("To 1e-2 in ")
     visit(browser, folder / "report" / "scene-broken.html", "#group=a&target=1e-4&cost=operations")
     rows = each(browser, ".methods tbody tr", "node.innerText")
     cells = dict(row.split("\t")[:2] for row in rows)

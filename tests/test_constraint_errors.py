@@ -131,7 +131,7 @@ def test_questions_ask_for_the_constraints():
     assert [entry.value for entry in entries.values()] == [3000.0, 1000.0, 1000.0]
     assert found.scenes["held"].tied == ["exact", "projects"]
     assert plain(headline(found, {})) == (
-        "exact and projects are each cheapest on the scene, none alone."
+        "exact and projects are each cheapest on the scene, always tied."
     )
 
 

@@ -219,7 +219,7 @@ class DiffraxAdaptiveRun(DiffraxRun):
             remedy = "check the scene's equations beyond this time or use a smaller rtol"
         elif result == RESULTS.max_steps_reached:
             status, reason = "budget_exceeded", f"{self._max_steps} steps were used up"
-            remedy = "raise max_steps or use a larger rtol"
+            remedy = "raise max_steps, or use a larger rtol or another method"
         elif result == RESULTS.dt_min_reached:
             status, reason = "step_too_small", "the step size fell to the rounding of time"
             remedy = "use a larger rtol; near a jump of the solution, a smaller one"

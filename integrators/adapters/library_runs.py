@@ -61,7 +61,7 @@ class LibrarySolver(Integrator):
     def advice(self, scene: MechatronicSystem, cause: str) -> str:
         """Return advice after an early end of this status, or with the step too small."""
         if cause == "budget_exceeded":
-            return "raise max_calls or use a larger rtol"
+            return "raise max_calls, or use a larger rtol or another method"
         if cause == "diverged":
             return "check the scene's equations beyond this time or use a smaller rtol"
         return "use a larger rtol; near a jump of the solution, a smaller one"

@@ -26,7 +26,6 @@ from reports.questions import (
     GRID,
     KINDS,
     Filters,
-    Names,
     Piece,
     Question,
     Ref,
@@ -254,16 +253,18 @@ def _letters(label: str, answers: Sequence[SceneAnswer]) -> str:
     return "".join(letters[e.run.key] if e.run else _SIGNS[str(e.state)] for e in own)
 
 
-def _failed(scene: str, series: Sequence[Series], names: Names) -> list[Sentence]:
-    """A sentence on the runs on a scene that failed, if any did: whose, and how."""
-    runs = [r for s in series for r in s.records if r.status not in NOT_TRIED]
+def _failed(scene: str, report: Report) -> list[Sentence]:
+    """A sentence on the runs on a scene that failed, if any did: whose, how, what is hard there."""
+    runs = [r for s in report.measured[scene] for r in s.records if r.status not in NOT_TRIED]
     failed = [r for r in runs if r.status != "ok"]
     ends = Counter(r.status.replace("_", " ") for r in failed)
     how = named(f"{status}: {count}" for status, count in ends.most_common())
     whose = Counter(map(label_of, failed)).most_common()
-    who = listed([method_ref(label, names), f" ({count})"] for label, count in whose)
+    who = listed([method_ref(label, report.names), f" ({count})"] for label, count in whose)
+    hard = report.stored.scenes[scene].difficulties[:1] if scene in report.stored.scenes else []
     lead = f"Failed: {len(failed)} of {counted(len(runs), 'run')} ({how}), of "
-    return [[lead, *who, ": ", Ref("failed", scene, "reasons"), "."]] if failed else []
+    why = [f". Hard here: {hard[0]}."] if hard else ["."]
+    return [[lead, *who, ": ", Ref("failed", scene, "reasons"), *why]] if failed else []
 
 
 def _wrong(report: Report, group: str, chosen: Filters) -> dict[str, Any]:
@@ -286,7 +287,7 @@ def _wrong(report: Report, group: str, chosen: Filters) -> dict[str, Any]:
 
     def said(names: Collection[str], here: str = "") -> list[list[Any]]:
         own = [w for w in wrong if w.scene in names]
-        failed = _failed(here, report.measured[here], report.names) if here else []
+        failed = _failed(here, report) if here else []
         sentences = failed + wrong_sentences(own, group, report.names, here)
         return [[*map(linked, parts)] for parts in sentences]
 

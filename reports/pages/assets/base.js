@@ -1,5 +1,4 @@
-// What the scripts of all pages share: makers of nodes, and the question that goes with the reader,
-// in the links to other pages and in a memory of the tab.
+// What all scripts share: makers of nodes, and the question, which goes along in links and the tab's memory.
 "use strict";
 window.stepbench = (() => {
   // Attributes are texts, or functions for events; those of false, null or undefined are left out.

@@ -15,7 +15,6 @@
     for (const panel of chart.concat) panel.width = Math.min(width, Math.max(LEAST, room - BESIDE));
     return { ...chart, columns };
   };
-  const link = (name, text) => html("a", { href: URL.createObjectURL(new Blob([text], { type: "text/csv" })), download: name }, name);
   // Rows of a table in CSV. Vega's own reader makes a program of the head, which the policy forbids.
   const rows = (text) => {
     const table = [[]];
@@ -34,7 +33,8 @@
     const chart = JSON.parse(node.textContent, plain);
     const data = html("p", { class: "data" }, "Data: ");
     for (const [name, text] of Object.entries(chart.datasets)) {
-      data.append(link(`${name}.csv`, text), " ");
+      const file = `${name}.csv`, href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
+      data.append(html("a", { href, download: file }, file), " ");
       chart.datasets[name] = rows(text);
     }
     window.vegaEmbed(place, fit(chart, place.clientWidth || document.body.clientWidth), options).then(

@@ -1,5 +1,4 @@
-// The front page: the answer in sentences, the standings of all methods, a chart per scene, the heat
-// table, and the profile over all accuracies.
+// The front page: answer, standings, a chart per scene, heat table, and the profile over all accuracies.
 "use strict";
 (() => {
   const { html, svg, data, part, columns, fill } = stepbench;
@@ -20,18 +19,13 @@
         html("td", {}, track), html("td", {}, alone), html("td", {}, tied),
         html("td", { title: `reached on ${reached} of ${tried} scenes tried` }, `${reached}`, html("small", {}, ` of ${tried}`)));
     });
-    const turn = () => {
-      folded = !folded;
-      standings(rows, of);
-    };
     if (rest > 0 || !folded) lines.push(html("tr", {}, html("td", { colspan: 5 },
-      html("button", { type: "button", class: "more", click: turn }, folded ? `${rest} more` : "fewer"))));
+      html("button", { type: "button", class: "more", click() { folded = !folded; standings(rows, of); } }, folded ? `${rest} more` : "fewer"))));
     const heads = columns("method", "alone", "tied", "reached");
     heads.firstChild.after(html("td"));
     const scenes = `${of} ${of === 1 ? "scene" : "scenes"}${of < stepbench.chosen().length ? " that can be judged" : ""}`;
     fill(table, `Cheapest alone or tied, and reached, of ${scenes}`, [heads], lines);
   };
-  const sceneRef = ({ id, name, page }) => ({ kind: "scene", key: id, text: name, page });
   stepbench.onChange((question) => {
     document.querySelector("main h1").textContent =
       `Which integrator, for an error in the ${data.group_names[question.group].replace(/ \S+$/, "")} of at most ${question.target}?`;
@@ -39,16 +33,18 @@
     const line = (name, ...parts) => html("p", { class: name }, ...parts.map(part)), [wrong, ...which] = stepbench.wrong("filters", question.scenes);
     const worst = stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make"
       : "of the worst component, relative to its natural size, or else to its largest value in the reference";
-    const beside = data.both.filter((cost) => data.both.includes(question.cost) && cost !== question.cost);
+    const beside = data.both.filter((cost) => data.both.includes(question.cost) && cost !== question.cost), rows = stepbench.standings(question);
+    const nowhere = rows.filter(([, , , reached]) => !reached).map(([m]) => [stepbench.methodRef(m)]), all = question.scenes === "all";
+    const avoid = nowhere.length && nowhere.length < rows.length ? [line(all ? null : "also", "Reached on none of them by ", ...stepbench.listed(nowhere), ".")] : [];
     card.replaceChildren(line("headline", ...stepbench.headline(question)),
       ...beside.map((cost) => line("also", `${data.least[cost]}: `, ...stepbench.headline({ ...question, cost }, question))),
-      ...(wrong ? [wrong] : []),
-      html("details", { open: open && "" }, html("summary", {}, "costs, rivals, constraints, and where it fails"), ...which,
+      ...(all ? [] : avoid), ...(wrong ? [wrong] : []),
+      html("details", { open: open && "" }, html("summary", {}, "costs, rivals, constraints, and where it fails"), ...which, ...(all ? avoid : []),
         line(null, `To ${question.target} in ${data.group_names[question.group]} (${stepbench.norm()}), scene by scene:`),
-        ...stepbench.chosen().map((k) => line(null, sceneRef(data.scenes[k]), ": ", ...stepbench.verdict(k, question))),
-        line("note", `Error: ${worst}, ${stepbench.norm()}. Tied: ${data.ties[question.cost]}, or the cheapest from a later start of the motion. `,
-          "Time is of this machine and of a method's language; operations are the same everywhere.")));
-    standings(stepbench.standings(question), stepbench.chosen().filter((k) => here[k]).length);
+        ...stepbench.chosen().map((k) => [k, data.scenes[k]]).map(([k, { id, name, page }]) =>
+          line(null, { kind: "scene", key: id, text: name, page }, ": ", ...stepbench.verdict(k, question))),
+        line("note", `Error: ${worst}, ${stepbench.norm()}. Tied: ${data.ties[question.cost]}, or the cheapest from a later start of the motion.`)));
+    standings(rows, stepbench.chosen().filter((k) => here[k]).length);
   });
 
   // ---- one chart per chosen scene, with its picture; one of them may be large ----

@@ -1,5 +1,4 @@
-// Tables that sort, filter and begin folded; tabs; contents that filter, and their menu on narrow
-// screens. Without this script all rows and sections stand one below the other.
+// Tables that sort, filter and fold; tabs; contents that filter. Without it all stands one below the other.
 "use strict";
 (() => {
   const { html } = stepbench, FOLDED = 12, FILTERED = 8, FEW = 5;

@@ -4,15 +4,14 @@
   const { svg, html, data } = stepbench;
   const SMALL = { high: 240, left: 46, right: 14, top: 20, bottom: 34, mark: 2.6, ticks: 5 };
   const LARGE = { high: 484, left: 64, right: 0, top: 22, bottom: 48, mark: 4.2, ticks: 10 };
-  // Runs without a place on the axes stand in bands above them: those that failed, and those with errors above
-  // this, so that a wild run does not press the others flat.
+  // In bands above the axes stand runs that failed, and errors above this, which would press the others flat.
   const MOST = 100;
   const BANDS = [["failed", (p) => p.failed], [`> ${MOST}`, (p) => !p.failed && p.error > MOST && p.cost > 0]], BAND = 15;
+  const FAILED = { shape: "M-1,-.7L-.7,-1L0,-.3L.7,-1L1,-.7L.3,0L1,.7L.7,1L0,.3L-.7,1L-1,.7L-.3,0Z" };
   // Errors that are so many times smaller than what the reference can judge are drawn at the lower one.
   const BELOW = 30;
 
-  // Methods that the reader has hidden, while the page is open. Nodes of a method, in charts and
-  // legends, have its place as data-method; the switch of several methods has all places.
+  // Methods that the reader has hidden. Nodes of a method have its place as data-method, those of several all.
   const hidden = new Set();
   const placesOf = (node) => node.dataset.method.split(" ").map(Number);
   stepbench.hide = (root) => {
@@ -260,7 +259,7 @@
     for (const item of drawn) {
       const shown = item.points.filter((p) => p.shown), line = shown.filter((p) => !p.banded), mark = size.mark * (item.kind === "first" ? 1.35 : 1);
       item.end = line.at(-1);
-      const marked = (looks, failed) => svg("path", { class: looks, d: marks(item.method, shown.filter((p) => p.failed === failed), mark) });
+      const marked = (looks, failed) => svg("path", { class: looks, d: marks(failed ? FAILED : item.method, shown.filter((p) => p.failed === failed), mark) });
       item.node = curve(item, line.map((p, k) => `${k ? "L" : "M"}${p.x.toFixed(1)} ${p.y.toFixed(1)}`).join(""),
         marked("marks", false), marked("marks open", true));
       chart.append(item.node);

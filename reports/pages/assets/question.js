@@ -1,5 +1,4 @@
-// The question of the page: its bar, its place in the address, whoever follows it, and its answers,
-// which are looked up in the tables that reports/ranking.py has filled.
+// The question of the page: its bar, its address, who follows it, and its answers, made by reports/ranking.py.
 "use strict";
 (() => {
   const bar = document.getElementById("question"), followers = [], data = window.stepbenchData;
@@ -23,6 +22,11 @@
       return [name, [wanted, first[name], ...Object.keys(own)].find((value) => Object.hasOwn(own, value))];
     }));
   };
+  // Beside a typed accuracy: the one that is taken in its place, or why it is none.
+  const tell = (typed, value = accuracy(typed)) => {
+    bar.querySelector("output").textContent = typed === null || Number(value) === Number(typed) ? ""
+      : value ? `The next accuracy of the table: ${value}.` : `“${typed}” is no accuracy: type a number from ${data.targets.at(-1)} to 1, such as 2e-4.`;
+  };
   // The norm is told where it is not the usual one.
   const address = (question = stepbench.question) => "#" + new URLSearchParams(Object.keys(choices)
     .filter((name) => name === "norm" ? question.norm !== data.first.norm : question[name] || data.first[name])
@@ -32,6 +36,7 @@
     stepbench.keep(address().slice(1));
     if (bar) {
       for (const name in choices) if (bar.elements[name]) bar.elements[name].value = stepbench.question[name];
+      tell(new URLSearchParams(location.hash.slice(1)).get("target"));
       bar.querySelector("[type=reset]").hidden = address() === address(first);
     }
     for (const draw of followers) draw(stepbench.question);
@@ -58,7 +63,6 @@
       const k = data.columns.indexOf(own ? name : `${name}|${stepbench.question.norm}`);
       return k < 0 ? null : runs.resolutions.map((_, run) => runs.columns[k]?.[run] ?? NaN);
     },
-    // The runs of a method on a scene, by their places.
     runsOf: (scene, index) => data.runs_of[scene].find((own) => own.method === index),
     // The error up to which the reference cannot judge.
     floor: (scene, { group, norm } = stepbench.question) =>
@@ -76,10 +80,9 @@
     const options = (own) => Object.entries(own).map(([value, text]) => new Option(text, value));
     for (const name in choices) (name === "target" ? bar.elements.target.list : bar.elements[name])?.replaceChildren(...options(choices[name]));
     bar.addEventListener("change", ({ target: place }) => {
-      const typed = place.name === "target", value = typed ? accuracy(place.value) : place.value;
-      if (typed) bar.querySelector("output").textContent = !value ? `“${place.value}” is no accuracy: type a number from ${data.targets.at(-1)} to 1, such as 2e-4.`
-        : Number(value) < Number(place.value) * (1 - 1e-9) ? `The next accuracy of the table: ${value}.` : "";
+      const said = place.value, typed = place.name === "target", value = typed ? accuracy(said) : said;
       if (value !== undefined) stepbench.ask({ [place.name]: value });
+      if (typed) tell(said);
     });
     bar.addEventListener("submit", (event) => event.preventDefault());
     bar.addEventListener("reset", (event) => {
@@ -155,7 +158,7 @@
     const [, one, two] = rows[0] || [0, 0, 0], most = one + two;
     const lead = rows.filter(([, alone, tied]) => alone + tied === most).map(([m]) => [stepbench.methodRef(m)]);
     const kind = !most ? missed < count ? "unpriced" : count ? "nobody" : "unjudged" : lead.length > 1 ? "several" : "one";
-    const but = !one || lead.length < 2 && one < most ? `, ${one || "none"} alone` : missed ? `; nobody reaches ${missed}` : "";
+    const but = !one || lead.length < 2 && one < most ? one ? `, tied on ${two}` : ", always tied" : missed ? `; nobody reaches ${missed}` : "";
     const any = count === 1 ? "the scene" : `any of the ${count} scenes judged`, on = most && most < count ? `${most} of ${count} scenes` : every;
     const [before, after] = data.headlines[kind].replace(/\{(on|but|target|any)\}/g, (_, name) => ({ on, but, target: question.target, any })[name]).split("{who}");
     const [leader] = of ? stepbench.standings(of) : [], own = leader && rows.find(([m]) => m === leader[0]);

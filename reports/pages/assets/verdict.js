@@ -1,5 +1,4 @@
-// The verdict on one scene in words, and tables: what the asked accuracy costs each method on a scene, or one
-// method on each scene.
+// The verdict on a scene in words, and tables of costs: of each method on a scene, of a method on each scene.
 "use strict";
 (() => {
   const { html, data, part, runsOf, columnOf, number, columns, fill } = stepbench;
@@ -52,10 +51,30 @@
     const far = of((state) => state === "far" || state === "failed").map(([m]) => [methodRef(m)]);
     return first.length ? [...(dear.length ? ["Costly: ", ...listed(dear), ". "] : []), ...(far.length ? ["Not reached by ", ...listed(far), "."] : [])] : [];
   };
+  // The cost of a run over that of another one; of times with their interval, and whether it is significant.
+  const against = (runs, k, other, j, cost, tied) => {
+    const ratio = columnOf(runs, cost)[k] / columnOf(other, cost)[j];
+    const [a, b] = cost === "seconds" ? [runs.spread[k], other.spread[j]] : [], known = a && b, ends = known ? [a[0] / b[1], a[1] / b[0]] : [ratio, ratio];
+    const tie = Math.max(ratio, 1 / ratio) <= data.apart[cost === "seconds" && !known ? "few" : cost] || ends[0] <= 1 && ends[1] >= 1;
+    const said = known ? ` (${ends.map(number).join(" to ")})` : "", few = cost === "seconds" && !known ? ` (few times, ${tie ? "at most" : "more than"} ${data.apart.few} ×)` : "";
+    return `${number(ratio)} ×${said}, ${tied ? "a tie" : (tie ? "not " : "") + (cost === "seconds" ? "significant" : "told apart")}${few}`;
+  };
+  const placeOf = (label) => data.methods.findIndex((method) => method.label === label);
+  const best = (scene) => reaching(scene, stepbench.answer()[scene].states.findIndex((own) => own?.[0] === 1));
+  // The highlighted method beside the best on a scene, or the accuracy that it reaches there.
+  const beside = (scene, question) => {
+    const m = placeOf(question.highlight), own = stepbench.answer()[scene], runs = m >= 0 && own && runsOf(scene, m);
+    if (!runs || own.first.includes(m)) return [];
+    const mine = reaching(scene, m), first = best(scene), near = nearest([runs], question), next = near && data.targets.findLast((target) => Number(target) >= near.error);
+    if (mine) return [[stepbench.methodRef(m), `: ${stepbench.costWithUnit(own.states[m][2], question.cost)} at ${runs.resolutions[mine.k]}, `,
+      `${against(runs, mine.k, runsOf(scene, first.index), first.k, question.cost, false)}, beside `, stepbench.methodRef(first.index), "."].map(part)];
+    const ask = html("button", { type: "button", class: "more", click: () => stepbench.ask({ target: next }) }, `ask for ${next}`);
+    return [[part(stepbench.methodRef(m)), " does not reach it", ...(near ? [`: its least error is ${number(near.error)}`] : []), ...(next ? ["; ", ask] : []), "."]];
+  };
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
     const scene = Number(place.dataset.verdict), own = stepbench.answer()[scene], aim = own?.reached ? [`To ${question.target} in ${quantity(question)}: `] : [];
-    place.replaceChildren(...[[...aim, ...stepbench.verdict(scene, question)], own ? avoided(own) : []].filter((parts) => parts.length)
-      .map((parts) => html("p", {}, ...parts.map(part))), ...stepbench.wrong("scenes", scene));
+    const said = [[...aim, ...stepbench.verdict(scene, question)].map(part), ...beside(scene, question), own ? avoided(own).map(part) : []];
+    place.replaceChildren(...said.filter((parts) => parts.length).map((parts) => html("p", {}, ...parts)), ...stepbench.wrong("scenes", scene));
   });
 
   // A command that repeats the run of the verdict, or else the one that came nearest.
@@ -71,14 +90,6 @@
       : `${why} ${question.target} in ${quantity(question)}; this run came nearest, with ${number(run.error)}.`;
   });
 
-  // The cost of a run over that of another one; of times with their interval, and whether it is significant.
-  const against = (runs, k, other, j, cost, tied) => {
-    const ratio = columnOf(runs, cost)[k] / columnOf(other, cost)[j];
-    const [a, b] = cost === "seconds" ? [runs.spread[k], other.spread[j]] : [], known = a && b, ends = known ? [a[0] / b[1], a[1] / b[0]] : [ratio, ratio];
-    const tie = Math.max(ratio, 1 / ratio) <= data.apart[cost === "seconds" && !known ? "few" : cost] || ends[0] <= 1 && ends[1] >= 1;
-    const said = known ? ` (${ends.map(number).join(" to ")})` : "", few = cost === "seconds" && !known ? ` (few times, ${tie ? "at most" : "more than"} ${data.apart.few} ×)` : "";
-    return `${number(ratio)} ×${said}, ${tied ? "a tie" : (tie ? "not " : "") + (cost === "seconds" ? "significant" : "told apart")}${few}`;
-  };
   const heads = (question, mine) => [stepbench.costName(question), "multiple of the best",
     ...(mine ? [`multiple of ${data.methods[mine.index].short}`] : []),
     `error in ${quantity(question).split(" ").at(-1)}`];
@@ -95,16 +106,14 @@
       return html("tr", { class: "out" }, ...lead, html("td", { colspan: 3 + 2 * held + Boolean(mine) }, text));
     }
     const [multiple, k, cost] = state, off = held ? columnOf(runs, "constraint")[k] : NaN;
-    const { first } = stepbench.answer()[scene], beside = (other) => other?.k === undefined || index === other.index ? ""
+    const { first } = stepbench.answer()[scene], over = (other) => other?.k === undefined || index === other.index ? ""
       : against(runs, k, runsOf(scene, other.index), other.k, question.cost, first.includes(index) && first.includes(other.index));
     // Without a method to compare with, the best has its interval.
-    const best = !mine && multiple > 1 && reaching(scene, stepbench.answer()[scene].states.findIndex((own) => own?.[0] === 1));
-    const cells = [[stepbench.costText(cost, question.cost)], [best ? beside(best) : `${stepbench.multiple(multiple)} ×`], ...(mine ? [[beside(mine)]] : []),
+    const cells = [[stepbench.costText(cost, question.cost)], [!mine && multiple > 1 ? over(best(scene)) : `${stepbench.multiple(multiple)} ×`], ...(mine ? [[over(mine)]] : []),
       [number(columnOf(runs, question.group)[k])], ...(held ? [[runs.phi[k]], [number(off), times(off, question)]] : [])];
     return html("tr", { class: data.methods[index].label === question.highlight && "mine" }, ...lead, ...cells.map((cell) => html("td", {}, ...cell)));
   };
   const refused = (runs) => runs.refused !== undefined && "refused";
-  const placeOf = (label) => data.methods.findIndex((method) => method.label === label);
   for (const table of document.querySelectorAll("[data-methods]")) stepbench.onChange((question) => {
     const scene = Number(table.dataset.methods), states = stepbench.answer()[scene]?.states;
     const multiple = ([, state]) => Array.isArray(state) ? state[0] : Infinity;
@@ -112,9 +121,7 @@
     const found = [...(states || []).entries(), ...others].filter(([, state]) => state !== null).sort((one, two) => multiple(one) - multiple(two) || 0);
     table.closest("section").hidden = !found.length;
     const held = data.scenes[scene].groups.includes("constraint"), own = placeOf(question.highlight), mine = reaching(scene, own);
-    const near = own >= 0 && !mine && runsOf(scene, own) && nearest([runsOf(scene, own)], question), next = near && data.targets.findLast((target) => Number(target) >= near.error);
-    const why = mine ? "" : own < 0 ? "; highlight a method to compare all with it" : `; ${data.methods[own].short} does not reach it` +
-      (near ? `: its least error is ${number(near.error)}${next ? `, so ask for ${next}` : ""}` : "");
+    const why = own < 0 ? "; highlight a method to compare all with it" : mine ? "" : `; ${data.methods[own].short} does not reach it`;
     const names = ["method", ...(held ? ["form"] : []), ...heads(question, mine), ...(held ? ["violation of Φ", "relative"] : [])];
     fill(table, `Cheapest run of each ${aim(question)}${why}`, [columns(...names)], found.map(([index, state]) => {
       const method = data.methods[index], form = held ? [html("td", {}, method.form)] : [];
