@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any
@@ -167,6 +167,13 @@ class Candidate:
         resolution = Tolerances(size) if sizes.length is None else Steps(size)
         return self.cells.setdefault(size, Cell(self.scene, self.method, self.t_end, resolution))
 
+    def take(self, held: Callable[[Cell], Record | None]) -> None:
+        """Count all runs of the search that are held."""
+        known = -1
+        while known < (known := len(self.runs)):
+            self.next()  # has a cell, perhaps of a run that is held
+            self.runs |= {size: run for size, cell in self.cells.items() if (run := held(cell))}
+
     @property
     def errors(self) -> dict[float, float]:
         """The errors that are asked for, by sizes."""
@@ -295,7 +302,7 @@ class Race:
         good = {c: c.cost() for c in self.candidates if c.best}
         bound = max(1.0, self._margin) * min(good.values(), default=0.0)
         near = [c for c in good if good[c] <= bound]
-        return sorted(near, key=lambda c: (c.cost(self.cost), good[c]))
+        return sorted(near, key=lambda c: (c.cost(self.cost), good[c], c.method.spec))
 
     @property
     def winners(self) -> list[Record]:
@@ -306,7 +313,7 @@ class Race:
     def leading(self) -> list[Candidate]:
         """The candidates that promise the fewest operations, one of each family."""
         best: dict[str, Candidate] = {}
-        for c in sorted(self.candidates, key=lambda c: c.promised):
+        for c in sorted(self.candidates, key=lambda c: (c.promised, c.method.spec)):
             if c.promised < math.inf:
                 best.setdefault(c.method.family, c)
         return list(best.values())[:MOST_LEADING]
@@ -334,7 +341,7 @@ class Race:
 
     def sentences(self) -> list[str]:
         """Return the verdict in sentences: the cheapest run and ties, or the nearest; the rest."""
-        every = self.candidates
+        every = sorted(self.candidates, key=lambda c: c.method.spec)
         if order := self.order:
             said, least = self.first, order[0].cost(self.cost)
             ties = [c.method.spec for c in order[1:] if c.cost(self.cost) <= TIE * least < math.inf]

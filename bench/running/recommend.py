@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from bench.results.demands import ENERGY, POINTS, Demand, demand, overviews
-from bench.results.records import Study
+from bench.results.records import Record, Study
 from bench.results.store import Store
 from bench.results.table import Table
 from bench.running.interrupts import remark
@@ -31,7 +31,7 @@ from bench.running.plan import (
 from bench.running.process import Limits
 from bench.running.race import FORMS, MOST_TIMED, SPREAD, TIE, Candidate, Race
 from bench.running.runner import Progress, Runner, Task
-from bench.running.session import measure_suite, missing_cells, time_suite
+from bench.running.session import is_due, measure_suite, time_suite
 from bench.running.worker import Worker
 from problems.base.spec import SpecError, split_spec
 
@@ -120,6 +120,7 @@ class Recommendation:
         plan = msgspec.structs.replace(suite.plan, title=f"Recommendation for {name}: {self.about}")
         self.name, self._suite = name, replace(suite, plan=plan)
         self.tables: list[Table] = []
+        self._earlier: set[int] = set()  # numbers of invocations
         self._machines: object = {}
 
     @property
@@ -186,7 +187,12 @@ class Recommendation:
         resting = [answer for _, answer in runner.run(tasks)]
         if resting and all(isinstance(answer, str) and answer for answer in resting):
             raise SpecError(resting[0])
-        leaders: dict[int, Candidate] = {}
+        self._earlier = {*store.environments()}
+        held, leaders = self._held(store), dict[int, Candidate]()
+        while self.of_all and (
+            forms := [c for c in self._forms(self.candidates) if held(c.next())]
+        ):
+            self._add(forms)  # other forms of these may be held, too
 
         def further() -> list[Cell]:
             self._take(store)
@@ -195,13 +201,9 @@ class Recommendation:
                     leaders[k] = order[0]
                     remark(f"So far: {race.first} {_STORED}")
                     runner.progress.note(f"{time.monotonic() - self.began:.0f} s: {race.first}")
-            while cells := self._next():
-                suite = self._restricted(cells)
-                if missing := missing_cells(suite, store):
-                    store.keep(suite.plan)
-                    return missing
-                self._take(store)
-            return []
+            if cells := self._next():
+                store.keep(self._restricted([]).plan)
+            return cells
 
         measure_suite(self._restricted([]), store, runner, further)
         self._take(store)
@@ -213,9 +215,22 @@ class Recommendation:
         self._take(store)
 
     def _take(self, store: Store) -> None:
+        held = self._held(store)
+        for race in self.races:
+            for c in race.candidates:
+                c.take(held)
+
+    def _held(self, store: Store) -> Callable[[Cell | None], Record | None]:
+        """A function that gives the run of a cell: of this invocation, or one that need not be made
+        again."""
         records = store.records()
-        for c in self.candidates:
-            c.runs |= {s: records[x.key] for s, x in c.cells.items() if x.key in records}
+
+        def held(cell: Cell | None) -> Record | None:
+            run = records.get(cell.key) if cell else None
+            old = run and run.environment in self._earlier
+            return None if cell and old and is_due(self._suite, run, cell.fingerprint) else run
+
+        return held
 
     def _restricted(self, cells: Iterable[Cell]) -> Suite:
         """The suite with these cells, and a plan with a study of each scene with all its runs."""
@@ -244,25 +259,26 @@ class Recommendation:
             return cells
         (race,) = self.races
         race.end = self._ends[1]
-        for leader in race.leading if race.leader else ():
-            forms = self._other_forms(leader)
-            self.candidates[:0] = forms
-            race.candidates[:0] = forms
+        self._add(self._forms(race.leading if race.leader else ()))
         return race.next()
 
-    def _other_forms(self, leader: Candidate) -> list[Candidate]:
+    def _add(self, forms: list[Candidate]) -> None:
+        """Have other forms race, before all others."""
+        self.candidates[:0] = self.races[0].candidates[:0] = forms
+
+    def _forms(self, of: Iterable[Candidate]) -> list[Candidate]:
         """Candidates with other choices of one of `FORMS`, if they are not known."""
-        name, own = split_spec(leader.method.spec)
-        specs = {c.method.spec for c in self.candidates}
-        found = []
-        for option in self._registry.integrators[name].options:
-            for choice in (option.get("choices") or ()) if option["name"] in FORMS else ():
-                values = own | {option["name"]: choice}
-                text = ",".join(f"{key}={value}" for key, value in values.items())
-                method = self._registry.integrator(f"{name}[{text}]")
-                if method.spec not in specs:
-                    found.append(replace(leader, method=method, cells={}, runs={}))
-        return found
+        known, found = {c.method.spec for c in self.candidates}, {}
+        for c in of:
+            name, own = split_spec(c.method.spec)
+            for option in self._registry.integrators[name].options:
+                for choice in (option.get("choices") or ()) if option["name"] in FORMS else ():
+                    values = own | {option["name"]: choice}
+                    text = ",".join(f"{key}={value}" for key, value in values.items())
+                    method = self._registry.integrator(f"{name}[{text}]")
+                    if method.spec not in known:
+                        found[method.spec] = replace(c, method=method, cells={}, runs={})
+        return [*found.values()]
 
     def _demands_on(self, scene: SceneFacts, errors: Sequence[str], rule: str) -> list[Demand]:
         """The demands on a scene; sentences on what it lacks become remarks."""

@@ -35,26 +35,26 @@ _SAMPLES = 7
 
 
 def missing_cells(suite: Suite, store: Store) -> list[Cell]:
-    """List the cells to be run: those without a readable record of this source, and those that
-    were interrupted or ran out of a smaller budget."""
-    stored = store.records()
-    cut = {key for key, record in stored.items() if record.status == INTERRUPTED}
-    return [
-        cell
-        for key, cell in suite.cells.items()
-        if key in cut or _is_due(suite, stored.get(key), cell.fingerprint)
-    ]
+    """List the cells to be run (`is_due`)."""
+    stored, cells = store.records(), suite.cells.items()
+    return [cell for key, cell in cells if is_due(suite, stored.get(key), cell.fingerprint)]
 
 
 def missing_scenes(suite: Suite, store: Store) -> dict[tuple[str, float], SceneFacts]:
-    """Return the scenes, by name and end time in s, that have no record of this source, or whose
-    reference ran out of a smaller budget."""
-    stored = store.scenes()
-    return {
-        place: scene
-        for place, scene in sorted(suite.scenes.items())
-        if _is_due(suite, stored.get(place), scene.fingerprint)
-    }
+    """Return the scenes to be described, by name and end time in s (`is_due`)."""
+    stored, scenes = store.scenes(), sorted(suite.scenes.items())
+    return {at: s for at, s in scenes if is_due(suite, stored.get(at), s.fingerprint)}
+
+
+def is_due(suite: Suite, record: Record | SceneRecord | None, fingerprint: str) -> bool:
+    """Whether there is no record of this source, or it was interrupted, or ran out of a smaller
+    budget."""
+    if record is None or record.fingerprint != fingerprint:
+        return True
+    budgets = (suite.plan.budget_s, record.budget_s), (suite.memory_gib, record.memory_gib)
+    more = any(before is not None and now > before for now, before in budgets)
+    cut = isinstance(record, Record) and record.status == INTERRUPTED
+    return cut or (record.stopped != "" and more)
 
 
 def measure_suite(
@@ -163,15 +163,6 @@ def result_of(cell: Cell, answer: CellResult | NoAnswer) -> CellResult:
 
 
 # ---- parts -----------------------------------------------------------------------------
-def _is_due(suite: Suite, record: Record | SceneRecord | None, fingerprint: str) -> bool:
-    """Whether there is no record of this source, or it ran out of a smaller budget."""
-    if record is None or record.fingerprint != fingerprint:
-        return True
-    budgets = (suite.plan.budget_s, record.budget_s), (suite.memory_gib, record.memory_gib)
-    more = any(before is not None and now > before for now, before in budgets)
-    return record.stopped != "" and more
-
-
 def _finished(task: Task, answer: Any, progress: Progress) -> Any:
     """The result of a cell, or the record of a scene; None, with a note, if there is none."""
     if task.job is Worker.measure:
