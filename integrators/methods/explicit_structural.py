@@ -115,9 +115,8 @@ class NohBathe(OwnValues, ExplicitMethod):
 
     p: float = option(0.54, "first substep as a part of the step", low=0.5, high=0.9, always=True)
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> StageState:
-        z, xdot = start.z, start.xdot
-        return StageState(self.reported(scene, z, xdot), None, (z.a, xdot))
+    def own(self, scene: MechatronicSystem, start: Start, h: Time) -> tuple[Array, Array]:
+        return start.z.a, start.xdot
 
     def step(
         self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
@@ -156,10 +155,9 @@ class Integration(NamedTuple):
     gain: Float[Array, "nv nv"]
 
 
-class ModelState(NamedTuple):
-    """Values that are shown, and the method's own q, v and a."""
+class Model(NamedTuple):
+    """The method's own q, v and a, and matrices."""
 
-    shown: Reading
     q: Array
     v: Array
     a: Array
@@ -211,7 +209,7 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
             return orders | {"a": 2}
         return orders if p.alpha_m == p.alpha_f else orders | {"a": 1}
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> ModelState:
+    def own(self, scene: MechatronicSystem, start: Start, h: Time) -> Model:
         z = start.z
         damping, stiffness = jax.jacfwd(
             lambda v, q: dynamics_residual(scene, z._replace(q=q, v=v)), argnums=(0, 1)
@@ -223,8 +221,7 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
             p, a = self.parameters(), jnp.linalg.solve(matrices.alpha_1, a)
             q = advance(scene, q, -(p.beta * h**2 * z.a))
             v = v - p.gamma * h * z.a
-        shown = self.reported(scene, z, start.xdot)
-        return ModelState(shown, q, v, a, tangents, matrices)
+        return Model(q, v, a, tangents, matrices)
 
     def _matrices(self, tangents: SystemMatrices, h: Time) -> Integration:
         p, (mass, damping, stiffness) = self.parameters(), tangents
@@ -236,30 +233,31 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
         return Integration(h, inverse(whole) @ mass, inverse(part) @ whole)
 
     def step(
-        self, scene: MechatronicSystem, state: ModelState, t: Time, h: Time, work: StepWork
-    ) -> ModelState:
-        p, old = self.parameters(), state.matrices
+        self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
+    ) -> StageState:
+        p, (q, v, a, tangents, old) = self.parameters(), state.own
         new = jnp.asarray(h != old.h)
         matrices = work.where_needed(
-            new, lambda: self._matrices(state.tangents, h), lambda: old._replace(h=h)
+            new, lambda: self._matrices(tangents, h), lambda: old._replace(h=h)
         )
         work.count(factorisations=2 * new)
-        rate = matrices.alpha_1 @ state.a
-        q = advance(scene, state.q, h * state.v, (0.5 + p.gamma) * h**2 * rate)
-        v = state.v + h * rate
+        rate, before = matrices.alpha_1 @ a, (q, v)
+        q = advance(scene, q, h * v, (0.5 + p.gamma) * h**2 * rate)
+        v = v + h * rate
 
         def between(new: Array, old: Array) -> Array:
             return (1 - p.alpha_f) * new + p.alpha_f * old
 
-        at = between(q, state.q), between(v, state.v), state.shown.x, t - p.alpha_f * h
+        at = *map(between, (q, v), before), state.shown.x, t - p.alpha_f * h
         z, xdot = evaluate_and_count(scene, *at, work)
-        a = state.a + matrices.gain @ (z.a - state.a)
+        a = a + matrices.gain @ (z.a - a)
         z = z._replace(q=q, v=v, a=a, t=t)
         if self.start == "corrected":
             rate = matrices.alpha_1 @ a
             q_shown = advance(scene, q, p.beta * h**2 * rate)
             z = z._replace(q=q_shown, v=v + p.gamma * h * rate, a=rate)
-        return ModelState(self.reported(scene, z, xdot, work), q, v, a, state.tangents, matrices)
+        shown = self.reported(scene, z, xdot, work)
+        return StageState(shown, own=Model(q, v, a, tangents, matrices))
 
 
 @dataclass(frozen=True)

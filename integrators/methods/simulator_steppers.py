@@ -22,12 +22,12 @@ from typing import ClassVar, TypeAlias
 
 from integrators.contract import option
 from integrators.native.algebra import small_matrices
-from integrators.native.algebra.step_records import Reading, Time
-from integrators.native.step.method_options import OwnValues
+from integrators.native.algebra.step_records import Time
+from integrators.native.step.method_options import OwnValues, StageState
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import LinearAlgebra, StepMethod
 from problems.base.runtime import Array, jax, jnp
-from problems.equations.formulations import Start, control_residuals, inertia
+from problems.equations.formulations import control_residuals, inertia
 from problems.equations.kinematics import advance, constraint_force, constraint_velocity, pulled
 from problems.system import MechatronicSystem
 from problems.variables import Variables, stage_layout
@@ -53,13 +53,11 @@ class SimulatorStepper(LinearAlgebra, OwnValues, StepMethod):
     def drift(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
         return "baumgarte" if self.erp else "unprojected"
 
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> Reading:
-        return self.reported(scene, start.z, start.xdot)
-
     def step(
-        self, scene: MechatronicSystem, state: Reading, t: Time, h: Time, work: StepWork
-    ) -> Reading:
-        now = Variables(state.q, state.v, state.a, state.lam, state.x, state.y, t - h)
+        self, scene: MechatronicSystem, state: StageState, t: Time, h: Time, work: StepWork
+    ) -> StageState:
+        q, v, a, lam, x, xdot, y, _ = state.shown
+        now = Variables(q, v, a, lam, x, y, t - h)
         layout = stage_layout(scene.sizes)
         applied = self.applied(scene, now, h)
 
@@ -76,17 +74,14 @@ class SimulatorStepper(LinearAlgebra, OwnValues, StepMethod):
             rows += self.control(scene, now, now._replace(a=a, lam=lam, y=y), xdot, h)
             return jnp.concatenate([balance, *rows])
 
-        guess = jnp.concatenate([now.a, now.lam, state.xdot, now.y])
+        guess = jnp.concatenate([now.a, now.lam, xdot, now.y])
         a, lam, _, xdot, y = layout.split(work.once(residual, guess))
         of_a = a @ inertia(scene, now.q, a)
         sound = of_a - a @ (applied(a) - applied(jnp.zeros_like(a))) >= -_ROUNDING * of_a
         work.count(refused=~sound)
         v = now.v + h * a
         z = Variables(advance(scene, now.q, h * v), v, a, lam, now.x + h * xdot, y, t)
-        return self.reported(scene, z, xdot, work)
-
-    def read(self, scene: MechatronicSystem, state: Reading) -> Reading:
-        return state
+        return StageState(self.reported(scene, z, xdot, work))
 
     @abstractmethod
     def applied(self, scene: MechatronicSystem, now: Variables, h: Time) -> _Force:

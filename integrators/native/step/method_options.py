@@ -45,11 +45,20 @@ def rho_inf_option(default: float, more: str = "") -> Any:
     return option(default, text + more, low=0.0, high=1.0, always=True)
 
 
+class StageState(NamedTuple):
+    """Values that are reported at the end of the last step, the guess of the next one, None of
+    methods without one, and what else a method passes on."""
+
+    shown: Reading
+    guess: Any = None
+    own: Any = ()
+
+
 @dataclass(frozen=True)
 class OwnValues(Integrator):
     """Base of methods that compute accelerations and multipliers of their own.
 
-    Their states hold as ``shown`` what `reported` returned.
+    Their states hold as ``shown`` what `reported` returned; they begin with a `StageState`.
     """
 
     values: str = option(
@@ -74,31 +83,25 @@ class OwnValues(Integrator):
             work.count(residuals=1)
         return Reading.of(z, xdot)
 
-    def read(self, scene: MechatronicSystem, state: Any) -> Reading:
-        return state.shown
-
-
-class StageState(NamedTuple):
-    """Values that are reported at the end of the last step, the guess of the next one, None of
-    explicit methods, and what else a method passes on."""
-
-    shown: Reading
-    guess: Any
-    own: Any = ()
-
-
-@dataclass(frozen=True)
-class StageMethod(OwnValues):
-    """Base of methods whose steps pass on a `StageState`."""
-
-    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> StageState:
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> Any:
         shown = self.reported(scene, start.z, start.xdot)
-        guess = Guess.begin(start.z, start.xdot, h)
-        return StageState(shown, guess, self.own(scene, start, h))
+        return StageState(shown, own=self.own(scene, start, h))
 
     def own(self, scene: MechatronicSystem, start: Start, h: Time) -> Any:
         """Return what else the first step takes."""
         return ()
+
+    def read(self, scene: MechatronicSystem, state: Any) -> Reading:
+        return state.shown
+
+
+@dataclass(frozen=True)
+class StageMethod(OwnValues):
+    """Base of methods whose steps begin with a guess of their unknowns."""
+
+    def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> StageState:
+        guess = Guess.begin(start.z, start.xdot, h)
+        return super().begin(scene, start, h)._replace(guess=guess)
 
 
 class EndState(NamedTuple):
