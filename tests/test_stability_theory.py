@@ -85,9 +85,9 @@ def test_generalized_alpha_is_of_order_two_and_stable_at_both_ends(rho_inf):
 
 def test_order_two_needs_its_gamma():
     class Off(GeneralizedAlpha):
-        def second_order(self):
-            right = super().second_order()
-            return right._replace(gamma=right.gamma + 0.01)
+        def parameters(self):
+            right, of_x = super().parameters()
+            return right._replace(gamma=right.gamma + 0.01), of_x
 
     r = multistep_form(Off(rho_inf=0.8).scheme())
     assert [r.q.order, r.v.order] == [1, 1]

@@ -54,12 +54,8 @@ class AlphaMethod(NewtonOptions):
         return f"{self.family} {self.formulation} {self.newton}"
 
     @abstractmethod
-    def second_order(self) -> SecondOrder:
-        """Return the algorithmic parameters for q."""
-
-    @abstractmethod
-    def first_order(self) -> FirstOrder:
-        """Return the algorithmic parameters for x."""
+    def parameters(self) -> tuple[SecondOrder, FirstOrder]:
+        """Return the algorithmic parameters for q and for x."""
 
     def supports(self, scene: MechatronicSystem) -> str | None:
         radius = self.radius_at_infinity()
@@ -92,7 +88,8 @@ class AlphaMethod(NewtonOptions):
         gamma = getattr(self, "gamma", "fixed")  # a policy, or a number, or no option at all
         updated = gamma in ("updated", "guarded")
         policy = updated, self.classical, self.start == "corrected", gamma == "guarded"
-        return Scheme(*self.second_order(), *self.first_order(), *policy)
+        of_q, of_x = self.parameters()
+        return Scheme(*of_q, *of_x, *policy)
 
     def numbers(self) -> Any:
         return self.scheme()
@@ -161,12 +158,10 @@ class GeneralizedAlpha(UpdatableMethod):
     delta_m: float | None = _shift("delta_m, of the controller states")
     delta_f: float | None = _shift("delta_f, of the controller states")
 
-    def second_order(self) -> SecondOrder:
-        gamma = None if isinstance(self.gamma, str) else self.gamma
-        return second_order_parameters(self.rho_inf, self.alpha_m, self.alpha_f, self.beta, gamma)
-
-    def first_order(self) -> FirstOrder:
-        return first_order_parameters(self.rho_inf, self.delta_m, self.delta_f)
+    def parameters(self) -> tuple[SecondOrder, FirstOrder]:
+        gamma, rho = None if isinstance(self.gamma, str) else self.gamma, self.rho_inf
+        of_q = second_order_parameters(rho, self.alpha_m, self.alpha_f, self.beta, gamma)
+        return of_q, first_order_parameters(rho, self.delta_m, self.delta_f)
 
 
 @dataclass(frozen=True)
@@ -203,11 +198,9 @@ class HHT(UpdatableMethod):
         always=True,
     )
 
-    def second_order(self) -> SecondOrder:
-        return second_order_parameters(1.0, alpha_m=0.0, alpha_f=self.alpha)
-
-    def first_order(self) -> FirstOrder:
-        return first_order_parameters((1 - self.alpha) / (1 + self.alpha))
+    def parameters(self) -> tuple[SecondOrder, FirstOrder]:
+        of_x = first_order_parameters((1 - self.alpha) / (1 + self.alpha))
+        return second_order_parameters(1.0, alpha_m=0.0, alpha_f=self.alpha), of_x
 
 
 @dataclass(frozen=True)
@@ -218,13 +211,10 @@ class WBZ(UpdatableMethod):
 
     rho_inf: float = rho_inf_option(0.8)
 
-    def second_order(self) -> SecondOrder:
-        return second_order_parameters(
-            self.rho_inf, alpha_m=(self.rho_inf - 1) / (self.rho_inf + 1), alpha_f=0.0
-        )
-
-    def first_order(self) -> FirstOrder:
-        return first_order_parameters(self.rho_inf)
+    def parameters(self) -> tuple[SecondOrder, FirstOrder]:
+        alpha_m = (self.rho_inf - 1) / (self.rho_inf + 1)
+        of_q = second_order_parameters(self.rho_inf, alpha_m, alpha_f=0.0)
+        return of_q, first_order_parameters(self.rho_inf)
 
 
 @dataclass(frozen=True)
@@ -258,11 +248,8 @@ class Newmark(AlphaMethod):
             return 0.0
         return math.inf if 2 * self.beta >= self.gamma else (self.gamma / 2 - self.beta) ** -0.5
 
-    def second_order(self) -> SecondOrder:
-        return SecondOrder(0.0, 0.0, self.beta, self.gamma)
-
-    def first_order(self) -> FirstOrder:
-        return FirstOrder(0.0, 0.0, self.gamma)
+    def parameters(self) -> tuple[SecondOrder, FirstOrder]:
+        return SecondOrder(0.0, 0.0, self.beta, self.gamma), FirstOrder(0.0, 0.0, self.gamma)
 
 
 _CLASSICAL_ORDERS = {"q": 2, "v": 2, "a": 1, "lam": 2}
