@@ -129,13 +129,7 @@ def constraint_change(
     scene: MechatronicSystem, q: Float[Array, " nq"], t: Float[Array, ""], w: Float[Array, " nv"]
 ) -> Float[Array, " nl"]:
     """Compute the part of `constraint_velocity` that is linear in v, for w in its place."""
-    rows = []
-    if scene.sizes.nh:
-        rate = q_rate(scene, q, w)
-        rows.append(jax.jvp(lambda q: scene.constraint(q, t), (q,), (rate,))[1])
-    if scene.has("velocity_constraint"):
-        rows.append(jax.jvp(lambda v: scene.velocity_constraint(q, v, t), (w,), (w,))[1])
-    return joined(rows)
+    return jax.jvp(lambda v: constraint_velocity(scene, q, v, t), (w,), (w,))[1]
 
 
 @equation
