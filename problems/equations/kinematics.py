@@ -97,18 +97,9 @@ def constraint_force(
     With ``kinematics`` it is T^T Phi_q^T lam. The entries of lam behind those of Phi, if there are
     any, are of the velocity constraints A v = b and add A^T lam.
     """
-    nh, force = scene.sizes.nh, jnp.zeros(())
-    if nh:
-        own = lam if len(lam) == nh else lam[:nh]
-        force = jax.vjp(lambda q: scene.constraint(q, t), q)[1](own)[0]
-        if scene.has("kinematics"):
-            still = jnp.zeros(scene.sizes.nv)
-            force = jax.vjp(lambda v: scene.kinematics(q, v), still)[1](force)[0]
-    if len(lam) > nh:
-        still = jnp.zeros(scene.sizes.nv)
-        along = jax.vjp(lambda v: scene.velocity_constraint(q, v, t), still)[1]
-        force = force + along(lam[nh:])[0]
-    return force
+    still = jnp.zeros(scene.sizes.nv)
+    rates = jax.vjp(lambda v: constraint_velocity(scene, q, v, t)[: len(lam)], still)[1]
+    return rates(lam)[0]
 
 
 @equation
