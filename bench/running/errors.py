@@ -9,14 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.results.quantities import (
-    GROUPS,
-    NORMS,
-    VIOLATIONS,
-    error_note,
-    point_notes,
-    whole,
-)
+from bench.results.quantities import GROUPS, NORMS, VIOLATIONS, error_note, point_notes, whole
 from integrators.contract import Trajectory
 from problems.base.runtime import Float
 from problems.equations.compiled import compiled

@@ -10,12 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.results.quantities import (
-    GROUPS,
-    LEVELS,
-    NORM,
-    error_note,
-)
+from bench.results.quantities import GROUPS, LEVELS, NORM, error_note
 from bench.results.records import TIMING_SECONDS, Digits, Rows
 from bench.running.errors import constraint_errors, finite, relative_errors
 from integrators import checks
@@ -172,15 +167,15 @@ def end_at_overlap(run: Trajectory, scene: MechatronicSystem, passes_impacts: bo
 
 def checked(trajectory: Trajectory, t_end: float) -> Trajectory:
     """Hold an integrator to its word: "ok" means finite values up to the end, ``t_end`` in s."""
-    if trajectory.status != "ok":
-        return trajectory
     y = trajectory
-    if not all(np.isfinite(part).all() for part in (y.q, y.v, y.a, y.lam, y.x, y.xdot, y.y)):
+    if y.status != "ok":
+        pass
+    elif not all(np.isfinite(getattr(y, name)).all() for name in (*GROUPS, "xdot")):
         y.status, y.message = "diverged", "It reported success with values that are not finite."
     elif abs(y.t[-1] - t_end) > 1e-9 * max(1.0, abs(t_end)):
         said = f"It reported success at t={y.t[-1]:.9g} s instead of {t_end:.9g} s."
         y.status, y.message = "crashed", said
-    return trajectory
+    return y
 
 
 def ignored_pattern(run: Trajectory, resolution: Any, t0: float, t_end: float) -> str:
@@ -282,10 +277,6 @@ _ERRORS = {error_note(group) for group in GROUPS}
 MOST_COMPONENTS = 100
 
 
-def _noted(error: float) -> float | None:
-    return float(f"{error:.3g}") if math.isfinite(error) else None
-
-
 def stored_rows(trajectory: Trajectory | Mapping[str, Any], partial: bool = False) -> Rows:
     """Return a trajectory, or the values of a reference with "t", in the form that is stored.
 
@@ -299,10 +290,8 @@ def stored_rows(trajectory: Trajectory | Mapping[str, Any], partial: bool = Fals
     if partial:
         given = [name for name in given if not np.isnan(values[name][0]).any()]
     groups = {name: np.asarray(values[name]) for name in given}
-    finite_rows = np.isfinite(t)
-    for rows in groups.values():
-        finite_rows = finite_rows & np.isfinite(rows).all(axis=1)
-    finished = len(t) if finite_rows.all() else int(np.argmin(finite_rows))
+    wrong = ~np.isfinite(np.column_stack([t, *groups.values()])).all(axis=1)
+    finished = int(np.argmax([*wrong, True]))
     keep = np.arange(finished)
     if finished and isinstance(trajectory, Trajectory):
         keep = spread_rows(finished - 1)
@@ -310,7 +299,7 @@ def stored_rows(trajectory: Trajectory | Mapping[str, Any], partial: bool = Fals
         t=t[keep].tolist(),
         values={n: rows[keep, :MOST_COMPONENTS].tolist() for n, rows in groups.items()},
         notes={
-            n: list(map(_noted if n in _ERRORS else finite, np.asarray(r)[keep]))
+            n: [finite(float(f"{v:.3g}") if n in _ERRORS else v) for v in np.asarray(r)[keep]]
             for n, r in values.get("notes", {}).items()
         },
     )

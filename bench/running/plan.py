@@ -305,20 +305,17 @@ def make_suite(
         placed[scene.spec].update(method.spec for method in methods)
     studies, cells = [], {}
     for file, scene, own in _of_scenes(entries, scenes) if problems else entries:
-        chosen = {
-            method.spec: method
-            for text, asked in wanted
-            for method in [
-                i for i in own if i.spec == asked.spec or ("[" not in text and i.name == asked.name)
-            ]
-            or [asked]
-        }
-        every = [*(chosen.values() if integrators else own)]
-        every += [method for method in own_method if method not in every]
-        every = [m for m in every if m in own or m.spec not in placed[scene.spec]]
-        placed[scene.spec].update(method.spec for method in every)
+        asked = [
+            method
+            for text, one in wanted
+            for method in [m for m in own if m.spec == one.spec or m.name == text] or [one]
+        ]
+        known, there = [m.spec for m in own], placed[scene.spec]
+        found = [*(asked if integrators else own), *own_method]
+        every = {m.spec: m for m in found if m.spec in known or m.spec not in there}
+        there.update(every)
         if every:
-            study, more = _expand(file, scene, every, registry)
+            study, more = _expand(file, scene, [*every.values()], registry)
             studies.append(study)
             cells.update(more)
     told = tuple(dict.fromkeys(lost))

@@ -185,9 +185,9 @@ class Candidate:
         return self.asked.best(self.runs.values())
 
     @property
-    def nearest(self) -> Record:
-        """The run with the smallest error."""
-        return min(self.runs.values(), key=self.asked.of)
+    def shown(self) -> Record:
+        """That run, or the one with the smallest error."""
+        return self.best or min(self.runs.values(), key=self.asked.of)
 
     @property
     def obstacle(self) -> str:
@@ -305,11 +305,6 @@ class Race:
         return sorted(near, key=lambda c: (c.cost(self.cost), good[c], c.method.spec))
 
     @property
-    def winners(self) -> list[Record]:
-        """The good runs in that order."""
-        return [run for c in self.order if (run := c.best)]
-
-    @property
     def leading(self) -> list[Candidate]:
         """The candidates that promise the fewest operations, one of each family."""
         best: dict[str, Candidate] = {}
@@ -321,7 +316,7 @@ class Race:
     @property
     def first(self) -> str:
         """The sentence on the cheapest run."""
-        run = self.winners[0]
+        run = self.order[0].shown
         tried = sum(1 for c in self.candidates if c.runs or c.refusal)
         take = "Take" if tried == len(self.candidates) else f"Of {tried} tried, take"
         seconds = f"{number(run.seconds)} s, " if run.seconds else ""
@@ -333,7 +328,7 @@ class Race:
     @property
     def program(self) -> str:
         """The line that runs the cheapest in a program."""
-        best, run = self.order[0], self.winners[0]
+        best, run = self.order[0], self.order[0].shown
         files = sorted(best.scene.sources | best.method.sources)
         size = f"step={run.h}" if run.h else f"rtol={run.rtol}"
         more = f", plugins={files}" if files else ""
@@ -348,7 +343,7 @@ class Race:
             if ties:
                 said += f" A tie ({self.cost} within {TIE - 1:.0%}): {', '.join(ties)}."
         else:
-            run = next((c.nearest for c in self._by_error()), None)
+            run = next((c.shown for c in self._by_error()), None)
             said = "No run has reached the end."
             if run and self.asked.of(run) < math.inf:
                 said = (
@@ -374,13 +369,12 @@ class Race:
         missed = missed if self._named else [] if self.order else missed[:MOST_TIMED]
         rows = []
         for c in (*self.order, *missed):
-            good = c.best
-            run = good or c.nearest
+            run = c.shown
             figures = run.h or run.rtol, run.cost("operations"), self.asked.error(run)
             also = (run.energy_drift, run.constraint.get("position")) if self._named else ()
             failed = {size: r.status for size, r in c.runs.items() if r.status != "ok"}
             fails = f"{failed[min(failed)]} at {number(min(failed))}" if failed else NO_VALUE
-            time = number(run.seconds) if good else NOT_MET
+            time = number(run.seconds) if c.best else NOT_MET
             rows.append([run.integrator, *map(number, figures), time, *map(number, also), fails])
         head = ["integrator", "h [s] or rtol", "operations", "error", "time [s]"]
         head += ["energy", "Φ", "fails"] if self._named else ["fails"]
@@ -409,7 +403,7 @@ class Race:
         }
         if not candidate.runs:
             return told
-        run = best or candidate.nearest
+        run = candidate.shown
         same = "formulation", "resolution", "seconds", "run_s", "work", "energy_drift", "constraint"
         costs = {"error": self.asked.error(run), "operations": run.cost("operations")}
         return told | costs | {name: getattr(run, name) for name in same}
@@ -417,7 +411,7 @@ class Race:
     def _by_error(self) -> list[Candidate]:
         """Candidates that were tried, the nearest to the demand first."""
         tried = [c for c in self.candidates if c.runs and not c.refusal]
-        return sorted(tried, key=lambda c: self.asked.of(c.nearest))
+        return sorted(tried, key=lambda c: self.asked.of(c.shown))
 
     def _fate(self, c: Candidate) -> str:
         if c.refusal:

@@ -164,7 +164,7 @@ class Recommendation:
                 runner.end_workers()
                 runner.draft, self._until = False, over
                 most = MOST_TIMED if self.of_all else None
-                best = {run.key for race in self.races for run in race.winners[:most]}
+                best = {c.shown.key for race in self.races for c in race.order[:most]}
                 self._time(best, store, runner)
             finally:  # the records that were found before an error stay
                 self._machines = store.environments()

@@ -102,15 +102,15 @@ class OnStandardError(Progress):
 
 
 class _WorkerProcess(GuardedProcess):
-    """A worker process with the task in work, the rest of its group, and the scenes and programs
-    that it has had."""
+    """A worker process with the task in work, the rest of its group, and the scenes, programs and
+    labels of tasks that it has had."""
 
     def __init__(self, sources: Sources, limits: Limits, draft: bool) -> None:
         super().__init__(start_worker, (sources, limits.processors, draft), limits)
         self.sources = sources
         self.group: deque[Task] = deque()
         self.task: Task | None = None
-        self.had: set[tuple] = set()
+        self.had: set[str | tuple] = set()
 
     @property
     def busy(self) -> bool:
@@ -138,7 +138,6 @@ class Runner:
         self._jobs, self._limits = jobs, replace(limits, advice=limits.advice or _ADVICE)
         self.progress, self._wanted = progress or Progress(), wanted
         self.workers: list[_WorkerProcess] = []
-        self._owner: dict[str, _WorkerProcess] = {}
         self._lacking: dict[str, str] = {}
 
     def __enter__(self) -> Self:
@@ -216,7 +215,6 @@ class Runner:
                         spent[key] = math.inf
                     self._replace_dead(worker)
                     continue
-                self._owner[key] = worker
                 spent[key] += answer
                 yield task, number, answer
 
@@ -240,12 +238,12 @@ class Runner:
         return worker
 
     def _timekeeper(self, task: Task) -> _WorkerProcess:
-        """The worker that has prepared a task's run, if it lives, or any that may."""
-        worker = self._owner.get(task.label)
-        if worker and worker.alive:
-            return worker
+        """The worker that has prepared a task's run, or any that may."""
         fit = (w for w in self.workers if w.sources == task.sources)
-        return next(fit, None) or self._spawn(task.sources)
+        worker = min(fit, key=lambda w: task.label not in w.had, default=None)
+        worker = worker or self._spawn(task.sources)
+        worker.had.add(task.label)
+        return worker
 
     def _feed(self, queue: list[deque[Task]]) -> None:
         """Give groups to processes that are free, and have all begin their next tasks."""
@@ -257,6 +255,7 @@ class Runner:
         for worker in self.workers:
             if worker.group and not worker.task:
                 worker.task = task = worker.group.popleft()
+                worker.had.add(task.label)
                 self.progress.working(task.label)
                 lacking = self._lacking.get(task.scene or "")
                 named = {"lacking": lacking} if lacking else {}
@@ -283,16 +282,13 @@ class Runner:
         """The answer of a worker's task, NoAnswer, or None while it is in work or done again."""
         if (answer := worker.poll()) is None:
             return None
-        if text := worker.printed():
-            self.progress.printed(task.label, text)
+        self.progress.printed(task.label, worker.printed())
         worker.task = None
-        if isinstance(answer, NoAnswer):
-            if answer.phase == REFERENCE and answer.status != "interrupted" and task.scene:
-                self._lacking[task.scene] = answer.message
-                worker.group.appendleft(task)
-                answer = None
-        elif task.job is Worker.measure:
-            self._owner[task.label] = worker
+        failed = isinstance(answer, NoAnswer) and answer.status != "interrupted"
+        if failed and answer.phase == REFERENCE and task.scene:
+            self._lacking[task.scene] = answer.message
+            worker.group.appendleft(task)
+            answer = None
         self._replace_dead(worker)
         return answer
 
@@ -352,8 +348,8 @@ class ClusterRunner(Runner):
         threads: Any = {}  # of each worker; there may be none yet
         with suppress(Exception, CancelledError):  # the scheduler is gone, as run() will tell
             threads = self._client.nthreads()
-        groups = max(1, _FEWEST_GROUPS * sum(threads.values()))
-        return max(1, min(_MOST_TOGETHER, count // groups))
+        groups = _FEWEST_GROUPS * sum(threads.values())
+        return max(1, min(_MOST_TOGETHER, count // max(1, groups)))
 
     def run(
         self, groups: Iterable[list[Task]], offers: Callable[[], list[list[Task]]] = list
@@ -384,12 +380,10 @@ class ClusterRunner(Runner):
 
     def _collect(self, future: Any, group: list[Task]) -> list[tuple[Task, Any]]:
         try:
-            answers = []
-            for task, (printed, answer) in zip(group, future.result(), strict=True):
-                if printed:
-                    self.progress.printed(task.label, printed)
-                answers.append((task, answer))
-            return answers
+            printed, answers = zip(*future.result(), strict=True)
+            for task, text in zip(group, printed, strict=True):
+                self.progress.printed(task.label, text)
+            return [*zip(group, answers, strict=True)]
         except Exception as error:
             return _lost(group, error)
 

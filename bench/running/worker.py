@@ -32,7 +32,7 @@ from bench.running.plan import Cell
 from bench.running.process import MEASURING, PREPARING, REFERENCE, RUNNING, Notify
 from bench.running.scene_records import drawings, scene_record, uncontrolled
 from integrators import checks
-from integrators.contract import Integrator, PreparedRun, Trajectory
+from integrators.contract import PreparedRun, Trajectory
 from problems.base.runtime import check_runtime, compile_sooner, jax, use_threads
 from problems.base.spec import SpecError
 from problems.base.text import said
@@ -185,12 +185,6 @@ class Worker:
             record.constraint_unit = measure.constraint_unit(scene)
             return measure.violations(scene, run)
 
-        def bill(prepared: PreparedRun) -> dict[str, float]:
-            return checks.checked_bill(prepared.bill(run), PARTS)
-
-        def claims(method: Integrator) -> dict[str, int]:
-            return checks.checked_orders(method.claims(scene), "claims()")
-
         def cautions() -> str:
             caution = (checks.caution(method, scene) if method else None) or ""
             overlap = measure.end_at_overlap(run, scene, bool(method and method.passes_impacts))
@@ -205,8 +199,13 @@ class Worker:
         if whole:
             run.notes |= part("named points or published digits are known", points) or {}
         if cell and method:
-            record.operations = part("operations are known", bill, self.prepared[cell.key]) or {}
-            record.claims = part("claimed orders are known", claims, method)
+            bill, claims = self.prepared[cell.key].bill, method.claims
+            record.operations = (
+                part("operations are known", lambda: checks.checked_bill(bill(run), PARTS)) or {}
+            )
+            record.claims = part(
+                "claimed orders are known", lambda: checks.checked_orders(claims(scene), "claims()")
+            )
             # A run that takes longer than its preparation would double the time of the suite.
             quick = self._seconds[cell.key] < max(record.compile_s or 0.0, 1.0)
             if reference and record.errors and quick:
