@@ -1,16 +1,12 @@
-"""The store: round trips, refusals, a full disk; runs that continue."""
+"""The store: round trips, refusals, a full disk; what is missing in it."""
 
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from random import Random
 
 import msgspec
 import pytest
@@ -232,100 +228,6 @@ def test_of_the_runs_of_a_method_the_rows_of_the_finest_that_reached_the_end_are
             assert store.rows(record.key) == rows
     assert kept((0.1, "ok"), fingerprint="edited") == [0.1] * 4
     assert kept((0.05, "diverged"), fingerprint="edited") == [0.1] * 4
-
-
-PROFILE = """
-samples = 3
-[[study]]
-problems = ["spring_mass"]
-t_end = 2.0
-integrators = ["generalized_alpha", "newmark"]
-steps = [0.1, 0.05, 0.025, 0.0125]
-[[study]]
-problems = ["pendulum"]
-integrators = ["generalized_alpha[rho_inf=0.5]", "ida", "ida[formulation=index3,max_calls=2000]"]
-steps = [0.02, 0.01, 0.005]
-rtol = [1e-4, 1e-6]
-"""
-CELLS = 8 + 3 + 4
-
-
-def start(folder: Path, *more: str) -> subprocess.Popen:
-    """Run the suite as a person would, in a process of its own."""
-    profile = folder / "profile.toml"
-    profile.write_text(PROFILE)
-    command = [sys.executable, "-m", "bench", "run", str(profile), "--out", str(folder / "out")]
-    return subprocess.Popen(
-        [*command, *more], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
-
-
-def finish(folder: Path) -> str:
-    process = start(folder)
-    output, _ = process.communicate(timeout=240)
-    assert process.returncode == 0, output
-    return output
-
-
-def rows(out: Path) -> int:
-    """Finished cells and samples so far, read beside the running process."""
-    try:
-        with Store(out) as store:
-            records = store.records().values()
-    except StoreError:
-        return 0
-    return len(records) + sum(len(record.run_s) for record in records)
-
-
-def table(out: Path) -> dict[str, tuple]:
-    """The final table without times."""
-    with Store(out) as store:
-        return {
-            key: (r.status, r.message, r.errors, r.constraint, r.work, len(r.run_s))
-            for key, r in store.records().items()
-        }
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("undisturbed")
-    finish(folder)
-    result = table(folder / "out")
-    assert len(result) == CELLS
-    return result
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("kills", [2, 10])
-def test_kills_at_random_moments_change_nothing(tmp_path, undisturbed, kills):
-    chance, out = Random(20081), tmp_path / "out"
-    for _ in range(kills):
-        process = start(tmp_path)
-        wanted = rows(out) + chance.randint(0, 5)
-        while process.poll() is None and rows(out) < wanted:
-            time.sleep(0.005)
-        time.sleep(chance.random() * 0.3)
-        process.kill()
-        process.communicate()
-        kept = table(out) if rows(out) else {}
-        for key, row in kept.items():  # every row that is there is whole
-            assert row[:-1] == undisturbed[key][:-1]
-    finish(tmp_path)
-    assert table(out) == undisturbed
-
-
-@pytest.mark.long
-def test_a_finished_run_measures_nothing_again(tmp_path, undisturbed):
-    finish(tmp_path)
-    with Store(tmp_path / "out") as store:
-        before = store.records()
-    assert f"0 measured now, {CELLS} kept" in finish(tmp_path)
-    with Store(tmp_path / "out") as store:
-        assert store.records() == before
-    process = start(tmp_path, "--fresh")
-    output, _ = process.communicate(timeout=240)
-    assert f"{CELLS} measured now, 0 kept" in output
-    assert table(tmp_path / "out") == undisturbed
 
 
 REGISTRY = Inventory()

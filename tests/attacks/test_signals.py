@@ -21,7 +21,7 @@ from planted import everything, plant
 from processes import MODULE, STEPBENCH, Started, end_all, promised_seconds
 from test_contributing import EXAMPLES
 
-from bench.results.store import FILE
+from bench.results.store import FILE, Store
 
 attack, long = pytest.mark.attack, pytest.mark.long
 INT, TERM, HUP, KILL = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL
@@ -211,6 +211,54 @@ def test_a_killed_command_leaves_nothing_and_goes_on(folder, how):
     process.process.wait(promised_seconds())
     process.check_nothing_left()
     check_goes_on(folder, saved(folder), BUSY_RUN, 4)
+
+
+def table(folder: Path) -> dict[str, tuple]:
+    """What is stored of each run, without times, but with their number."""
+    if not saved(folder):
+        return {}
+    with Store(folder / "out") as store:
+        return {
+            key: (r.status, r.message, r.errors, r.constraint, r.work, len(r.run_s))
+            for key, r in store.records().items()
+        }
+
+
+#: Runs of which two end without a result.
+MORE = """
+[[study]]
+problems = ["pendulum"]
+integrators = ["ida", "ida[formulation=index3,max_calls=2000]"]
+rtol = [1e-4, 1e-6]
+"""
+
+
+@long
+def test_kills_at_random_moments_change_nothing_and_a_finished_run_measures_nothing_again(folder):
+    def finished(*more: str) -> tuple[str, dict[str, tuple]]:
+        process = Started(folder, *RUN, *more)
+        assert process.finish() == 0, process.said
+        return process.said, table(folder)
+
+    def progress() -> int:
+        return saved(folder) + saved(folder, "samples")
+
+    (folder / "small.toml").write_text(SMALL + MORE)
+    chance, (_, undisturbed) = random.Random(20081), finished()
+    for words, more in (("0 measured now, 16 kept", ()), ("16 measured now, 0 kept", ("--fresh",))):
+        said, again = finished(*more)
+        assert words in said
+        assert again == undisturbed
+    shutil.rmtree(folder / "out")
+    for _ in range(10):
+        process, wanted = Started(folder, *RUN), progress() + chance.randint(0, 5)
+        process.wait_for(lambda wanted=wanted: progress() >= wanted)
+        time.sleep(chance.random() * 0.3)
+        process.process.kill()
+        process.process.wait(promised_seconds())
+        process.check_nothing_left()
+        assert all(row[:-1] == undisturbed[key][:-1] for key, row in table(folder).items())
+    assert finished()[1] == undisturbed
 
 
 @pytest.mark.parametrize(
