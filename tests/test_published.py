@@ -334,14 +334,7 @@ def test_oscillations_and_stiff_motions_are_known_to_round_off_at_all_times():
             assert calls < 1000  # an explicit method takes some millions where it is stiff
 
 
-def test_a_small_component_is_known_beside_a_large_one_and_a_kink_is_passed():
-    w = np.array([1.0, 50.0])
-    motion, _ = solved(
-        lambda t, s: np.concatenate([s[:, 2:], -(w**2) * s[:, :2]], 1),
-        [10.0, 1e-6, 0.0, 0.0], 1.0, METHODS["gauss"], longest=0.1,
-    )  # fmt: skip
-    t = np.linspace(0.0, 1.0, 99)
-    assert np.abs(motion(t)[:, 1] / 1e-6 - np.cos(50 * t)).max() < 1e-10
+def test_a_kink_is_passed():
     kink, _ = solved(lambda t, s: np.abs(t - np.sqrt(0.5))[:, None], [0.0], 1.0, METHODS["gauss"])
     a = np.sqrt(0.5)
     # An error below this is taken for rounding where a shorter step happens to be no better.
