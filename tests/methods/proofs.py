@@ -11,11 +11,10 @@ from helpers import errors_at, toy
 
 from bench.stability.matrices import matrices
 from bench.stability.systems import LinearSystem, Oscillator
-from integrators import Integrator
+from integrators import Integrator, Trajectory
 from problems import MechatronicSystem, jax, jnp
 from problems.equations.formulations import linearised
 from problems.equations.initial_values import consistent_start
-from problems.mechanics import lagrange
 from problems.scenes.pendulums import DoublePendulum, Pendulum
 
 #: The swing of most tests: from t = 0.35 s on for one second.
@@ -45,10 +44,6 @@ Coupled = toy(
     actuation=lambda self: jnp.array([[0.0], [1.0]]),
 )  # fmt: skip
 Bent = toy("Bent", base=Coupled, constraint=_bent)
-TwoRods = toy(
-    "TwoRods", base=DoublePendulum,
-    energy=lambda self, q, v: 0.5 * (v @ self.mass(q) @ v) + 9.81 * (q[1] + 0.5 * q[3]),
-)  # fmt: skip
 ConservingOscillator = toy(
     "ConservingOscillator", base=Oscillator, energy=lambda self, q, v: 0.5 * (v @ v + q @ q)
 )
@@ -80,22 +75,6 @@ DampedPair, CubicDamper = (
 )  # fmt: skip
 
 
-def _kinetic(q: Any, v: Any) -> Any:
-    return v[0] ** 2 + v[1] ** 2 / 2 + v[0] * v[1] * jnp.cos(q[0] - q[1])
-
-
-def _height(q: Any) -> Any:
-    return -9.81 * (2 * jnp.cos(q[0]) + jnp.cos(q[1]))
-
-
-#: A double pendulum in absolute angles: M depends on their difference alone.
-AbsoluteAngles = toy(
-    "AbsoluteAngles", q=[1.5, 0.3], v=[1.0, -2.0], interval=(0.0, 0.2),
-    mass=lambda self, q: lagrange.mass(_kinetic, q),
-    force=lambda self, q, v, t: lagrange.force(_kinetic, _height, q, v),
-)  # fmt: skip
-
-
 # ---- orders ------------------------------------------------------------------------------
 class Orders(NamedTuple):
     """Errors of a group with the finer steps, and orders between two steps."""
@@ -124,6 +103,12 @@ def orders(
         return Orders(end, math.log2(end_before / end), most, math.log2(most_before / most))
 
     return {group: of(group) for group in fine}
+
+
+def levels(run: Trajectory) -> tuple[float, float]:
+    """Largest violations of the pendulum's constraint, in positions and in velocities."""
+    positions = abs(0.5 * ((run.q**2).sum(axis=1) - 1)).max()
+    return positions, abs((run.q * run.v).sum(axis=1)).max()
 
 
 # ---- spectra -----------------------------------------------------------------------------

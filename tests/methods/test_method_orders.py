@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,12 +12,11 @@ from helpers import long
 from proofs import (
     SWING,
     TWO_RODS,
-    AbsoluteAngles,
     Bent,
     CubicDamper,
     DampedPair,
-    TwoRods,
     Weighed,
+    levels,
     orders,
 )
 
@@ -84,10 +82,8 @@ def same(groups: str, order: float) -> dict[str, float]:
     return dict.fromkeys(groups.split(), order)
 
 
-def composite(method: type, formulation: str, lam: float, **options: Any) -> Case:
-    of = method(formulation=formulation, **options)
-    if formulation == "index3":
-        return Case(of, at_end=LOST, largest={"a": 1, "lam": 1})
+def composite(method: type, formulation: str, lam: float) -> Case:
+    of = method(formulation=formulation)
     return Case(of, largest=SECOND, within=0.05, errors={"lam": lam})
 
 
@@ -107,7 +103,6 @@ OF_BDF2 = {"at_end": same("q v lam", 2), "largest": {"lam": 1}, "within": 0.12}
 OF_HHT = {"at_end": same("q v lam", 2) | {"a": 1}, "largest": {"lam": 1}, "held": ""}
 OF_PHEM = {"within": 0.3, "held": ""}
 PHEM, ROSENBROCK = PHEM56(steps="constant"), Rodas5P(steps="constant")
-ONE_SIDED = RATTLE(multiplier="one_sided")
 COMPOSITES = structural.Bathe, structural.TRBDF2, structural.RhoInfBathe
 EULERS = steppers.SemiImplicitEuler(), steppers.ImplicitFast(), steppers.LinearlyImplicitEuler()
 FORCED, CONTROLLED = (ForcedOscillator(), 7.0), (DoublePendulumControlled(), 1.0)
@@ -131,8 +126,6 @@ SHORT = [
 ]  # fmt: skip
 MORE = [
     Case(structural.Park(), at_end=SECOND, largest={"lam": 1}, within=0.12),
-    Case(steppers.LinearlyImplicitEuler(), within=0.15, held=""),
-    Case(ONE_SIDED, largest=ONE_SIDED.claims(SWING[0]), held="qv"),
     *(Case(BDF2(formulation=f), **OF_BDF2) for f in FORMULATIONS[1:]),
     *(Case(BDF2(formulation=f), on=TWO_RODS, above=same("q v lam", 1.8)) for f in FORMULATIONS),
     *(
@@ -141,8 +134,6 @@ MORE = [
         for method, held in ((RATTLE(), "qv"), (SHAKE(), ""), (VariationalMidpoint(), "qv"))
     ),
     *(Case(LobattoPair(values="equations"), 80, on, held="qv") for on in (SWING, TWO_RODS)),
-    *(composite(m, "index3", 0) for m in (structural.Bathe, structural.TRBDF2)),
-    composite(structural.RhoInfBathe, "index3", 0, rho_inf=0.5),
     composite(structural.Bathe, "index2", 5.1e-4),
     composite(structural.TRBDF2, "stabilised_index2", 5.0e-4),
     composite(structural.RhoInfBathe, "stabilised_index2", 3.9e-4),
@@ -185,8 +176,7 @@ MORE = [
     # Forces of both ends cost an order where the mass varies, accelerations none.
     Case(HHTI3(steps="constant"), on=CRANK, above={"q": 1.9}),
     Case(HHTI3(steps="constant", mixed="forces"), on=CRANK, at_end={"q": 1.25}, within=0.35),
-    Case(HHTI3(steps="constant", mixed="forces"), on=(AbsoluteAngles(), 0.2), at_end={"q": 1}),
-    *(Case(EnergyMomentum(formulation=f), on=(TwoRods(), 1.0),
+    *(Case(EnergyMomentum(formulation=f), on=(Chain(links=2), 1.0),
            above={"q": 1.9, "v": 1.9, "lam": 0.9, "a": 0.9}) for f in FORMULATIONS[::2]),
     Case(PHEM, 20, (SpringMass(), 5.0), above=same("q v a x y", 4.7)),
     # Free systems: from the first step on, also in patterns.
@@ -213,7 +203,7 @@ MORE = [
         Case(RadauIIA(stages=stages, formulation=f, steps="constant"), steps, TWO_RODS, least=True)
         for (stages, steps), f in product(((2, 200), (3, 80)), FORMULATIONS)
     ),
-    *(Case(method, within=0.15, held="") for method in EULERS[:2]),
+    *(Case(method, within=0.15, held="") for method in EULERS),
     *(Case(method, 3200, TWO_RODS, above=same("q v a lam", 0.85)) for method in EULERS),
     *(Case(m, 1600, (SpringMass(), 1.0), above=same("q v a x y", 0.9)) for m in EULERS),
     *(
@@ -258,9 +248,7 @@ def test_orders_and_errors_are_those_claimed_and_constraints_hold(cases):
             )
         held = HELD.get(method.formulation, "") if case.held is None else case.held
         if held and case.on is SWING:
-            run = method.prepare(scene, t_end, Steps(0.01)).measure()
-            positions = abs(0.5 * ((run.q**2).sum(axis=1) - 1)).max()
-            velocities = abs((run.q * run.v).sum(axis=1)).max()
+            positions, velocities = levels(method.prepare(scene, t_end, Steps(0.01)).measure())
             assert (positions < 1e-14, velocities < 1e-13) == ("q" in held, "v" in held)
 
 
@@ -269,7 +257,6 @@ def test_claims_fall_where_theory_says_so():
     for method, scene, claims in [
         (forces, SliderCrankMinimal(), {"q": 1}),
         (forces, HeavyTop(), {"q": 1}),
-        (forces, AbsoluteAngles(), {"q": 1}),
         (forces, SWING[0], {"q": 2}),
         (HHTI3(steps="constant"), SliderCrankMinimal(), {"q": 2}),
         (HHTI3(steps="constant"), HeavyTop(), {"q": 2}),
