@@ -1,4 +1,4 @@
-"""Operations of equations and steps, counted by hand."""
+"""Operations of equations and steps, by hand, as automatic differentiation forms them."""
 
 from __future__ import annotations
 

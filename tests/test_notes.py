@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import cell_of, long, reference
+from helpers import cell_of, long, reference, toy
 from planted import STEPS, edited, everything, page_data, plant, planted
 from small_stores import atlas_with
 
@@ -111,12 +111,8 @@ def test_the_published_mix_of_forces_says_that_it_loses_its_order_where_the_mass
 
 
 def test_a_caution_is_none_or_a_sentence():
-    class Odd(HHTI3):
-        def caution(self, scene):
-            return ""
-
     with pytest.raises(FalseAnswer, match="caution"):
-        caution(Odd(), Pendulum())
+        caution(toy(base=HHTI3, caution=lambda self, scene: "")(), Pendulum())
 
 
 def test_errors_above_a_tenth_are_a_note_and_those_of_failed_runs_are_none():

@@ -1,9 +1,4 @@
-"""The bill of a run: operations by hand counts, growth with the size, and the parts of a run.
-
-Hand counts follow the equations as automatic differentiation forms them: a Jacobian-vector product
-for every column, a product with the transposed constraint Jacobian as a sum of padded vectors where
-the release of JAX makes one.
-"""
+"""The bill of a run: operations by hand counts, growth with the size, and the parts of a run."""
 
 from __future__ import annotations
 

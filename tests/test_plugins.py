@@ -61,17 +61,6 @@ def test_a_numpy_default_is_listed_as_json_without_what_the_plugin_prints_at_imp
     assert defaults["n"] == 3
 
 
-def test_a_plugin_that_fails_when_it_is_made_or_is_set_twice_is_one_sentence(refused, tmp_path):
-    file = tmp_path / "plugin.py"
-    file.write_text(HEAD + SCENE + "    def __post_init__(self):\n        1 / 0\n")
-    assert "heavy_bob cannot be made: ZeroDivisionError: division by zero." in refused(
-        "solve", "heavy_bob", "newmark", "--plugins", file
-    )
-    assert "'m' is given in 'pendulum[m=2]' and again by itself" in refused(
-        "solve", "pendulum[m=2]", "hht", "--set", "m=1"
-    )
-
-
 @pytest.mark.parametrize(
     ("code", "words"),
     [
@@ -109,10 +98,6 @@ def test_programs_are_forgotten_before_memory_mappings_run_out(monkeypatch):
     pair = bench.registry, "pendulum", "newmark"
     first, second = (cell_of(*pair, 1.0, Steps(h)) for h in (0.1, 0.05))
     before = bench.measure(first)
-    # Of all steps of this short run the errors are stored: the largest is that of the record.
-    noted = {g: before.rows.notes[f"error_{g}"] for g in ("q", "v", "a", "lam")}
-    largest = {g: before.record.errors[g]["max"] for g in noted}
-    assert {g: max(values) for g, values in noted.items()} == pytest.approx(largest, rel=5e-3)
     monkeypatch.setattr(worker, "memory_mappings", lambda: worker.MOST_MAPPINGS + 1)
     monkeypatch.setattr(worker, "COUNTED_EVERY", 1)
     bench.measure(second)
@@ -174,12 +159,10 @@ def test_varied_options_are_combined_with_every_integrator(tmp_path):
     [
         ("start =", "strat =", "did you mean 'start'"),
         ('"corrected"', '"late"', "start=late is not allowed"),
-        ("samples = 0", "samples = -1", "samples=-1 is not allowed; give 0 (no timing) to 1000"),
         ("steps =", 'components = ["q3"]\nsteps =', "pendulum has no component 'q3'"),
         ("steps =", 'components = ["q2:q9"]\nsteps =', "pendulum has no component 'q9'"),
         ("steps =", 'components = ["q1:"]\nsteps =', "pendulum has no component ''"),
         ("steps =", 'components = ["z1"]\nsteps =', "give a group and a number such as q1"),
-        ("steps =", 'figures = ["order"]\nsteps =', "did you mean 'orders'"),
     ],
 )
 def test_a_bad_profile_is_one_sentence(tmp_path, old, new, words):

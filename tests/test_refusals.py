@@ -13,6 +13,7 @@ did you mean 'pendulum'                    | solve pendulm newmark
 did you mean 'newmark'                     | solve pendulum newmrk
 did you mean 'beta'                        | solve pendulum newmark[betta=1]
 has no option 'mass'                       | solve pendulum newmark --set mass=1
+in 'pendulum[m=2]' and again by itself     | solve pendulum[m=2] newmark --set m=1
 not a finite number                        | solve pendulum newmark --set m=nan
 not of the form name=value                 | solve pendulum newmark --set m
 outside                                    | solve pendulum newmark --set m=-1
@@ -106,7 +107,7 @@ or name integrators                        | recommend pendulum --error q:1 --er
 No integrator takes heavy_top_so3          | recommend heavy_top_so3 rodas5p
 belong to one scene                        | recommend quick --t-end 1
 nothing.toml                               | recommend nothing.toml ida
-the scenes one_mass, two_masses; name one  | recommend two.py
+the scenes one, two; name one              | recommend two.py
 defines no MechatronicSystem               | recommend none.py
 
 named twice                                | drift oscillator newmark newmark
@@ -133,47 +134,24 @@ from 2 to 1000000 steps                    | realtime pendulum newmark --rate 1e
 --rate                                     | realtime pendulum newmark
 1000 Hz over 0.001 s is not allowed        | realtime pendulum newmark --rate 1e3 --duration 1e-3
 """
-MASS = """
-@dataclass(frozen=True)
-class {}(MechatronicSystem):
-    '''A mass on a spring.'''
-
-    interval = (0.0, 1.0)
-    nominal_step = 0.1
-
-    def mass(self, q):
-        return jnp.eye(1)
-
-    def force(self, q, v, t):
-        return -4.0 * q
-
-    def initial_state(self):
-        return State(q=np.ones(1), v=np.zeros(1))
-"""
-
-
-def scenes(*names: str) -> str:
-    """A plugin file with these scenes."""
-    head = "from dataclasses import dataclass\nimport numpy as np\n"
-    head += "from problems import MechatronicSystem, State, jnp\n"
-    return head + "".join(map(MASS.format, names))
+#: Plugin files with a scene, with two of them, and with none; and what else is there.
+FILES = {
+    "one.py": "from problems.scenes.pendulums import Pendulum\nclass One(Pendulum):\n    'One.'\n",
+    "none.py": '"""Nothing."""\n',
+    "mine.py": "precious",
+}
+FILES["two.py"] = f"{FILES['one.py']}class Two(Pendulum):\n    'Two.'\n"
 
 
 @pytest.mark.usefixtures("without_processes")
 def test_a_wrong_line_is_refused_in_a_sentence_and_nothing_is_written(
     refused, tmp_path, monkeypatch
 ):
-    files = {
-        "one.py": scenes("OneMass"),
-        "two.py": scenes("OneMass", "TwoMasses"),
-        "none.py": '"""Nothing."""\n',
-        "mine.py": "precious",
-    }
-    for name, text in files.items():
+    for name, text in FILES.items():
         (tmp_path / name).write_text(text)
     monkeypatch.chdir(tmp_path)
     for case in filter(None, TABLE.splitlines()):
         words, line = case.split("|")
         assert words.strip() in refused(*shlex.split(line)), line
     there = [path for path in tmp_path.iterdir() if path.name != "__pycache__"]
-    assert {path.name: path.read_text() for path in there} == files
+    assert {path.name: path.read_text() for path in there} == FILES

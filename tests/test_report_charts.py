@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import vl_convert
 from planted import STEPS, chart_rows, curves, everything, plant, planted
-from planted import chart_rows as table
 
 from bench.results.flat_rows import flatten
 from bench.results.quantities import COSTS, PARTS
@@ -74,7 +73,7 @@ def test_errors_against_costs_and_each_other_are_those_of_the_records(series, st
         columns = ("seconds", "residuals", *(f"{g}_{norm}" for g in groups))
         shown = {
             (row["series"], row["run"], *(near(float(row[c])) for c in columns))
-            for row in table(chart, "runs")
+            for row in chart_rows(chart, "runs")
         }
         assert shown == {
             (s.label, r.resolution, near(r.seconds), r.work["residuals"], *errors)
@@ -115,7 +114,7 @@ def test_the_legend_names_the_fitted_orders_by_short_names():
     text = [element.text for element in ElementTree.fromstring(svg).iter() if element.text]
     assert {"gα 0.8: order q 2.00, lam 1.00", "n: order q 2.00, lam 0.00"} <= set(text)
     assert "two: order not determined" in text
-    assert {row["series"] for row in table(chart, "runs")} == {label, "n", "two"}
+    assert {row["series"] for row in chart_rows(chart, "runs")} == {label, "n", "two"}
 
 
 def test_error_against_cost_has_a_panel_for_each_scene_with_several_integrators():
@@ -131,7 +130,7 @@ def test_error_against_cost_has_a_panel_for_each_scene_with_several_integrators(
     titles = [panel["title"]["text"] for panel in chart["concat"]]
     assert titles == ["spring mass", "pendulum"]
     for name in ("spring_mass", "pendulum"):
-        rows = table(chart, f"runs on {name}")
+        rows = chart_rows(chart, f"runs on {name}")
         shown = {(r["series"], float(r["residuals"]), float(r["a_end"])) for r in rows}
         ok = [r for r in scenes[name] if r.status == "ok" and "a" in r.errors]
         assert shown == {
@@ -178,7 +177,7 @@ def test_only_what_varies_is_drawn_over_time_errors_logarithmically(styles):
     assert [axis["field"] for axis in axes] == ["error_a", "h", "position"]
     assert axes[0]["title"] == "error in acceleration a"
     assert {axis["scale"]["type"] for axis in axes} == {"log"}
-    shown = table(chart, "histories")
+    shown = chart_rows(chart, "histories")
     assert shown[0]["h"] == ""  # no step led to the start
     assert [float(row["h"]) for row in shown[1:]] == pytest.approx(rows.notes["h"][1:])
     assert float(shown[8]["error_a"]) == 1e-7
@@ -212,7 +211,7 @@ def test_a_study_chooses_what_is_drawn_over_time_or_over_another_component(style
         for layer in panel["layer"]:  # the reference and the run
             assert [layer["encoding"][c]["field"] for c in ("x", "y", "order")] == [x, y, "t"]
     assert chart["concat"][2]["layer"][1]["encoding"]["x"]["title"] == "q[1]"
-    first = table(chart, "runs")[0]
+    first = chart_rows(chart, "runs")[0]
     assert float(first["q4"]) == pytest.approx(rows.values["q"][0][4], rel=1e-4)
     assert "q2" not in first
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
+from helpers import toy
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -71,27 +70,21 @@ def test_a_class_that_refuses_its_values_is_one_sentence():
         (SpecError("These two do not go together."), "These two do not go together."),
     ]:
 
-        @dataclass(frozen=True)
-        class Moody(HHT):
-            def __post_init__(self):
-                raise error
+        def refuse(self):
+            raise error
 
         with pytest.raises(SpecError) as caught:
-            build(Moody, {}, "moody")
+            build(toy("Moody", base=HHT, __post_init__=refuse), {}, "moody")
         assert str(caught.value) == words
 
 
 def test_a_numpy_default_is_a_traced_parameter_like_any_float():
     for kind in [np.float64, np.float32]:
-
-        @dataclass(frozen=True)
-        class Heavy(Pendulum):
-            load: float = parameter(kind(2.0), "kg", "load")
-
-        assert type(Heavy().load) is float
-        assert Heavy().parameters()["load"] == 2.0
+        heavy = toy("Heavy", base=Pendulum, load=parameter(kind(2.0), "kg", "load"))
+        assert type(heavy().load) is float
+        assert heavy().parameters()["load"] == 2.0
         with pytest.raises(SpecError, match="not a finite number"):
-            build(Heavy, {"load": "nan"}, "heavy")
+            build(heavy, {"load": "nan"}, "heavy")
 
 
 @given(st.floats(0, 3), st.none() | st.floats(-3, 0.95), st.none() | st.floats(0, 3))

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from helpers import long, toy
+from helpers import long, run_of, toy
 
 from bench.plugins.registry import Registry
 from bench.plugins.skeletons import integrator as skeleton
@@ -22,9 +22,9 @@ from integrators import (
     option,
 )
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from problems import MechatronicSystem, State, jnp, parameter
+from problems import State, jnp, parameter
 from problems.base.spec import SpecError
-from problems.equations.formulations import dae_layout, dae_residual, ode_rate
+from problems.equations.formulations import ode_rate
 from problems.equations.initial_values import missing_rank
 from problems.scenes.oscillators import Oscillator, SpringMass
 from problems.scenes.pendulums import Chain, Pendulum
@@ -71,56 +71,23 @@ class Careful(ErrorControl, Theta):
         return Errors(q, v, x)
 
 
-@dataclass(frozen=True)
-class BackwardEuler(ImplicitStepMethod):
-    """Backward Euler on the stabilised index-2 equations."""
-
-    formulation: ClassVar = "stabilised_index2"
-
-    def begin(self, scene, start, h):
-        at, z = dae_layout(scene.sizes, self.formulation), start.z
-        return jnp.zeros(at.size).at[at.q].set(z.q).at[at.v].set(z.v).at[at.lam].set(z.lam)
-
-    def step(self, scene, state, t, h, work):
-        def residual(w):
-            return dae_residual(scene, self.formulation, t, w, (w - state) / h)
-
-        return work.solve(residual, state)
-
-    def read(self, scene, state):
-        at, nothing = dae_layout(scene.sizes, self.formulation), jnp.zeros(0)
-        a = 0 * state[at.v]
-        return Reading(state[at.q], state[at.v], a, state[at.lam], nothing, nothing, nothing)
-
-
 def end_of(method, scene=None, h=0.05, **steps):
     scene = scene or Oscillator()
-    run = method.prepare(scene, scene.interval[0] + 1.0, Steps(h, **steps)).measure()
-    assert run.status == "ok", run.message
-    return run
+    return run_of(method, scene, Steps(h, **steps), scene.interval[0] + 1.0)
 
 
 # ---- values and programs ---------------------------------------------------------------
-@dataclass(frozen=True)
-class Spring(MechatronicSystem):
-    """A unit mass on a spring, q(0) = 1, which derives its stiffness and keeps it."""
+def at_one(self):
+    assert self.stiffness == self.k  # asked for while it has plain numbers
+    return State(q=np.ones(1), v=np.zeros(1))
 
-    interval = (0.0, 1.0)
-    k: float = parameter(1.0, "N/m", "stiffness")
 
-    def mass(self, q):
-        return jnp.eye(1)
-
-    def force(self, q, v, t):
-        return -self.stiffness * q
-
-    def initial_state(self):
-        assert self.stiffness == self.k  # asked for while it has plain numbers
-        return State(q=np.ones(1), v=np.zeros(1))
-
-    @cached_property
-    def stiffness(self):
-        return 1.0 * self.k
+#: A unit mass on a spring, q(0) = 1, which derives its stiffness and keeps it.
+Spring = toy(
+    "Spring", k=parameter(1.0, "N/m", "stiffness"), initial_state=at_one,
+    stiffness=cached_property(lambda self: 1.0 * self.k),
+    force=lambda self, q, v, t: -self.stiffness * q,
+)  # fmt: skip
 
 
 class Keeps:
@@ -151,13 +118,9 @@ def test_the_theta_rule_gives_the_powers_of_its_matrix_with_the_numbers_of_each_
 
 
 def test_what_a_scene_writes_down_when_it_is_made_is_refused():
-    @dataclass(frozen=True)
-    class Written(Spring):
-        def __post_init__(self):
-            object.__setattr__(self, "half", self.k / 2)
-
+    written = toy(base=Spring, __post_init__=lambda self: vars(self).update(half=self.k / 2))
     with pytest.raises(SpecError, match="keeps half beside its parameters"):
-        Theta().prepare(Written(k=8.0), 1.0, Steps(0.05))
+        Theta().prepare(written(k=8.0), 1.0, Steps(0.05))
 
 
 def test_an_option_that_is_text_makes_another_program_and_a_float_does_not():
@@ -170,11 +133,11 @@ def test_an_option_that_is_text_makes_another_program_and_a_float_does_not():
     assert two.work.newton > one.work.newton
 
 
-def test_modified_newton_and_sparse_tangents_need_no_line_of_the_method():
-    modified = {"newton": "modified"}
+def test_modified_newton_and_sparse_tangents_need_no_line_of_the_method(plugins):
+    modified, euler = {"newton": "modified"}, Registry([plugins]).integrator("euler_dae")
     for method, scene, options in [
         (Theta(form="two"), Oscillator(), modified),
-        (BackwardEuler(), Chain(links=3), modified | {"linear_solver": "sparse"}),
+        (euler, Chain(links=3), modified | {"linear_solver": "sparse"}),
     ]:
         full, other = (end_of(m, scene, 0.02) for m in (method, replace(method, **options)))
         assert other.q == pytest.approx(full.q, abs=1e-9 * np.abs(full.q).max())
@@ -193,18 +156,14 @@ def test_a_method_with_an_estimate_follows_the_tolerance():
     assert errors[1] < 0.3 * errors[0]
 
 
-@dataclass(frozen=True)
-class Early(Oscillator):
-    interval = (-0.3, 1.0)
-
-
 def test_a_run_that_ends_with_its_last_allowed_step_is_complete():
+    early = toy("Early", base=Oscillator, interval=(-0.3, 1.0))()
     # Across zero the last time and the last step do not sum to the end, by a rounding error.
     for t_end in np.linspace(0.001, 0.1, 300)[[1, 5, 9]]:
-        run = Careful(theta=1.0).prepare(Early(), t_end, Tolerances(10.0)).measure()
+        run = Careful(theta=1.0).prepare(early, t_end, Tolerances(10.0)).measure()
         tries = run.work.steps + run.work.rejected
         just, fewer = (
-            Careful(theta=1.0, max_steps=most).prepare(Early(), t_end, Tolerances(10.0)).measure()
+            Careful(theta=1.0, max_steps=most).prepare(early, t_end, Tolerances(10.0)).measure()
             for most in (tries, tries - 1)
         )
         assert (just.status, just.t[-1]) == ("ok", t_end)
@@ -312,12 +271,6 @@ def test_options_resolutions_and_blocks_are_checked_from_python_too():
         with pytest.raises(SpecError, match=words):
             method.prepare(Oscillator(), 1.0, at)
 
-    class Flat(Pendulum):
-        def output(self, z):
-            return z.q[:1]
-
-        def actuation(self):
-            return np.ones(2)
-
+    flat = toy(base=Pendulum, output=lambda self, z: z.q[:1], actuation=lambda self: np.ones(2))
     with pytest.raises(SpecError, match=r"shape \(2,\), expected \(2, ny\)"):
-        _ = Flat().sizes
+        _ = flat().sizes

@@ -1,13 +1,12 @@
 """IDA and CVODE in C: the runs of scikit-sundae, forces that go wrong, and every way to end."""
 
 from ctypes import c_int
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import odd_forces
 import pytest
-from helpers import Probe, cell_of, long
+from helpers import Probe, cell_of, long, toy
 from scipy.sparse import csc_matrix
 from sksundae import cvode
 from sksundae import ida as ida_of_sundae
@@ -19,7 +18,7 @@ from integrators.adapters import sundials
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.ida import IDA
 from integrators.adapters.sundials import library
-from problems import MechatronicSystem, jnp
+from problems import jnp
 from problems.base.spec import SpecError
 from problems.scenes.pendulums import Chain, Pendulum
 from problems.scenes.slider_crank import SliderCrank
@@ -130,12 +129,11 @@ def test_a_flag_of_a_call_that_fails_ends_the_run(method, monkeypatch):
     assert "99" not in ended.message
 
 
-@dataclass(frozen=True)
-class Kinked(Probe):
-    """Its force has no derivative after t = 0.5 s, where it is finite."""
-
-    def force(self, q, v, t):
-        return -self.k * q - jnp.sqrt(jnp.where(t > 0.5, 0.0, 1.0) * q**2)
+#: Its force has no derivative after t = 0.5 s, where it is finite.
+Kinked = toy(
+    "Kinked", base=Probe,
+    force=lambda self, q, v, t: -self.k * q - jnp.sqrt(jnp.where(t > 0.5, 0.0, 1.0) * q**2),
+)  # fmt: skip
 
 
 @every_method
@@ -168,17 +166,12 @@ def test_a_sparse_run_that_ends_before_its_first_factorisation_ends_as_any_other
     assert run.status == "budget_exceeded"
 
 
-@dataclass(frozen=True)
-class FilteredPendulum(Pendulum):
-    """The vertical acceleration of a pendulum goes through a filter of about 1 kHz."""
-
-    energy = MechatronicSystem.energy
-
-    def state_rate(self, z):
-        return 6000.0 * (z.a[1:] - z.x)
-
-    def initial_state(self):
-        return super().initial_state()._replace(x=np.zeros(1))
+#: The vertical acceleration of a pendulum goes through a filter of about 1 kHz.
+FilteredPendulum = toy(
+    "FilteredPendulum", base=Pendulum, energy=None,
+    state_rate=lambda self, z: 6000.0 * (z.a[1:] - z.x),
+    initial_state=lambda self: Pendulum.initial_state(self)._replace(x=np.zeros(1)),
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("callbacks", ["python", *long("compiled")])

@@ -1,7 +1,4 @@
-"""Scenes of SymPy models: the equations of hand-written scenes, as text that needs no SymPy.
-
-The examples are those of docs/models.md.
-"""
+"""Scenes of SymPy models: the equations of scenes by hand, as text that needs no SymPy."""
 
 from __future__ import annotations
 
@@ -317,7 +314,7 @@ def of(method):
     return lambda **given: scene_of(method(), **given)
 
 
-TWINS = sm.Symbol("m", positive=True) * X.diff(T) ** 2
+MASS, TWIN = sm.Symbol("mass"), sm.Symbol("m", positive=True)
 REFUSED = {
     "missing constant": (spring, {"constants": {M: 1.0}}, "The force contains k: neither"),
     "unknown constant": (spring, {"constants": {M: 1, K: 1, C: 1}}, "do not contain c "),
@@ -328,16 +325,10 @@ REFUSED = {
     "unknown start": (spring, {"initial": {Y: 1.0}}, "initial names y\\(t\\): no coordinate"),
     "start in time": (spring, {"initial": {X: T}}, "initial: x\\(t\\) depends on .* time"),
     "wrong unit": (spring, {"units": {C: "m"}}, "units names c"),
-    "taken name": (
-        method_with(OSCILLATOR.subs(K, sm.Symbol("mass"))),
-        {"constants": {M: 1, sm.Symbol("mass"): 1}},
-        "cannot be called 'mass'",
-    ),
-    "one name twice": (
-        method_with(OSCILLATOR + TWINS),
-        {"constants": {M: 1, K: 1, sm.Symbol("m", positive=True): 1}},
-        "cannot be called 'm'",
-    ),
+    "taken name": (method_with(OSCILLATOR.subs(K, MASS)), {"constants": {M: 1, MASS: 1}},
+                   "cannot be called 'mass'"),
+    "one name twice": (method_with(OSCILLATOR + TWIN * X), {"constants": {M: 1, K: 1, TWIN: 1}},
+                       "cannot be called 'm'"),
     "scene's name": (spring, {"name": "my scene"}, "is no name of a scene"),
     "step": (spring, {"nominal_step": "x"}, "nominal_step=x is not a finite number"),
     "moving kinematics": (of(driven), {}, "kd_eqs have terms without speeds"),
@@ -346,12 +337,10 @@ REFUSED = {
         "Call kanes_equations",
     ),
     "no equations of a system": (of(System), {}, "Call form_eoms"),
-    "not linear in v": (
-        method_with(OSCILLATOR, nonhol_coneqs=[X.diff(T) ** 2 - 1]), {}, "are not linear"
-    ),
-    "constraint of v": (
-        method_with(OSCILLATOR, hol_coneqs=[X + X.diff(T)]), {}, "contain velocities; give these as"
-    ),
+    "not linear in v": (method_with(OSCILLATOR, nonhol_coneqs=[X.diff(T) ** 2 - 1]), {},
+                        "are not linear"),
+    "constraint of v": (method_with(OSCILLATOR, hol_coneqs=[X + X.diff(T)]), {},
+                        "contain velocities; give these as"),
     "mass in time": (spring, {"constants": {M: 1 + T, K: 1}}, "mass matrix depends on time"),
     "special function": (method_with(OSCILLATOR + sm.erf(X) * K), {}, "erf, which jax.numpy does"),
     "no method": (lambda **given: scene_of(OSCILLATOR, **given), {}, "takes a LagrangesMethod"),

@@ -41,6 +41,13 @@ def test_the_interval_of_the_median_is_that_of_the_sign_test():
 PENDULUM = cell_of(Registry([]), "pendulum", "newmark", 1.0, Steps(0.1))
 
 
+def sample_of(execute):
+    """A timing sample of this function, as a run of a worker."""
+    worker = Worker(Registry([]))
+    worker.prepared[PENDULUM.key] = SimpleNamespace(execute=execute)
+    return worker.time(PENDULUM)
+
+
 class _Clock(Runner):
     """A runner whose worker tells when it was asked."""
 
@@ -89,10 +96,8 @@ def test_a_sample_has_one_processor_and_no_old_garbage_to_look_through():
         seen.append((os.sched_getaffinity(0), os.sched_getaffinity(thread.native_id)))
         seen.append(gc.get_freeze_count() > 1000)
 
-    worker, cell = Worker(Registry([])), PENDULUM
-    worker.prepared[cell.key] = SimpleNamespace(execute=execute)
     try:
-        worker.time(cell)
+        sample_of(execute)
         after = os.sched_getaffinity(0), os.sched_getaffinity(thread.native_id)
     finally:
         stop.set()
@@ -127,9 +132,7 @@ def test_a_sample_counts_what_a_run_computes_and_not_what_it_waits(monkeypatch):
         (start_a_program, 0.005, math.inf),
     ]:
         monkeypatch.setattr("bench.running.measure.TIMING_SECONDS", 0.1)
-        worker, cell = Worker(Registry([])), PENDULUM
-        worker.prepared[cell.key] = SimpleNamespace(execute=execute)
-        assert low <= worker.time(cell) < high
+        assert low <= sample_of(execute) < high
 
 
 class _Machine:
@@ -156,9 +159,7 @@ class _Machine:
             self.runs += 1
             self.compute(seconds)
 
-        worker, cell = Worker(Registry([])), PENDULUM
-        worker.prepared[cell.key] = SimpleNamespace(execute=execute)
-        return worker.time(cell)
+        return sample_of(execute)
 
 
 def test_a_sample_is_the_least_run_whatever_disturbs_others_and_however_short(monkeypatch):

@@ -1,8 +1,4 @@
-"""Hostile plugins: each costs its own cell, with its true reason, and nothing else.
-
-Plugins of a group share one `stepbench run`, whose other cells have to be those of a run without
-plugins, to the last bit.
-"""
+"""Hostile plugins: each costs its own cell, with its true reason, and changes no bit of others."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Bad inputs, generated over all commands, options and arguments: each ends in one short sentence.
-
-For every parameter of every command, and every wrong value of the parameter's type, a command line
-is made that is right but for this value.
-"""
+"""Bad inputs, generated over all commands, options and arguments: each ends in one sentence."""
 
 from __future__ import annotations
 
@@ -217,7 +213,8 @@ WORDS = {
     **dict.fromkeys(("no table", "numbers", "table"), "not as expected"),
     **dict.fromkeys(("no list", "no integrators"), "integrators"),
     "stepps": "unknown field `stepps`", "problem": "unknown field `problem`",
-    "open": "not valid TOML", "no study": "Nothing is left to run", "samples": "samples=-1",
+    "samples": "samples=-1 is not allowed; give 0 (no timing) to 1000",
+    "open": "not valid TOML", "no study": "Nothing is left to run",
     "budget": "budget_s=-1", "step zero": "positive number", "step": "larger than",
     "tolerance": "rtol=-1", "misspelt figure": "did you mean 'convergence'",
 }  # fmt: skip
