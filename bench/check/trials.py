@@ -6,7 +6,7 @@ import math
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import cache
-from itertools import islice, pairwise
+from itertools import count, islice, pairwise, takewhile
 from typing import Any
 
 import numpy as np
@@ -252,16 +252,13 @@ def _refine(trial: Trial, claims: dict[str, int]) -> dict[str, _Slope]:
     ratio = 2.0 if max(claims.values()) <= _LOW else 2.0**0.5
     length = trial.t_end - trial.scene.interval[0]
     known = reference(trial.scene, trial.t_end)
-    slopes, tried, trouble = {group: _Slope([]) for group in claims}, 0.0, ""
+    slopes, trouble = {group: _Slope([]) for group in claims}, ""
     # Samples cut steps: those that divide the time between two are all of one size.
     samples = round(length / trial.scene.sample_time) if trial.scene.has("sample") else 1
-    count = max(1.0, _FEWEST / samples)
-    while samples * count <= _MOST:
-        h = length / samples / round(count)
-        count *= ratio
-        if h == tried:
-            continue
-        tried = h
+    steps = (max(1.0, _FEWEST / samples) * ratio**k for k in count())
+    steps = takewhile(lambda number: samples * number <= _MOST, steps)
+    for number in dict.fromkeys(map(round, steps)):
+        h = length / samples / number
         run = trial.trajectory(trial.prepared(Steps(h)))
         trouble = run.status != "ok" and f"h={h:.2g} s it ends with {run.status}: {run.message}"
         if trouble:

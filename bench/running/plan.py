@@ -159,15 +159,11 @@ def _varied(study: StudyFile) -> StudyFile:
     count = len(study.integrators) * math.prod(map(len, study.vary.values()))
     if count > _MOST_VARIED:
         raise SpecError(f"A [[study]] varies {count} integrators; {_MOST_VARIED} are allowed.")
-    combinations = [
-        dict(zip(study.vary, values, strict=True)) for values in product(*study.vary.values())
+    integrators = [
+        spec.join_spec(name, options | dict(zip(study.vary, values, strict=True)))
+        for name, options in map(spec.split_spec, study.integrators)
+        for values in product(*study.vary.values())
     ]
-    integrators = []
-    for text in study.integrators:
-        name, options = spec.split_spec(text)
-        for more in combinations:
-            every = ",".join(f"{key}={value}" for key, value in (options | more).items())
-            integrators.append(f"{name}[{every}]" if every else name)
     return msgspec.structs.replace(study, integrators=integrators, vary={})
 
 

@@ -74,8 +74,9 @@ class Sizes:
             return None
         if good is None:
             assert bad is not None
-            finer = _FINER_RTOL if self.length is None else _FINER
-            if _hopeless(tried, finer) or bad <= self.finest:
+            finest, *others = sorted(tried)[:3]
+            finer = others[1:] and others[1] / finest >= (_FINER if self.length else _FINER_RTOL)
+            if bad <= self.finest or (finer and tried[finest] >= _HOPELESS * tried[others[1]]):
                 return None
             factor = _toward(tried, bad, limit, 0.8) if math.isfinite(tried[bad]) else 0.25
             size = bad * min(max(factor, 1 / 32), 0.5)
@@ -93,13 +94,6 @@ class Sizes:
                 size = math.sqrt(good * bad)
         size = self.allowed(size)
         return None if size in tried else size
-
-
-def _hopeless(tried: Mapping[float, float], finer: float) -> bool:
-    """Whether errors do not fall any more at finer sizes: the finest three tell it."""
-    sizes = sorted(tried)[:3]
-    fell = tried[sizes[0]] < _HOPELESS * tried[sizes[-1]]
-    return len(sizes) == 3 and sizes[-1] >= finer * sizes[0] and not fell
 
 
 def _toward(tried: Mapping[float, float], size: float, limit: float, caution: float) -> float:
@@ -401,12 +395,12 @@ class Race:
             "obstacle": "" if best else candidate.obstacle,
             "runs": len(candidate.runs),
         }
-        if not candidate.runs:
-            return told
-        run = candidate.shown
         same = "formulation", "resolution", "seconds", "run_s", "work", "energy_drift", "constraint"
-        costs = {"error": self.asked.error(run), "operations": run.cost("operations")}
-        return told | costs | {name: getattr(run, name) for name in same}
+        if candidate.runs:
+            run = candidate.shown
+            told |= {"error": self.asked.error(run), "operations": run.cost("operations")}
+            told |= {name: getattr(run, name) for name in same}
+        return told
 
     def _by_error(self) -> list[Candidate]:
         """Candidates that were tried, the nearest to the demand first."""

@@ -33,7 +33,7 @@ from bench.running.race import FORMS, MOST_TIMED, SPREAD, TIE, Candidate, Race
 from bench.running.runner import Progress, Runner, Task
 from bench.running.session import is_due, measure_suite, time_suite
 from bench.running.worker import Worker
-from problems.base.spec import SpecError, split_spec
+from problems.base.spec import SpecError, join_spec, split_spec
 
 #: Demands of the rules by name; those of "work-precision" are asked for. "iftomm" has the low and
 #: the high precision of the library's specifications.
@@ -273,9 +273,8 @@ class Recommendation:
             name, own = split_spec(c.method.spec)
             for option in self._registry.integrators[name].options:
                 for choice in (option.get("choices") or ()) if option["name"] in FORMS else ():
-                    values = own | {option["name"]: choice}
-                    text = ",".join(f"{key}={value}" for key, value in values.items())
-                    method = self._registry.integrator(f"{name}[{text}]")
+                    form = join_spec(name, own | {option["name"]: choice})
+                    method = self._registry.integrator(form)
                     if method.spec not in known:
                         found[method.spec] = replace(c, method=method, cells={}, runs={})
         return [*found.values()]

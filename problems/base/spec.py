@@ -74,6 +74,12 @@ def split_spec(text: str) -> tuple[str, dict[str, str]]:
     return name, options
 
 
+def join_spec(name: str, options: Mapping[str, object]) -> str:
+    """Write a name with options, as `split_spec` reads them."""
+    parts = [f"{key}={value}" for key, value in options.items()]
+    return f"{name}[{','.join(parts)}]" if parts else name
+
+
 def format_value(value: object) -> str:
     """Write the value of an option so that `convert` reads back the same value."""
     return repr(float(value)) if isinstance(value, float) else str(value)
@@ -208,17 +214,17 @@ def forget_derived(cls: type, base: type) -> None:
 def format_spec(name: str, instance: object) -> str:
     """Write ``name[option=value,...]``: options that are always shown, then changed ones, and
     values at the start of a scene."""
-    parts = []
+    told = {}
     options = options_of(type(instance))
     for field in sorted(options.values(), key=lambda f: not f.metadata.get("always")):
         value = getattr(instance, field.name)
         if field.metadata.get("always") or value != field.default:
-            parts.append(f"{field.name}={format_value(value)}")
+            told[field.name] = format_value(value)
     default = dict(getattr(type(instance), "given", ()))
     for key, value in getattr(instance, "given", ()):
         if value != default.get(key):
-            parts.append(f"{START}{key}={format_value(value)}")
-    return f"{name}[{','.join(parts)}]" if parts else name
+            told[f"{START}{key}"] = format_value(value)
+    return join_spec(name, told)
 
 
 def snake_case(class_name: str) -> str:
