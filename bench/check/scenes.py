@@ -57,11 +57,11 @@ def check_description(registry: Registry, scene: MechatronicSystem) -> str:
         raise Failed("It has no docstring; say what the scene tests and what it leaves out.")
     if fault := checks.fault_of_times(scene.interval, scene.nominal_step):
         raise Failed(fault)
-    (t0, t_end), step = scene.interval, scene.nominal_step
-    if not step <= (t_end - t0) / 4:
+    length, step = float(np.ptp(scene.interval)), scene.nominal_step
+    if not step <= length / 4:
         raise Failed(
-            f"The nominal step {step:g} s does not fit the interval of {t_end - t0:g} s; take "
-            f"the largest step that resolves the motion."
+            f"The nominal step {step:g} s does not fit the interval of {length:g} s; take the "
+            f"largest step that resolves the motion."
         )
     names = {"coordinates": "q", "multipliers": "lam", "states": "x", "outputs": "y"}
     if scene.has("kinematics"):
@@ -90,8 +90,7 @@ def check_start(registry: Registry, scene: MechatronicSystem) -> str:
         z = consistent_start(scene).z
     except ValueError as error:
         raise Failed(str(error)) from error
-    sizes = scene.sizes
-    for block, size in (("state_rate", sizes.nx), ("output", sizes.ny)):
+    for block, size in (("state_rate", scene.sizes.nx), ("output", scene.sizes.ny)):
         shape = jax.eval_shape(getattr(scene, block), z).shape if scene.has(block) else (size,)
         if shape != (size,):
             raise Failed(f"{block} has shape {shape}, expected {(size,)}.")
@@ -107,6 +106,7 @@ def check_start(registry: Registry, scene: MechatronicSystem) -> str:
         phase = scene.phase(scene.interval[0], scene.start(), scene.held_values())
         after(phase, jax.tree.map(np.asarray, z), event)
     told += f"; {len(jumps)} samples or events give values that can be used" if jumps else ""
+    sizes = scene.sizes
     own = sizes._asdict() | {"nh": 0} | ({"nv": 0} if sizes.nv == sizes.nq else {})
     shown = ", ".join(f"{name}={size}" for name, size in own.items() if size)
     return f"Consistent at t={scene.interval[0]:g} s: {shown}; the augmented matrix {told}."
@@ -165,24 +165,20 @@ def _check_move(scene: MechatronicSystem) -> None:
 
 
 # ---- blocks: pure, differentiable, and with parameters that are traced -------------------
-def _block(name: str) -> Callable[[MechatronicSystem, Variables], Any]:
-    """A block as a function of a scene and all variables, with a flat result.
+def _block(name: str, scene: MechatronicSystem, z: Variables) -> Any:
+    """The values of a block as a vector.
 
     The mass matrix is multiplied by a vector, so that its derivative stays small. Of jumps, that at
     the first event is taken.
     """
-
-    def call(scene: MechatronicSystem, z: Variables) -> Any:
-        wanted = _ARGUMENTS[name]
-        given = [z] if wanted == "z" else [getattr(z, w) for w in wanted]
-        value = getattr(scene, name)(*given, *([0] if name == "jump" else []))
-        if name in ("sample", "jump"):  # new values by name
-            value = jnp.concatenate([jnp.ravel(part) for part in value.values()])
-        if name == "mass":
-            value = value @ jnp.cos(jnp.arange(value.shape[-1], dtype=float))
-        return jnp.ravel(jnp.asarray(value))
-
-    return call
+    wanted = _ARGUMENTS[name]
+    given = [z] if wanted == "z" else [getattr(z, w) for w in wanted]
+    value = getattr(scene, name)(*given, *([0] if name == "jump" else []))
+    if name in ("sample", "jump"):  # new values by name
+        value = jnp.concatenate([jnp.ravel(part) for part in value.values()])
+    if name == "mass":
+        value = value @ jnp.cos(jnp.arange(value.shape[-1], dtype=float))
+    return jnp.ravel(jnp.asarray(value))
 
 
 def _points(scene: MechatronicSystem) -> list[Variables]:
@@ -212,7 +208,7 @@ def check_blocks(registry: Registry, scene: MechatronicSystem) -> str:
         names.remove("jump")  # the law of impact, which has a kink where bodies part
     points = _points(scene)
     for name in names:
-        block = partial(_block(name), scene)
+        block = partial(_block, name, scene)
         traced = jax.jit(block)
         try:
             jax.block_until_ready(traced(points[0]))
@@ -247,10 +243,9 @@ def _apart(block: Callable, z: Variables) -> str:
     for h in _QUOTIENT_STEPS:
         try:
             check_grads(block, (z,), 1, ["fwd"], atol=allowed, rtol=_DERIVATIVE_ERROR, eps=h)
+            return ""
         except AssertionError as error:
             fault = f"{shortly(error)} Look for stop_gradient, rounding, a kink or a root of zero."
-        else:
-            return ""
     return fault
 
 
@@ -260,10 +255,10 @@ def check_parameters(registry: Registry, scene: MechatronicSystem) -> str:
     if not fields:
         raise DoesNotApply("It has no float parameter.")
     template, points = scene.template(), _points(scene)
-    calls = [_block(name) for name in _ARGUMENTS if scene.has(name)]
+    names = [name for name in _ARGUMENTS if scene.has(name)]
 
     def blocks(s: MechatronicSystem) -> list[Any]:
-        return [jnp.stack([call(s, z) for z in points]) for call in calls]
+        return [jnp.stack([_block(name, s, z) for z in points]) for name in names]
 
     traced = jax.jit(lambda p: blocks(template.with_parameters(p)))
     for field in fields:

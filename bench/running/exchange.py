@@ -214,7 +214,7 @@ def trajectory_of(scene: MechatronicSystem, told: Told) -> tuple[Trajectory, lis
         lacking += [group] * (len(missing) > 0) if whole else [f"{group}{i + 1}" for i in missing]
     counts = {name: told.number(name) for name in _COUNTS}
     work = Work(**{name: None if n is None else int(n) for name, n in counts.items()})
-    q, v, a, lam, x, xdot, y = (rows[n] for n in ("q", "v", "a", "lam", "x", "xdot", "y"))
+    q, v, a, lam, x, y, xdot = rows.values()
     return Trajectory(t, q, v, a, lam, x, xdot, y, work=work, notes=notes), lacking
 
 
@@ -310,12 +310,10 @@ def judge_job(
     t_end = float(next(iter(runs.values())).t[-1])
     of_scene, facts = worker.inventory.problem(problem), _method(worker, names.pop(), runs, told)
     results = []
-    for one, resolution in zip(told, runs, strict=True):
-        cell = Cell(of_scene, facts, t_end, resolution)
-        record, rows = worker.judge(cell, runs[resolution])
-        seconds = one.number("seconds")
-        record.run_s = [seconds] if seconds else []
-        results.append(CellResult(record, rows))
+    for one, (resolution, run) in zip(told, runs.items(), strict=True):
+        found = worker.judge(Cell(of_scene, facts, t_end, resolution), run)
+        found.record.run_s = [seconds] if (seconds := one.number("seconds")) else []
+        results.append(found)
     described = worker.scene(scene.spec, t_end) if describe else None
     return Judgement(results, described, facts, lacking)
 
@@ -329,7 +327,6 @@ def _method(
             f"The method {name!r} is not allowed: it is a method of stepbench, or no word of "
             "letters, digits, '_', '.' and '-'; name yours by --method."
         )
-    files = [Path(one.file).name for one in told]
     digest = hashlib.sha256("".join(one.digest for one in told).encode()).hexdigest()
     kinds = {type(resolution) for resolution in runs}
     if len(kinds) > 1:
@@ -341,7 +338,7 @@ def _method(
         family=name,
         formulation=TOLD,
         controls="step" if kinds == {Steps} else "tolerance",
-        source=f"{TOLD}: seconds, counts; rows of {', '.join(files)}",
+        source=f"{TOLD}: seconds, counts; rows of {', '.join(Path(one.file).name for one in told)}",
         fingerprint=digest[:12],
     )
 
@@ -354,9 +351,7 @@ def _resolution(told: Told, given: Mapping[str, float]) -> Resolution:
             f"{told.file} tells {both}; write one of them, as '# step=0.01' before the head, or "
             "give --steps or --rtols."
         )
-    if rtol is not None:
-        return Tolerances(rtol, told.number("atol"))
-    return Steps(step or 0.0)
+    return Steps(step or 0.0) if rtol is None else Tolerances(rtol, told.number("atol"))
 
 
 def _check_facts(scene: MechatronicSystem, told: Told) -> None:
@@ -382,22 +377,22 @@ def _check_facts(scene: MechatronicSystem, told: Told) -> None:
 
 def store_judgement(store: Store, found: Judgement) -> None:
     """Keep judged runs beside others; their times belong to a machine that nobody knows."""
-    records, plan = [result.record for result in found.results], store.plan()
     unknown = dict.fromkeys(("date", "command", "cpu", "platform", "clock"), TOLD)
     machine = Environment(cores=0, memory_gib=0.0, versions={}, **unknown)
     store.keep(machine)
     for record, rows in found.results:
         record.environment = machine.number
         store.save(record, rows)
-    first = records[0]
     study = Study(
         title=f"{found.method.name}, {TOLD}",
-        problem=first.problem,
-        t_end=first.t_end,
+        problem=found.results[0].record.problem,
+        t_end=found.results[0].record.t_end,
         figures=[*FIGURES],
-        cells=[record.key for record in records],
+        cells=[record.key for record, _ in found.results],
     )
-    plan = plan or Plan(name="judged", title="Judged runs", samples=0, budget_s=60.0, studies=[])
+    plan = store.plan() or Plan(
+        name="judged", title="Judged runs", samples=0, budget_s=60.0, studies=[]
+    )
     others = [s for s in plan.studies if (s.title, s.problem) != (study.title, study.problem)]
     methods = plan.integrators | {found.method.spec: found.method}
     store.keep(msgspec.structs.replace(plan, studies=[*others, study], integrators=methods))

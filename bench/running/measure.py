@@ -290,8 +290,8 @@ def stored_rows(trajectory: Trajectory | Mapping[str, Any], partial: bool = Fals
     if partial:
         given = [name for name in given if not np.isnan(values[name][0]).any()]
     groups = {name: np.asarray(values[name]) for name in given}
-    wrong = ~np.isfinite(np.column_stack([t, *groups.values()])).all(axis=1)
-    finished = int(np.argmax([*wrong, True]))
+    good = np.isfinite(np.column_stack([t, *groups.values()])).all(axis=1)
+    finished = int(np.argmin(np.append(good, False)))
     keep = np.arange(finished)
     if finished and isinstance(trajectory, Trajectory):
         keep = spread_rows(finished - 1)

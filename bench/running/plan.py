@@ -98,8 +98,7 @@ def built_in_profiles() -> dict[str, Path]:
 
 def suite_titles() -> dict[str, str]:
     """Return the titles of the suites that ship with the tool, by name."""
-    files = built_in_profiles()
-    return {name: str(_read_toml(file).get("title", name)) for name, file in files.items()}
+    return {n: str(_read_toml(f).get("title", n)) for n, f in built_in_profiles().items()}
 
 
 def is_suite(name: str) -> bool:
@@ -316,8 +315,8 @@ def make_suite(
             cells.update(more)
     told = tuple(dict.fromkeys(lost))
     if not cells:
-        reason = "Nothing is left to run; check the names that are given."
-        raise SpecError(" ".join([reason, *told]))
+        nothing = "Nothing is left to run; check the names that are given."
+        raise SpecError(" ".join([nothing, *told]))
     part = bool(problems or integrators)  # of the profile, which goes without title and atlas
     plan = Plan(
         name=name,

@@ -266,16 +266,14 @@ class Runner:
         no other has: else it would compile them, or make the reference, again."""
         others = set().union(*(w.had for w in self.workers if w is not worker))
 
-        def needs(k: int) -> list[tuple]:
-            task = queue[k][0]
-            return [(task.scene, task.programs), (task.scene,)]
+        needs = [[(t.scene, t.programs), (t.scene,)] for t in (group[0] for group in queue)]
 
         def strangeness(k: int) -> list[bool]:
-            return [known for n in needs(k) for known in (n not in worker.had, n in others)]
+            return [known for n in needs[k] for known in (n not in worker.had, n in others)]
 
         fit = (k for k, group in enumerate(queue) if group[0].sources == worker.sources)
         best = min(fit, key=strangeness)
-        worker.had.update(needs(best))
+        worker.had.update(needs[best])
         return queue.pop(best)
 
     def _take(self, worker: _WorkerProcess, task: Task) -> Any:
