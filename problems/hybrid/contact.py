@@ -132,18 +132,6 @@ def _moved_by(scene: MechatronicSystem, z: Variables, directions: Array) -> Arra
     return jnp.linalg.solve(matrix, right)[:nv].T
 
 
-def after_impact(scene: MechatronicSystem, z: Variables, contact: int) -> Float[Array, " nv"]:
-    """Compute the velocities behind an impact of one contact."""
-    closed = jnp.arange(len(scene.gaps(z.q, z.t))) == contact
-    if scene.has("sliding"):
-        return impact(scene, z, closed)[0]
-    e = jnp.broadcast_to(jnp.asarray(scene.restitution, dtype=float), closed.shape)[contact]
-    u, normal = jax.value_and_grad(lambda v: gap_rates(scene, z.q, v, z.t)[contact])(z.v)
-    along = _moved_by(scene, z, normal[None])[0]
-    stopped = along * (u / (normal @ along))
-    return (z.v - stopped) - e * stopped
-
-
 @dataclass(frozen=True)
 class ContactSystem(MechatronicSystem):
     """Base of scenes whose ``gaps`` close in impacts alone, which are their events.
@@ -157,4 +145,5 @@ class ContactSystem(MechatronicSystem):
         return self.gaps(z.q, z.t)
 
     def jump(self, z: Variables, event: int) -> dict[str, Array]:
-        return {"v": after_impact(self, z, event)}
+        closed = jnp.arange(len(self.gaps(z.q, z.t))) == event
+        return {"v": impact(self, z, closed)[0]}
