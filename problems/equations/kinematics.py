@@ -188,11 +188,8 @@ def augmented(
     scene: MechatronicSystem, q: Float[Array, " nq"], t: Float[Array, ""], nl: int
 ) -> Float[Array, "n n"]:
     """Compute [[M, Phi_q^T], [Phi_q, 0]] with the first nl constraints, made `regular`."""
-    if nl == scene.sizes.nh and not scene.has("kinematics"):
-        rows = jax.jacfwd(lambda q: scene.constraint(q, t))(q)
-    else:
-        still = jnp.zeros(scene.sizes.nv)
-        rows = jax.jacfwd(lambda w: constraint_change(scene, q, t, w))(still)[:nl]
+    still = jnp.zeros(scene.sizes.nv)
+    rows = jax.jacfwd(lambda w: constraint_change(scene, q, t, w))(still)[:nl]
     return regular(scene, jnp.block([[scene.mass(q), rows.T], [rows, jnp.zeros((nl, nl))]]))
 
 
