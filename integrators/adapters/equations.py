@@ -122,7 +122,7 @@ def in_c(packed: PackedFunction) -> Any:
     """Return a function in C, which takes the addresses of all arguments side by side and of the
     result, and the shape of the result; a NotLowered if there is none."""
     try:
-        program = lowered(packed.program, packed.size)
+        program = lowered(packed.program, np.zeros(packed.size))
         function = load_c(c_function(program)).function
     except NotLowered as reason:
         return NotLowered(str(reason))  # without what the first one holds in memory

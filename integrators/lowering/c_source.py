@@ -22,14 +22,7 @@ from pathlib import Path
 
 import platformdirs
 
-from integrators.lowering.graph import (
-    OPERATORS,
-    Entry,
-    Graph,
-    LoweredFunction,
-    NotLowered,
-    WhileLoop,
-)
+from integrators.lowering.graph import OPERATORS, Graph, LoweredFunction, NotLowered, WhileLoop
 from problems.base.cache import keep, kept
 
 _COMPILER = "cc"
@@ -117,20 +110,21 @@ def _function(
         operator, given = graph.nodes[node]
         if isinstance(operator, str):
             lines.append((node, OPERATORS[operator].c, given))
-        elif isinstance(operator, Entry):
-            place = f"s[{outputs[given[0]] + operator.place}]"
+        elif isinstance(operator, int):
+            place = f"s[{outputs[given[0]] + operator}]"
             lines.append((node, _read(place, graph.kind(node)), ()))
         else:  # outputs take the places of the last values given
             lines += [(None, f"s[{k}] = {{}};", (x,)) for k, x in enumerate(given, room)]
-            outputs[node] = room + len(given) - operator.outputs
-            called, at = f"{name}_loop_{node}(", f"s + {room}, s + {outputs[node]});"
-            room += len(given)
             if isinstance(operator, WhileLoop):
-                source, more = _loop(called[:-1], graph, operator)
+                source, more = _loop(f"{name}_loop_{node}", graph, operator)
                 before, inside = [*before, source], inside + more
+                called, count = f"{name}_loop_{node}(", len(operator.turn)
             else:
-                called = f"solve({operator.unknowns}, {operator.systems}, "
-            lines.append((None, called + at, ()))
+                n, m = operator
+                called, count = f"solve({n}, {m}, ", n * m
+            outputs[node] = room + len(given) - count
+            lines.append((None, f"{called}s + {room}, s + {outputs[node]});", ()))
+            room += len(given)
     count = len(lines) + inside
     if count > _MOST_OPERATIONS:
         raise NotLowered(
@@ -176,7 +170,7 @@ def _loop(name: str, graph: Graph, loop: WhileLoop) -> tuple[str, int]:
     source = f"""
 {goes_on}{turn}static NOINLINE void {name}(const double *given, double *u)
 {{
-    double goes_on, next[{max(1, loop.outputs)}];
+    double goes_on, next[{max(1, len(loop.turn))}];
     while ({name}_test(given, u, &goes_on), goes_on != 0.0) {{
         {name}_turn(given, u, next);
         memcpy(u, next, sizeof next);

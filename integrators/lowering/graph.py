@@ -108,18 +108,6 @@ class NotLowered(Exception):
     """A program that has no form in C here; the message is a clause that says why."""
 
 
-class Entry(NamedTuple):
-    """The operator that takes one of the outputs of a loop or a solve."""
-
-    place: int
-
-
-class Unknown(NamedTuple):
-    """The operator without a form in C."""
-
-    name: str
-
-
 _COMMUTE = {"add", "multiply", "maximum", "minimum", "EQ", "NE", "and", "or", "xor"}
 
 
@@ -131,7 +119,7 @@ class Graph:
     nodes
         ``(operator, arguments)``; of an input ("input", (argument, entry)), of a constant
         ("constant", value). `WhileLoop` and `Solve` are operators with several outputs, each of
-        which an `Entry` takes.
+        which a number takes. `NotLowered` stands for an operator without a form in C.
     """
 
     def __init__(self) -> None:
@@ -165,11 +153,12 @@ class Graph:
         """The nodes of an operator's outputs, which are of these kinds."""
         key = (operator, given) if isinstance(operator, Solve) else ("loop", len(self.nodes))
         node = self._node(key, operator, given, "f")
-        return [self._node((node, k), Entry(k), (node,), kind) for k, kind in enumerate(kinds)]
+        return [self._node((node, k), k, (node,), kind) for k, kind in enumerate(kinds)]
 
     def unknown(self, name: str, kind: str, given: tuple[int, ...]) -> int:
         """A new node of an operation without a form in C, which no result may need."""
-        return self._node(("unknown", len(self.nodes)), Unknown(name), given, kind)
+        reason = NotLowered(f"it has the operation {name}")
+        return self._node(("unknown", len(self.nodes)), reason, given, kind)
 
     def is_constant(self, node: int) -> bool:
         """Whether the value is known before the program runs."""
@@ -218,8 +207,8 @@ class Graph:
             operator, arguments = self.nodes[node]
             if operator in ("constant", "input") or node in order or node in given:
                 continue
-            if isinstance(operator, Unknown):
-                raise NotLowered(f"it has the operation {operator.name}")
+            if isinstance(operator, NotLowered):
+                raise NotLowered(*operator.args)
             if ready:
                 order[node] = None
             else:
@@ -328,22 +317,12 @@ class WhileLoop(NamedTuple):
     turn: tuple[int, ...]
     given: tuple[int, ...]
 
-    @property
-    def outputs(self) -> int:
-        """The number of its outputs, which take the places of its last arguments."""
-        return len(self.turn)
-
 
 class Solve(NamedTuple):
     """An operator that solves linear systems with one matrix, for given matrix and right sides."""
 
     unknowns: int
     systems: int
-
-    @property
-    def outputs(self) -> int:
-        """The number of its outputs, which take the places of its last arguments."""
-        return self.unknowns * self.systems
 
 
 def side_by_side(program: LoweredFunction) -> Callable[..., list]:

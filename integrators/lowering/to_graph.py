@@ -20,7 +20,6 @@ import numpy as np
 from integrators.lowering.graph import Graph, LoweredFunction, NotLowered
 from integrators.lowering.rules import INDICES, MOVES, RULES, eliminate, on_numbers, operator
 from integrators.lowering.stablehlo import Follower, Step, Type, program
-from problems.base.runtime import jax
 
 #: Entries of arrays that may be looked at, zeros included; more take half a minute.
 _MOST_ENTRIES = 10_000_000
@@ -43,8 +42,11 @@ class _Known(NamedTuple):
 _Value = _Known | np.ndarray
 
 
-def lowered(function: Callable[..., Any], size: int) -> LoweredFunction:
-    """Follow a traceable function of one vector of this size whose result is one array.
+def lowered(function: Callable[..., Any], *arguments: Any) -> LoweredFunction:
+    """Follow a traceable function of arrays whose result is one array.
+
+    Inputs of the graph are the entries of all arguments, one after the other, of which only shapes
+    and types matter.
 
     Raises
     ------
@@ -52,11 +54,14 @@ def lowered(function: Callable[..., Any], size: int) -> LoweredFunction:
         If it has an operation without a rule, an index that depends on an argument, or too many
         operations.
     """
-    graph = Graph()
-    vector = jax.ShapeDtypeStruct((size,), float)
+    graph, given, first = Graph(), list[_Value](), 0
+    for one in arguments:
+        nodes = np.array([*map(graph.input, range(first, first + one.size))], int)
+        nodes, first = nodes.reshape(one.shape), first + one.size
+        given.append(graph.each("NE", nodes, graph.zero) if one.dtype == bool else nodes)
     try:
-        follower = _Follower(program(function, vector), graph)
-        (result,) = follower.called("main", [np.array([*map(graph.input, range(size))], int)])
+        follower = _Follower(program(function, *arguments), graph)
+        (result,) = follower.called("main", given)
     except NotLowered:
         raise
     except Exception as error:  # of whatever kind: another release of JAX has other programs

@@ -7,8 +7,7 @@ that has no rule depend on all that goes into it, so a tangent has no entry that
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -91,15 +90,12 @@ def tangent_pattern(program: ClosedJaxpr, n: int) -> Bool[np.ndarray, "m n"]:
         If the program is too large to be followed.
     """
     differs, shapes = traced_constants(program)
-    unknowns = [((n,), float)] * 2
 
-    def tangent(numbers: Array) -> Array:
-        u, change, *constants = split_arrays(numbers, [*unknowns, *shapes])
+    def tangent(u: Array, change: Array, *constants: Array) -> Array:
         residual = partial(with_constants, program, replaced(program, differs, constants))
         return jax.jvp(residual, (u,), (change,))[1]
 
-    size = sum(math.prod(shape) for shape, _ in (*unknowns, *shapes))
-    graph, results = lowered(tangent, size)
+    graph, results = lowered(tangent, np.zeros(n), np.zeros(n), *shapes)
     return graph.dependence(results.ravel().tolist(), [*map(graph.input, range(n, 2 * n))])
 
 
@@ -159,23 +155,22 @@ def with_constants(program: ClosedJaxpr, constants: Sequence[Array], *u: Array) 
     return jaxpr_as_fun(ClosedJaxpr(program.jaxpr, constants))(*u)[0]
 
 
-def traced_constants(program: ClosedJaxpr) -> tuple[list[bool], list[tuple[Any, Any]]]:
+def traced_constants(
+    program: ClosedJaxpr,
+) -> tuple[list[bool], list[jax.ShapeDtypeStruct]]:
     """Whether JAX traces each constant of a program; shapes and types of those that it does."""
     from jax.core import Tracer
 
     differs = [isinstance(x, Tracer) for x in program.consts]
-    pairs = zip(program.consts, differs, strict=True)
-    return differs, [(x.shape, x.dtype) for x, differ in pairs if differ]
+    return differs, shapes_of(x for x in program.consts if isinstance(x, Tracer))
+
+
+def shapes_of(arrays: Iterable[Any]) -> list[jax.ShapeDtypeStruct]:
+    """Shapes and types of arrays."""
+    return [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in arrays]
 
 
 def replaced(program: ClosedJaxpr, differs: list[bool], others: Sequence[Any]) -> list[Any]:
     """The constants of a program with others in the place of some."""
     left = iter(others)
     return [next(left) if one else x for x, one in zip(program.consts, differs, strict=True)]
-
-
-def split_arrays(numbers: Array, shapes: Sequence[tuple[tuple[int, ...], Any]]) -> list[Array]:
-    """Arrays of the shapes and types, of the numbers one after the other."""
-    cuts = np.cumsum([math.prod(shape) for shape, _ in shapes])[:-1]
-    pieces = zip(jnp.split(numbers, cuts), shapes, strict=True)
-    return [piece.reshape(shape).astype(dtype) for piece, (shape, dtype) in pieces]

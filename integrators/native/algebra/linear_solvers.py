@@ -7,7 +7,6 @@ factorisation.
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from integrators.native.algebra import klu, small_matrices
 from integrators.native.algebra.fixed_elimination import EliminationPlan, Factors, planned
 from integrators.native.algebra.jaxpr_tools import (
     replaced,
-    split_arrays,
+    shapes_of,
     tangent_along,
     tangent_pattern,
     traced_constants,
@@ -210,27 +209,23 @@ def _is_dear(program: ClosedJaxpr, products: int) -> bool:
 def _side_by_side(program: ClosedJaxpr, order: EliminationPlan) -> Callable[..., Array] | None:
     """`DenseSolver.once` of many runs, whose arguments have the runs along their last axis; None if
     the residual's program cannot be followed number by number."""
-    u, *_ = program.jaxpr.invars
     differs, others = traced_constants(program)
-    shapes = [(u.aval.shape, u.aval.dtype), *others]
     linear: list[ClosedJaxpr] = []
 
-    def coefficients(numbers: Array) -> Array:
-        u, *constants = split_arrays(numbers, shapes)
+    def coefficients(u: Array, *constants: Array) -> Array:
         residual = partial(with_constants, program, replaced(program, differs, constants))
         r, product = jax.linearize(residual, u)
         linear.append(jax.make_jaxpr(product)(u))
         return jnp.concatenate([r, *(jnp.ravel(x).astype(float) for x in linear[-1].consts)])
 
-    def products(numbers: Array) -> Array:
-        constants = split_arrays(numbers, [(x.shape, x.dtype) for x in linear[-1].consts])
+    def products(*constants: Array) -> Array:
         product = partial(with_constants, linear[-1], constants)
         return jnp.stack([product(jnp.asarray(seed)) for seed in order.seeds])
 
     try:
-        first = lowered(coefficients, sum(math.prod(shape) for shape, _ in shapes))
+        first = lowered(coefficients, *shapes_of(program.in_avals), *others)
         n = len(order.entries)
-        second = lowered(products, len(first.results) - n)
+        second = lowered(products, *shapes_of(linear[-1].consts))
         steps = side_by_side(first), side_by_side(second)
     except NotLowered:
         return None
