@@ -24,7 +24,7 @@ from problems.equations.compiled import compiled
 from problems.equations.initial_values import InconsistentStart, NoConsistentStart
 from problems.system import MechatronicSystem
 from problems.truth.reference import Reference, published_digits
-from problems.variables import INVARIANTS, State
+from problems.variables import INVARIANTS, VARIABLES, State
 
 #: A run whose speed or change of energy is so many times the motion's largest has blown up.
 BLOWN_UP = 100.0
@@ -170,7 +170,7 @@ def checked(trajectory: Trajectory, t_end: float) -> Trajectory:
     y = trajectory
     if y.status != "ok":
         pass
-    elif not all(np.isfinite(getattr(y, name)).all() for name in (*GROUPS, "xdot")):
+    elif not all(np.isfinite(getattr(y, name)).all() for name in (*VARIABLES, "xdot")):
         y.status, y.message = "diverged", "It reported success with values that are not finite."
     elif abs(y.t[-1] - t_end) > 1e-9 * max(1.0, abs(t_end)):
         said = f"It reported success at t={y.t[-1]:.9g} s instead of {t_end:.9g} s."
