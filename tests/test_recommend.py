@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from planted import MACHINE, planted
-from test_refusals import scenes
 
 from bench.results.demands import bracket, demand, overviews
 from bench.results.quantities import NORMS
@@ -345,7 +344,10 @@ def test_a_file_with_one_scene_gets_its_verdict_and_again_at_once(stepbench, tmp
     ]  # few, so that the search is done before its time is up
     monkeypatch.setattr(recommend, "_methods", lambda *_: methods)
     file = tmp_path / "own.py"
-    file.write_text(scenes("OwnMass"))
+    file.write_text(
+        "from problems.scenes.oscillators import Oscillator\n"
+        "class OwnMass(Oscillator):\n    'A mass on a spring.'\n    interval = (0.0, 1.0)\n"
+    )
     out = tmp_path / "out"
     asked = "recommend", file, "--error", "q:1e-4", "--cost", "operations", "--out", out, "--json"
 

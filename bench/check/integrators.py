@@ -174,9 +174,7 @@ class TwiceBouncing(BouncingBall):
 def check_events(registry: Registry, method: Integrator) -> str:
     """Events are found, at times that are as accurate as the method."""
     ball = TwiceBouncing()
-    reason = checks.refusal(method, ball)
-    if reason or method.passes_impacts:
-        reason = reason or "its steps pass impacts."
+    if reason := checks.refusal(method, ball) or method.passes_impacts * "its steps pass impacts.":
         raise DoesNotApply(f"It does not find the impacts of a bouncing ball: {reason}")
     trial, off = Trial(method, ball), []
     impacts = reference(ball, trial.t_end).events[:, 0]
@@ -188,9 +186,8 @@ def check_events(registry: Registry, method: Integrator) -> str:
                 f"{len(impacts)}."
             )
         off.append(float(np.abs(run.events[:, 0] - impacts).max()))
-    allowed = max(_ROUNDING, off[0] / _FALL)
-    if method.controls != "step":
-        allowed = max(_ROUNDING, _MOST_RTOL * TRIAL_RTOL / 4)
+    most = off[0] / _FALL if method.controls == "step" else _MOST_RTOL * TRIAL_RTOL / 4
+    allowed = max(_ROUNDING, most)
     if not off[1] <= allowed:
         raise Failed(
             f"Times of impact of a ball are off by {off[0]:.2g} s at {trial.words(1.0)}, by "

@@ -160,9 +160,8 @@ def end_at_overlap(run: Trajectory, scene: MechatronicSystem, passes_impacts: bo
             f"impact was missed; take a smaller step or tolerance.",
         )
         return ""
-    if below.max() <= limit:
-        return ""
-    return f"Bodies overlap by up to {below.max():.2g}, as steps pass impacts."
+    passed = f"Bodies overlap by up to {below.max():.2g}, as steps pass impacts."
+    return passed if below.max() > limit else ""
 
 
 def checked(trajectory: Trajectory, t_end: float) -> Trajectory:

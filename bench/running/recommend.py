@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -165,7 +165,9 @@ class Recommendation:
                 runner.draft, self._until = False, over
                 most = MOST_TIMED if self.of_all else None
                 best = {c.shown.key for race in self.races for c in race.order[:most]}
-                self._time(best, store, runner)
+                cells = (x for c in self.candidates for x in c.cells.values() if x.key in best)
+                time_suite(self._restricted(cells), store, runner)
+                self._take(store)
             finally:  # the records that were found before an error stay
                 self._machines = store.environments()
                 if len({c.place for c in self.candidates}) > 1:
@@ -192,7 +194,7 @@ class Recommendation:
         while self.of_all and (
             forms := [c for c in self._forms(self.candidates) if held(c.next())]
         ):
-            self._add(forms)  # other forms of these may be held, too
+            self.candidates[:0] = self.races[0].candidates[:0] = forms  # these may have others
 
         def further() -> list[Cell]:
             self._take(store)
@@ -206,12 +208,6 @@ class Recommendation:
             return cells
 
         measure_suite(self._restricted([]), store, runner, further)
-        self._take(store)
-
-    def _time(self, best: Collection[str], store: Store, runner: Runner) -> None:
-        """Take the times of the best runs, and of no others."""
-        cells = (cell for c in self.candidates for cell in c.cells.values() if cell.key in best)
-        time_suite(self._restricted(cells), store, runner)
         self._take(store)
 
     def _take(self, store: Store) -> None:
@@ -259,12 +255,9 @@ class Recommendation:
             return cells
         (race,) = self.races
         race.end = self._ends[1]
-        self._add(self._forms(race.leading if race.leader else ()))
+        forms = self._forms(race.leading if race.leader else ())
+        self.candidates[:0] = race.candidates[:0] = forms
         return race.next()
-
-    def _add(self, forms: list[Candidate]) -> None:
-        """Have other forms race, before all others."""
-        self.candidates[:0] = self.races[0].candidates[:0] = forms
 
     def _forms(self, of: Iterable[Candidate]) -> list[Candidate]:
         """Candidates with other choices of one of `FORMS`, if they are not known."""
