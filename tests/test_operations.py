@@ -24,7 +24,7 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha, Newmark
 from integrators.methods.symplectic import LobattoPair
 from integrators.native.algebra import small_matrices
 from integrators.native.loops import constant_steps
-from integrators.native.loops.kernel import Form, loop_costs
+from integrators.native.loops.kernel import Form, klu_costs
 from integrators.program_costs import NotCounted, costs_of, dense, sparse
 from problems import jax, jnp
 from problems.equations.initial_values import consistent_start
@@ -134,7 +134,8 @@ def turns_of(method: Any, scene: MechatronicSystem) -> dict[str, float]:
     kernel = constant_steps.kernel(program, scene.template(), form)
     packed = np.zeros(sum(leaf.size for leaf in form.leaves))
     found = defaultdict(float)
-    for cost in loop_costs(kernel.run, program, packed, np.zeros(1, int), np.array(0)):
+    given = packed, np.zeros(1, int), np.array(0)
+    for cost in costs_of(kernel.run, *given, libraries=klu_costs(program)):
         found[cost.turns] += cost.operations
     return found
 

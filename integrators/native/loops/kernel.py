@@ -150,6 +150,8 @@ class Kernel:
             return loop(*form.unpack(packed), *wanted)
 
         self.form, self.run = form, run
+        #: Costs of a run, once they were counted.
+        self.costs: list[Cost] | None = None
 
     def __call__(self, packed: Float[Array, " n"], *wanted: Any) -> Any:
         return self.run(packed, *wanted)
@@ -230,7 +232,9 @@ class LoopRun(PreparedRun):
         return jax.block_until_ready(full(self.arguments, *wanted))
 
     def bill(self, run: Trajectory) -> dict[str, float]:
-        costs = loop_costs(self.kernel.run, self._program, self.arguments, *self.end_only)
+        if (costs := self.kernel.costs) is None:
+            given, libraries = (self.arguments, *self.end_only), klu_costs(self._program)
+            costs = self.kernel.costs = costs_of(self.kernel.run, *given, libraries=libraries)
         known = {STEPS: (run.work.steps or 0) + (run.work.rejected or 0), ROWS: 0, "": 0}
         others = sorted({PIVOTS, *(cost.turns for cost in costs)} - known.keys())
         turns = dict(zip(others, self._turns, strict=True))  # in the order of their names
@@ -246,18 +250,7 @@ class LoopRun(PreparedRun):
         return Trajectory(**values, status=status, message=message, work=work)
 
 
-_costs: dict[Callable, list[Cost]] = {}
-
-
-def loop_costs(loop: Callable, program: StepProgram, *given: Array) -> list[Cost]:
-    """Return the costs of a traceable time loop of a method by part, and by the turns in which they
-    arise. Of the arguments ``given`` only shapes matter."""
-    if loop not in _costs:
-        _costs[loop] = costs_of(loop, *given, libraries=_of_klu(program))
-    return _costs[loop]
-
-
-def _of_klu(program: StepProgram) -> dict[str, Callable[[Step], float]]:
+def klu_costs(program: StepProgram) -> dict[str, Callable[[Step], float]]:
     """Costs of calls of KLU, by the patterns of its matrices.
 
     A pattern is known by the number of its entries, or of its unknowns.
