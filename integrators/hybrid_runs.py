@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
+from functools import partial
 from operator import attrgetter
 from typing import Any
 
@@ -19,7 +20,7 @@ import numpy as np
 
 from integrators.advice import advice
 from integrators.resolutions import Steps
-from integrators.runs import PreparedRun, Trajectory, Work
+from integrators.runs import ChangedRun, PreparedRun, Trajectory, Work
 from problems.base.runtime import jax
 from problems.base.spec import SpecError
 from problems.equations.compiled import compiled
@@ -65,7 +66,7 @@ def prepared(
     inner = followed(scene) if ignored else scene
     if inner.is_hybrid:
         return PhasedRun(prepare, inner, t_end, resolution)
-    return _FollowedRun(prepare(inner, t_end, resolution), scene)
+    return ChangedRun(prepare(inner, t_end, resolution), partial(_follow, scene=scene))
 
 
 class PhasedRun(PreparedRun):
@@ -256,26 +257,15 @@ class PhasedRun(PreparedRun):
         return work
 
 
-class _FollowedRun(PreparedRun):
-    """A run that ignores samples; its held values are those that follow the motion."""
-
-    def __init__(self, run: PreparedRun, scene: MechatronicSystem) -> None:
-        self._run, self._scene = run, scene
-        self.execute, self.bill = run.execute, run.bill
-
-    def execute(self) -> Any:  # replaced by that of the run
-        return self._run.execute()
-
-    def measure(self) -> Trajectory:
-        rows, scene = self._run.measure(), self._scene
-        names, sample = scene.held_values(), compiled(scene).sample
-        rows.xd = np.zeros((len(rows.t), len(names)))
-        for k in range(len(rows.t)):
-            p = scene.parameters()
-            for _ in names:
-                p |= {n: float(v) for n, v in sample(p, _row(rows, k)).items() if n in names}
-            rows.xd[k] = [p[name] for name in names]
-        return rows
+def _follow(rows: Trajectory, scene: MechatronicSystem) -> None:
+    """Give a run that ignores samples the held values that follow its motion."""
+    names, sample = scene.held_values(), compiled(scene).sample
+    rows.xd = np.zeros((len(rows.t), len(names)))
+    for k in range(len(rows.t)):
+        p = scene.parameters()
+        for _ in names:
+            p |= {n: float(v) for n, v in sample(p, _row(rows, k)).items() if n in names}
+        rows.xd[k] = [p[name] for name in names]
 
 
 def _total(count: str, runs: list[Trajectory]) -> int | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -123,3 +124,19 @@ class PreparedRun(ABC):
         were counted in the run, times the operations of one (`integrators.program_costs`).
         """
         return {}
+
+
+class ChangedRun(PreparedRun):
+    """A run whose trajectory is changed by a function after it was measured."""
+
+    def __init__(self, run: PreparedRun, change: Callable[[Trajectory], None]) -> None:
+        self._run, self._change = run, change
+        self.execute, self.bill = run.execute, run.bill
+
+    def execute(self) -> Any:  # replaced by that of the run
+        return self._run.execute()
+
+    def measure(self) -> Trajectory:
+        rows = self._run.measure()
+        self._change(rows)
+        return rows

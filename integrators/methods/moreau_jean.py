@@ -24,6 +24,7 @@ from integrators.contract import WIDER, PreparedRun, Trajectory, option
 from integrators.native.algebra.step_records import Reading, Time, largest
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
+from integrators.runs import ChangedRun
 from problems.base.runtime import Array, jax, jnp
 from problems.equations.formulations import (
     Start,
@@ -113,7 +114,7 @@ class MoreauJean(ImplicitStepMethod):
 
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Any) -> PreparedRun:
         run = super().prepare(scene, t_end, resolution)
-        return ImpactRun(run) if _impacts_are_phases(scene) else run
+        return ChangedRun(run, _put_in_phases) if _impacts_are_phases(scene) else run
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> ImpactState:
         count = _number_of_gaps(scene)
@@ -177,25 +178,14 @@ def _number_of_gaps(scene: MechatronicSystem) -> int:
     return jax.eval_shape(scene.gaps, jnp.zeros(scene.sizes.nq), jnp.zeros(())).shape[0]
 
 
-class ImpactRun(PreparedRun):
-    """A run whose phases are those between its impacts, as they are of runs that locate events."""
-
-    def __init__(self, run: PreparedRun) -> None:
-        self._run = run
-        self.execute, self.bill = run.execute, run.bill
-
-    def execute(self) -> Any:  # replaced by that of the run
-        return self._run.execute()
-
-    def measure(self) -> Trajectory:
-        rows = self._run.measure()
-        counts, last = (
-            np.column_stack([row for name, row in rows.notes.items() if name.startswith(of)])
-            for of in ("impacts ", "last impact ")
-        )
-        counts = np.nan_to_num(counts).astype(int)  # no step led to the first row
-        rows.phase, rows.xd = counts.sum(axis=1), np.zeros((len(rows.t), 0))
-        new = np.diff(counts, axis=0, prepend=0)
-        times = [(last[row, k], k) for row, k in np.argwhere(new) for _ in range(new[row, k])]
-        rows.events = np.array(sorted(times), dtype=float).reshape(-1, 2)
-        return rows
+def _put_in_phases(rows: Trajectory) -> None:
+    """Give a run the phases between its impacts, as runs have them that locate events."""
+    counts, last = (
+        np.column_stack([row for name, row in rows.notes.items() if name.startswith(of)])
+        for of in ("impacts ", "last impact ")
+    )
+    counts = np.nan_to_num(counts).astype(int)  # no step led to the first row
+    rows.phase, rows.xd = counts.sum(axis=1), np.zeros((len(rows.t), 0))
+    new = np.diff(counts, axis=0, prepend=0)
+    times = [(last[row, k], k) for row, k in np.argwhere(new) for _ in range(new[row, k])]
+    rows.events = np.array(sorted(times), dtype=float).reshape(-1, 2)
