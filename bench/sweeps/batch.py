@@ -28,7 +28,7 @@ from integrators.native.loops.kernel import Ending, Form
 from integrators.resolutions import Steps, Tolerances
 from problems.base.runtime import Float, Int, jax, most_callers
 from problems.base.spec import SpecError
-from problems.equations.formulations import complete
+from problems.equations.compiled import compiled
 from problems.equations.initial_values import consistent_starts
 from problems.system import MechatronicSystem
 from problems.variables import Sizes, row_layout
@@ -224,7 +224,7 @@ class Batch:
         """a, lam, y and xdot at the end, from the equations of motion."""
         parameters = dict(zip(self._names, self._parameters[scene].T, strict=True))
         state = (values[name] for name in ("q", "v", "x"))
-        z, xdot = _completion(self._template)(parameters, *state, t)
+        z, xdot = compiled(self._template).complete(parameters, *state, t)
         found = z._asdict() | {"xdot": xdot}
         return {name: np.asarray(found[name]) for name in ("a", "lam", "y", "xdot")}
 
@@ -241,16 +241,6 @@ def _lanes(sizes: Sizes, count: int) -> int:
     while lanes > max(1, most) or lanes // 2 >= count:
         lanes //= 2
     return lanes
-
-
-@cache
-def _completion(template: MechatronicSystem) -> Callable:
-    """Program that completes states (parameters, q, v, x, t) of many runs."""
-
-    def one(p: dict, q: Any, v: Any, x: Any, t: Any) -> tuple:
-        return complete(template.with_parameters(p), q, v, x, t)
-
-    return jax.jit(jax.vmap(one))
 
 
 def _distinct(values: Iterable[Any]) -> tuple[list[Any], np.ndarray]:
