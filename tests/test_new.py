@@ -21,8 +21,8 @@ def in_an_empty_folder(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("kind", "plural", "rest", "checks"),
     [
-        ("integrator", "integrators", [], CHECKS["integrators"].keys() - {"order"}),
-        *long(("integrator", "integrators", [], {"order"})),
+        ("integrator", "integrators", [], {"description", "endings"}),
+        *long(("integrator", "integrators", [], CHECKS["integrators"])),
         *long(("problem", "problems", ["--out", "scene_of_mine.py"], CHECKS["problems"])),
     ],
 )

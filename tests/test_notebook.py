@@ -66,6 +66,7 @@ def test_orders_are_a_frame_and_a_chart():
     assert "step size h in s" in words
 
 
+@pytest.mark.usefixtures("without_processes")
 def test_names_and_numbers_that_are_not_allowed_are_refused():
     one = "pendulum", "newmark"
     odd = ([1.0], {"a": 1.0}, {1.0}, None, 10**400)

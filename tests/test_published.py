@@ -35,9 +35,9 @@ from problems.truth.reference import Reference, published_digits
 @pytest.mark.parametrize(
     "scene",
     [
-        *(IFToMMPendulum(), NFourBar(), FlyballGovernor(), HeavyTopSO3()),
-        *long(PlanarTruck(), PlanarTruckJoint(), Andrews(), Bricard()),
-        *long(HeavyTopR3SO3(), HeavyTopSE3()),
+        *(IFToMMPendulum(), NFourBar()),
+        *long(FlyballGovernor(), PlanarTruck(), PlanarTruckJoint(), Andrews(), Bricard()),
+        *long(HeavyTopR3SO3(), HeavyTopSE3(), HeavyTopSO3()),
     ],
     ids=str,
 )
@@ -178,7 +178,7 @@ def test_the_four_bars_energy_falls_with_order_two_as_exudyns_does():
 
 @pytest.mark.parametrize("method", ["rattle", *long("energy_momentum", "lobatto_iiia_iiib")])
 def test_singular_positions_are_passed_on_the_same_branch(method):
-    scene = NFourBar(loops=2)  # the first two are passed at t = 0.714 and 1.228 s
+    scene = NFourBar(loops=1)  # the first two are passed at t = 0.708 and 1.215 s
     run = run_of(method, scene, 1.5)
     assert run.status == "ok", run.message
     assert spread(scene, run).max() < 1e-9

@@ -243,6 +243,7 @@ def test_an_upright_disc_is_stable_above_the_published_spin():
         assert (values.real.max() > 1.0) == (spin < 1)
 
 
+@pytest.mark.long
 def test_a_leaning_disc_rolls_in_a_circle():
     # (C + m r^2) W n cos(lean) = A n^2 sin(lean) cos(lean) - m g r sin(lean) for turn n.
     m, r, g, lean, n = 1.0, 0.5, 9.81, 0.4, -2.0
@@ -259,6 +260,7 @@ def test_a_leaning_disc_rolls_in_a_circle():
     assert z["lam"] == pytest.approx(np.tile([0.0, -push], (6, 1)), abs=1e-10)
 
 
+@pytest.mark.long
 def test_a_swaying_disc_obeys_newton_and_euler():
     scene = RollingDisc()
     z = reference(scene, 1.0)(np.linspace(0.0, 1.0, 6))
@@ -318,7 +320,7 @@ RUBBED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("mu", [0.3, *long(0.1)])
+@pytest.mark.parametrize("mu", long(0.3, 0.1))
 def test_the_slider_that_rubs_moves_as_by_newtons_laws_for_one_angle(mu):
     scene = SliderCrankFriction(mu=mu)
     z = reference(scene, 1.0)(np.array([0.4, 1.0]))

@@ -157,6 +157,7 @@ def braked(self, q, v, t):
 Braked = toy("Braked", base=DoublePendulum, force=braked)
 
 
+@pytest.mark.long
 def test_a_sensor_of_accelerations_without_leak_or_saturation_makes_the_motor_a_damper():
     t = np.linspace(0.0, 1.0, 6)
     ours = Reference(DoublePendulumControlled(sigma=0.0, f_max=1e9), 1.0)(t)

@@ -221,14 +221,16 @@ def test_a_start_with_redundant_constraints_shares_the_force_among_them(monkeypa
 
 # ---- the choice ------------------------------------------------------------------------
 def test_size_and_fill_choose_the_solver(monkeypatch):
-    large, small, full = Chain(links=50), Chain(links=5), SpringMass()
+    assert sparsity.prefers_sparse(Chain(links=50))
+    assert not GeneralizedAlpha().program(Chain(links=50), sparse=False)[0].patterns
+    monkeypatch.setattr(sparsity, "DENSE_LIMIT", 50)
+    large, small, full = Chain(links=20), Chain(links=5), SpringMass()
     for method in (HHT(newton="modified"), GeneralizedAlphaAdaptive(), IDA()):
         assert is_sparse(method, large)
         assert not is_sparse(method, small)
     for cls in (GeneralizedAlpha, IDA):
         assert not is_sparse(cls(**DENSE), large)
         assert is_sparse(cls(**SPARSE), small)
-    assert not GeneralizedAlpha().program(large, sparse=False)[0].patterns
     with pytest.raises(SpecError, match="linear_solver=dense"):
         GeneralizedAlpha(**SPARSE).program(small, sparse=False)
     with pytest.raises(SpecError, match="auto, dense, sparse"):
@@ -262,9 +264,10 @@ def test_without_the_libraries_sparse_is_refused_and_auto_is_dense_and_told_once
     monkeypatch, caplog
 ):
     monkeypatch.setattr(sparsity, "_NEEDED", ("no_such_library",))
+    monkeypatch.setattr(sparsity, "DENSE_LIMIT", 50)
     runtime.slower.cache_clear()
     for method in (GeneralizedAlpha, IDA):
-        assert not is_sparse(method(), Chain(links=50))
+        assert not is_sparse(method(), Chain(links=20))
         with pytest.raises(SpecError, match=r"stepbench\[sparse\]"):
             is_sparse(method(**SPARSE), Chain(links=5))
     for links in (4, 60, 70):

@@ -21,7 +21,6 @@ from integrators.adapters.sundials import library
 from problems import jnp
 from problems.base.spec import SpecError
 from problems.scenes.pendulums import Chain, Pendulum
-from problems.scenes.slider_crank import SliderCrank
 
 every_method = pytest.mark.parametrize("method", [IDA, CVODE])
 CALLBACKS = "compiled", "python"
@@ -72,7 +71,7 @@ def sundae(run):
 def test_the_same_equations_give_the_run_of_scikit_sundae_to_the_bit():
     for method, scene, options in [
         (IDA, Pendulum(), {"formulation": "index1", "max_order": 3}),
-        (IDA, SliderCrank(), {}),
+        (IDA, Pendulum(), {}),
         (CVODE, Pendulum(), {}),
         (CVODE, Pendulum(), {"method": "adams"}),
         (IDA, Chain(links=5), {"linear_solver": "sparse"}),  # the last: it may be skipped
@@ -96,7 +95,7 @@ def test_the_same_equations_give_the_run_of_scikit_sundae_to_the_bit():
 
 @every_method
 def test_a_call_that_is_interrupted_for_signals_goes_on_where_it_was(method, monkeypatch):
-    run = prepared(method, SliderCrank(), 0.1)
+    run = prepared(method, Pendulum(), 0.1)
     whole = run.execute()
     monkeypatch.setattr(sundials, "_STEPS_IN_A_CALL", 7)
     cut = run.execute()

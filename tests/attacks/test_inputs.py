@@ -164,9 +164,11 @@ COSTLY = ("map", "solve", "stability", "judge", "truth")
 
 @pytest.mark.parametrize("all_of_them", [False, pytest.param(True, marks=pytest.mark.attack)])
 def test_a_wrong_value_is_refused_in_a_sentence(
-    stepbench, places, tmp_path, monkeypatch, all_of_them
+    stepbench, places, tmp_path, monkeypatch, all_of_them, request
 ):
-    """`make test` takes every tenth line, and of costly commands a third of it."""
+    """`make test` takes every tenth line, of costly commands a third of it, and no process."""
+    if not all_of_them:
+        request.getfixturevalue("without_processes")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(terminal, "_LINE_EVERY_SECONDS", 1e6)  # of a busy machine
     for number, (name, line) in enumerate(LINES.items()):
