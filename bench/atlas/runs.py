@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +21,7 @@ from bench.running.errors import finite
 from bench.running.inventory import Inventory
 from bench.running.process import Limits, NoAnswer
 from bench.running.runner import Progress, Runner, Task, cell_task
-from bench.running.session import result_of
+from bench.running.session import grouped, result_of
 from bench.running.worker import Worker
 from bench.stability.matrices import matrices, steppable
 from bench.stability.spectra import eigenvalues, oscillation, overshoot, radii
@@ -171,10 +170,10 @@ class _Trial:
     def tasks(self) -> list[Task]:
         s, x = self.case, self.sweep.x
         if s.measure == "condition":
-            return [Task(conditions, (s.problem, x, s.name))]
-        if s.measure == "linear" and self.integrator:
-            name, pattern = self.integrator.spec, s.pattern or (1.0,)
-            return [Task(linear_response, (name, x, pattern), sources=self.integrator.sources)]
+            return [Task(conditions, (s.problem, x, s.name), programs=s.problem or "")]
+        if s.measure == "linear" and (method := self.integrator):
+            asked, of = (method.spec, x, s.pattern or (1.0,)), method.affinity
+            return [Task(linear_response, asked, sources=method.sources, programs=of)]
         return [
             cell_task(Worker.measure, cell, s.measure in ("error", "events"))
             for cell in self.sweep.cells
@@ -251,15 +250,8 @@ def _run(
     experiment: Experiment, added: Sequence[str], registry: Inventory, runner: Runner
 ) -> ExperimentResult:
     plans = [(part, _trials(part, added, registry)) for part in experiment.part]
-    groups = defaultdict(list)
-    for _, trials in plans:
-        for trial in trials:
-            for task in trial.tasks():
-                shared = trial.integrator.affinity if trial.integrator else ""
-                group = groups[trial.case.problem, shared, task.sources]
-                if task not in group:
-                    group.append(task)
-    answers = dict(runner.run(groups.values()))
+    tasks = (task for _, trials in plans for trial in trials for task in trial.tasks())
+    answers = dict(runner.run(grouped(dict.fromkeys(tasks))))
     return ExperimentResult(
         **{f: getattr(experiment, f) for f in ("name", "number", "title", "claim", "remedy")},
         source=experiment.source,

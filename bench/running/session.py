@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -86,13 +86,16 @@ def measure_suite(
 
     def offers() -> list[list[Task]]:
         begun = runner.begun
-        return _groups([cell for cell in further() if cell.key not in begun] if further else [])
+        cells = further() if further else []
+        return grouped(cell_task(Worker.measure, c) for c in cells if c.key not in begun)
 
     # Scenes are counted if there is nothing else to do: people ask for cells.
     counted = Worker.measure if cells or searches else Worker.scene
     name = "searching" if searches else "measuring" if cells else "describing scenes"
     runner.progress.phase(name, None if searches else len(cells) or len(scenes))
-    for task, answer in runner.run(_groups(cells, scenes), offers):
+    groups = [[scene_task(scene, t_end)] for (_, t_end), scene in scenes.items()]
+    groups += grouped(cell_task(Worker.measure, cell) for cell in cells)  # after their scenes
+    for task, answer in runner.run(groups, offers):
         found = _finished(task, answer, runner.progress)
         record = found.record if isinstance(found, CellResult) else found
         if record:
@@ -162,6 +165,14 @@ def result_of(cell: Cell, answer: CellResult | NoAnswer) -> CellResult:
     return answer
 
 
+def grouped(tasks: Iterable[Task]) -> list[list[Task]]:
+    """Return groups of tasks that share compiled code."""
+    shared: defaultdict[tuple, list[Task]] = defaultdict(list)
+    for task in tasks:
+        shared[task.scene, task.programs, task.sources].append(task)
+    return [*shared.values()]
+
+
 # ---- parts -----------------------------------------------------------------------------
 def _finished(task: Task, answer: Any, progress: Progress) -> Any:
     """The result of a cell, or the record of a scene; None, with a note, if there is none."""
@@ -186,17 +197,6 @@ def _samples_due(suite: Suite, records: Mapping[str, Record], last: bool) -> dic
 def _samples_of(record: Record) -> dict[int, float]:
     """Timing samples in s by their rounds."""
     return {number: s for (_, number), s in zip(record.rounds, record.run_s, strict=True)}
-
-
-def _groups(
-    cells: list[Cell], scenes: Mapping[tuple[str, float], SceneFacts] | None = None
-) -> list[list[Task]]:
-    """Group cells that share compiled code; the record of a scene comes before its cells."""
-    groups = [[scene_task(scene, t_end)] for (_, t_end), scene in (scenes or {}).items()]
-    shared: defaultdict[tuple, list[Task]] = defaultdict(list)
-    for task in (cell_task(Worker.measure, cell) for cell in cells):
-        shared[task.scene, task.programs, task.sources].append(task)
-    return [*groups, *shared.values()]
 
 
 # ---- one run -----------------------------------------------------------------------------
