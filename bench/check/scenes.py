@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -106,8 +107,8 @@ def check_start(registry: Registry, scene: MechatronicSystem) -> str:
         phase = scene.phase(scene.interval[0], scene.start(), scene.held_values())
         after(phase, jax.tree.map(np.asarray, z), event)
     told += f"; {len(jumps)} samples or events give values that can be used" if jumps else ""
-    sizes = scene.sizes
-    own = sizes._asdict() | {"nh": 0} | ({"nv": 0} if sizes.nv == sizes.nq else {})
+    own = scene.sizes._asdict() | {"nh": 0}
+    own["nv"] *= own["nv"] != own["nq"]
     shown = ", ".join(f"{name}={size}" for name, size in own.items() if size)
     return f"Consistent at t={scene.interval[0]:g} s: {shown}; the augmented matrix {told}."
 
@@ -262,8 +263,7 @@ def check_parameters(registry: Registry, scene: MechatronicSystem) -> str:
 
     traced = jax.jit(lambda p: blocks(template.with_parameters(p)))
     for field in fields:
-        other = _with_another(scene, field)
-        if other is None:
+        if not (other := _with_another(scene, field)):
             continue
         if other.template() != template or other.sizes != scene.sizes:
             raise Failed(
@@ -283,10 +283,8 @@ def _with_another(scene: MechatronicSystem, field: dataclasses.Field) -> Mechatr
     value = getattr(scene, field.name)
     options = {f.name: getattr(scene, f.name) for f in dataclasses.fields(scene) if f.metadata}
     for changed in (1.01 * value + 0.01 * (value == 0), 0.99 * value - 0.01 * (value == 0)):
-        try:
+        with suppress(spec.SpecError):
             return spec.build(type(scene), options | {field.name: changed}, scene.name)
-        except spec.SpecError:
-            continue
     return None
 
 

@@ -235,13 +235,13 @@ def solve(
         cell, names = planned
         count = 0
         if isinstance(cell.resolution, Steps):
-            t0 = cell.scene.interval[0]
-            length = cell.t_end - t0
+            t0, given = cell.scene.interval[0], cell.resolution.h
             count = cell.resolution.count(t0, cell.t_end)
-            if abs(length / count - cell.resolution.h) > 1e-9 * length / count:
+            h = (cell.t_end - t0) / count
+            if abs(h - given) > 1e-9 * h:
                 progress.note(
-                    f"Step {cell.resolution.h:g} s does not divide the interval; {count} steps of "
-                    f"{length / count:.9g} s are taken."
+                    f"Step {given:g} s does not divide the interval; {count} steps of {h:.9g} s "
+                    "are taken."
                 )
         if samples is None and count >= _TIMED:  # another process compiles well
             samples, runner.draft = _SAMPLES, False

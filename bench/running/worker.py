@@ -140,13 +140,12 @@ class Worker:
             except BaseException as error:
                 _add(record, f"No {what}: {why(error)}")
 
+        record.stopped = REFERENCE if lacking else ""
+        if errors and not lacking:
+            reference = part(unknown, self.reference, scene, record.t_end)
+            lacking = reference.missing if reference else ""
         if lacking:
             _add(record, f"No errors are known. {lacking}")
-            record.stopped = REFERENCE
-        elif errors:
-            reference = part(unknown, self.reference, scene, record.t_end)
-        if reference and reference.missing:
-            _add(record, f"No errors are known. {reference.missing}")
             reference = None
         whole = bool(np.isfinite(run.q).all() and np.isfinite(run.v).all())
         change = {}
