@@ -56,10 +56,10 @@ def headline(found: Answer, names: Names, of: Answer | None = None) -> Sentence:
     lead = [s for s in rows if s.alone + s.tied == count]
     alone = max(s.alone for s in lead)
     on = every if count == judged else f"{count} of {judged} scenes"
-    but = f"; nobody reaches {missed}" if missed else ""
-    if alone == 0 or (len(lead) == 1 and alone < count):
-        but = f", tied on {count - alone}" if alone else ", always tied"
-    kind = "one" if len(lead) == 1 else "several"
+    kind, but = "one" if len(lead) == 1 else "several", f"; nobody reaches {missed}" * bool(missed)
+    if any(s.tied for s in lead):
+        many = " (ties)" if alone else " (all tied)"
+        but = f" ({alone} alone, {count - alone} tied)" if kind == "one" else many
     said = HEADLINES[kind].rpartition("{who}")[2].format(on=on, but=but)
     who = listed([method_ref(s.label, names)] for s in lead)
     other = of.standings[0].label if of and of.standings else ""

@@ -176,7 +176,7 @@ def silent_tables(
                 hard = scenes[w.scene].difficulties if w.scene in scenes else []
                 if w.cause:
                     links[len(rows), 4] = [f"atlas-{w.cause}"]
-                why = w.cause.replace("_", " ") or next(iter(hard), NO_VALUE)
+                why = w.cause.replace("_", " ") or next((f"hard here: {x}" for x in hard), NO_VALUE)
                 error = f"{number(w.best[0])} at {w.best[1].resolution.partition(',')[0]}"
                 rows.append([w.label, w.scene, f"{w.silent} of {w.judged}", error, why])
                 silent += w.silent

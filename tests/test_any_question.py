@@ -261,7 +261,8 @@ def test_the_command_of_a_scene_follows_the_question(browser, folder):
 def test_a_scene_tells_whom_to_avoid(browser, folder):
     for scene, cost, said in (
         ("free", "residuals", "Costly: two (∞ \N{MULTIPLICATION SIGN})."),
-        ("broken", "operations", "Not reached by two"),
+        ("won", "operations", "Not reached by far."),
+        ("broken", "operations", "Failed: 1 of 2 runs, of two (1): 1 newton failed (reasons)."),
         ("near", "operations", ""),
     ):
         fragment = f"#group=a&target=1e-4&cost={cost}"
@@ -290,7 +291,7 @@ def test_each_is_compared_with_the_highlighted_method_or_else_with_the_best(brow
         lines = each(browser, "[data-verdict] p", "node.innerText.replaceAll('\u00d7', 'x')")
         beside = [line for line in lines if line.startswith("two: ")]
         assert [line.partition(", ")[2] for line in beside] == (
-            [] if "tie" in said else [f"{said}, beside one."]
+            [] if "tie" in said else [f"{said}, beside one; beside all."]
         )
     visit(browser, folder / "report" / "scene-won.html", "#group=a&target=1e-4&highlight=far")
     said = each(browser, "[data-verdict] p", "node.innerText")[1]

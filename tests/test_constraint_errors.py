@@ -131,7 +131,7 @@ def test_questions_ask_for_the_constraints():
     assert [entry.value for entry in entries.values()] == [3000.0, 1000.0, 1000.0]
     assert found.scenes["held"].tied == ["exact", "projects"]
     assert plain(headline(found, {})) == (
-        "exact and projects are each cheapest on the scene, always tied."
+        "exact and projects are each cheapest on the scene (all tied)."
     )
 
 
@@ -212,6 +212,7 @@ def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_viol
     assert verdict.startswith(
         "To 1e-3 in constraints Φ: two (3000 operations at h=0.01; violation of Φ"
     )
+    assert "Held by two." in verdict
     assert "one index 2 not reached" in rows[-1].replace("\t", " ")
     _, (head, one, two) = asked("pendulum", "#group=a&target=1e-4&cost=operations")
     assert "form" in head

@@ -319,8 +319,8 @@ def test_the_headline_has_at_most_twelve_words():
     for wins, line in (
         ([(1, 9), (1, 9), (9, 1)], "A is cheapest on 2 of 3 scenes."),
         ([(1, 9), (1, 9), (None, None)], "A is cheapest on 2 of 3 scenes; nobody reaches 1."),
-        ([(1, 9), (1, 1), (9, 1), (1, 9)], "A is cheapest on 3 of 4 scenes, tied on 1."),
-        ([(1, 1), (2, 2)], "A and B are each cheapest on both scenes, always tied."),
+        ([(1, 9), (1, 1), (9, 1), (1, 9)], "A is cheapest on 3 of 4 scenes (2 alone, 1 tied)."),
+        ([(1, 1), (2, 2)], "A and B are each cheapest on both scenes (all tied)."),
         ([(1, 9, 9), (9, 1, 9), (9, 9, 1)], "A, B and C are each cheapest on 1 of 3 scenes."),
         ([(1, 9), (1, 9)], "A is cheapest on both scenes."),
         ([(None, None)] * 3, "No method reaches 1e-4 on any of the 3 scenes judged."),
@@ -328,7 +328,7 @@ def test_the_headline_has_at_most_twelve_words():
         # Both are first on three scenes, B on one of them by itself.
         (
             [(1, 1, 5), (5, 1, 5), (1, 5, 1), (1, 1, 1)],
-            "B and A are each cheapest on 3 of 4 scenes.",
+            "B and A are each cheapest on 3 of 4 scenes (ties).",
         ),
     ):  # fmt: skip
         found = answer(scenes_of(field(*wins, rivals="ABC"[: len(wins[0])])), COUNTS)

@@ -186,7 +186,8 @@ def test_a_collapsed_step_is_told_with_its_cause_and_remedy(callbacks):
     assert prepared(IDA, scene, formulation="index1", **options).measure().status == "ok"
     few = prepared(IDA, Pendulum(), max_calls=100, callbacks=callbacks).measure()
     assert few.message.endswith(
-        "100 calls were used up; raise max_calls, or use a larger rtol or another method."
+        "100 calls of the equations were used up; raise max_calls, or use a larger rtol or another "
+        "method."
     )
 
 

@@ -161,7 +161,9 @@ class CountedSolver:
 
     def _right_hand_side(self, t: float, *vectors: np.ndarray) -> np.ndarray:
         if self._residuals == self._run.method.max_calls:
-            raise EarlyEnd("budget_exceeded", f"{self._residuals} calls were used up")
+            raise EarlyEnd(
+                "budget_exceeded", f"{self._residuals} calls of the equations were used up"
+            )
         self._residuals += 1
         if self._now < t <= self._earliest:
             self._newton += 1

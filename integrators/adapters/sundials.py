@@ -455,7 +455,9 @@ class _Solver:
         if self._failed:
             raise self._failed[0]
         if self._calls.ending == _USED_UP:
-            raise EarlyEnd("budget_exceeded", f"{self._calls.most} calls were used up")
+            raise EarlyEnd(
+                "budget_exceeded", f"{self._calls.most} calls of the equations were used up"
+            )
         if self._calls.ending == _NOT_FINITE:
             raise EarlyEnd("diverged", NOT_FINITE)
         if flag < 0 and (task == _ONE_STEP or flag != _TOO_MUCH_WORK):

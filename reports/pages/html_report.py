@@ -57,7 +57,7 @@ class Site:
     def contents(self, here: str) -> list[tuple[str, list[Link]]]:
         """The contents at the side of a page: headings, and the links below each."""
         root = "../" * here.count("/")  # the way to the run folder
-        headings = "Answer", "Scenes", "Not measured yet", "Why", "Beside", *SEARCHED
+        headings = "Answer", "Why", "Scenes", "Not measured yet", "Beside", *SEARCHED
         below: dict[str, list[Link]] = {heading: [] for heading in headings}
         for p in self.pages:
             if p.heading:
@@ -73,7 +73,9 @@ class Site:
         for p in self.report.chapters:
             for s in p.sections:
                 if s.anchor:
-                    sections.append(Link(root + self.address(s.anchor, ""), s.title))
+                    sections.append(
+                        Link(root + self.address(s.anchor, ""), s.title, words=s.found_by)
+                    )
         place = (root + self.link(self.glossary)).partition("#")[0]
         signs = {"Multiplier": "λ lambda"}
         words += [Link(f"{place}#{t.anchor}", t.title, words=signs.get(t.name, "")) for t in TERMS]

@@ -48,8 +48,9 @@ class Text(NamedTuple):
 class Section:
     """Parts under a title, with a number where sections are counted; a page folds some.
 
-    A part is a table, a figure, a text, an animation, texts by name, a list of items, or a section;
-    those that hold nothing are left out.
+    The contents find one with an anchor by its title, and by the words ``found_by``. A part is a
+    table, a figure, a text, an animation, texts by name, a list of items, or a section; those that
+    hold nothing are left out.
     """
 
     title: str
@@ -57,6 +58,7 @@ class Section:
     anchor: str = ""
     number: int | None = None
     folded: bool = False
+    found_by: str = ""
 
     def __post_init__(self) -> None:
         """Leave out parts that hold nothing."""

@@ -129,11 +129,15 @@ class Report:
         """Why the results can be believed: references, times, rules and machines."""
         known, group = references_table(self.stored.scenes), self.stored.first.group
         errors = [s.reference_error.get(group, 0.0) for s in self.stored.scenes.values()]
+        cases = [c for f in self.stored.atlas.values() for c in f.cases if c.expected]
+        held = f"{sum(bool(c.as_expected) for c in cases)} of {len(cases)}"
+        atlas = f"Of the numbers that the failure atlas predicts, {held} came as expected."
         reasons = [
             "A reference is a closed form, or Gauss collocation of order 24 with steps as short as "
             "round-off allows; its error is the distance from Radau IIA of order 23 with other "
             f"steps: at most {number(max(errors, default=0.0))} in {quantity(group)}.",
             f"Accuracies within {TRUST:g} times that error get no answer.",
+            *[atlas] * bool(cases),
             self.times,
             "A winner by time is named alone if the difference is significant; otherwise methods "
             "tie.",

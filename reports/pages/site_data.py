@@ -46,6 +46,8 @@ from reports.wrong import wrong_runs, wrong_sentences
 _LEAST = 1e-40
 #: Signs of an integrator that has no cost, before all letters.
 _SIGNS = {"unknown": "?", "far": "-", "failed": "!"}
+#: Ends of runs that failed, in words; others are called as records have them.
+_ENDS = {"budget_exceeded": "used up their calls, steps or time"}
 
 
 def site_data(report: Report) -> dict[str, Any] | None:
@@ -257,14 +259,16 @@ def _failed(scene: str, report: Report) -> list[Sentence]:
     """A sentence on the runs on a scene that failed, if any did: whose, how, what is hard there."""
     runs = [r for s in report.measured[scene] for r in s.records if r.status not in NOT_TRIED]
     failed = [r for r in runs if r.status != "ok"]
-    ends = Counter(r.status.replace("_", " ") for r in failed)
-    how = named(f"{status}: {count}" for status, count in ends.most_common())
+    ends = Counter(r.status for r in failed).most_common()
+    how = named(f"{count} {_ENDS.get(end) or end.replace('_', ' ')}" for end, count in ends)
     whose = Counter(map(label_of, failed)).most_common()
     who = listed([method_ref(label, report.names), f" ({count})"] for label, count in whose)
     hard = report.stored.scenes[scene].difficulties[:1] if scene in report.stored.scenes else []
-    lead = f"Failed: {len(failed)} of {counted(len(runs), 'run')} ({how}), of "
+    lead = f"Failed: {len(failed)} of {counted(len(runs), 'run')}, of "
     why = [f". Hard here: {hard[0]}."] if hard else ["."]
-    return [[lead, *who, ": ", Ref("failed", scene, "reasons"), *why]] if failed else []
+    return (
+        [[lead, *who, f": {how} (", Ref("failed", scene, "reasons"), ")", *why]] if failed else []
+    )
 
 
 def _wrong(report: Report, group: str, chosen: Filters) -> dict[str, Any]:

@@ -5,6 +5,7 @@ The first two are pages of their own, too.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -67,7 +68,8 @@ def atlas_page(found: Sequence[ExperimentResult]) -> Page:
             {"What helps": " ".join(f.remedy.split()), "Source": f.source},
             Section("Numbers and charts", parts, folded=True),
         ]
-        sections.append(Section(f.title, said, f"atlas-{f.name}", f.number))
+        words = " ".join(sorted({*re.findall(r"[a-z]{4,}", f"{f.claim} {f.remedy}".lower())}))
+        sections.append(Section(f.title, said, f"atlas-{f.name}", f.number, found_by=words))
     learn = "Where methods fail, and what helps: each experiment shows one failure, with the "
     learn += "numbers that were predicted and found."
     return Page("atlas.html", "Failure atlas", learn, sections, experiments_table(found))

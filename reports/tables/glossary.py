@@ -27,13 +27,13 @@ class Term:
 _DEFINITIONS = {
     "Baumgarte": "Constraints that are not solved but pulled back: their violation decays like a "
     "damped oscillation.",
-    "Consistent start, start=corrected, corrected start": "Values that satisfy all equations at "
-    "t0; start=corrected shifts the acceleration of a generalized-α method so that its first steps "
-    "have full order.",
+    "Consistent start": "Values that satisfy all equations at t0.",
     "Constraint": "An equation Φ(q, t) = 0 that the coordinates must satisfy at all times, such as "
     "a joint.",
     "Controller state": "An unknown x with a differential equation of first order, such as the "
     "integral of a controller.",
+    "Corrected start, start=corrected": "A shifted acceleration with which a generalized-α method "
+    "begins, so that its first steps have full order.",
     "Damping ratio, numerical damping": "The part of critical damping that a method adds to an "
     "oscillation that has none.",
     "Drift": "The growth of what should stay constant: the constraint residual, or the energy of a "

@@ -24,7 +24,7 @@
   const head = (method) => html("th", { scope: "row" }, badge(method), to(method.page, { title: method.label }, method.short));
   // A part of a sentence is text, or the place of a reference to something in the report.
   const part = (item) => {
-    if (typeof item === "string") return item;
+    if (typeof item === "string" || item instanceof Node) return item;
     const method = item.kind === "method" && data.methods.find((m) => m.label === item.key);
     const style = method ? `color: color-mix(in oklab, ${colour(method)} 70%, var(--ink))` : null;
     const looks = { class: item.kind, title: item.key, style }, text = item.text || item.key;

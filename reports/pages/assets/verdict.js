@@ -45,11 +45,12 @@
       own.first.length > 1 ? " tie" : own.votes && next === null ? " alone reaches it" : " is cheapest", ...rest];
   };
   // Whom to avoid on a scene: those that cost ten times the least or more, and those that do not reach the accuracy.
-  const avoided = ({ first, states }) => {
+  const avoided = ({ first, second, states }, question) => {
     const of = (is) => [...states.entries()].filter(([, state]) => state !== null && is(state)), { listed, methodRef, multiple } = stepbench;
     const dear = of(([ratio]) => ratio >= 10).sort(([, [one]], [, [two]]) => two - one).map(([m, [ratio]]) => [methodRef(m), ` (${multiple(ratio)} ×)`]);
     const far = of((state) => state === "far" || state === "failed").map(([m]) => [methodRef(m)]);
-    return first.length ? [...(dear.length ? ["Costly: ", ...listed(dear), ". "] : []), ...(far.length ? ["Not reached by ", ...listed(far), "."] : [])] : [];
+    if (stepbench.violation(question)) return ["Held by ", ...listed(of(stepbench.reaches).map(([m]) => [methodRef(m)]), 99), "."];
+    return second !== null ? [...(dear.length ? ["Costly: ", ...listed(dear), ". "] : []), ...(far.length ? ["Not reached by ", ...listed(far), "."] : [])] : [];
   };
   // The cost of a run over that of another one; of times with their interval, and whether it is significant.
   const against = (runs, k, other, j, cost, tied) => {
@@ -61,19 +62,21 @@
   };
   const placeOf = (label) => data.methods.findIndex((method) => method.label === label);
   const best = (scene) => reaching(scene, stepbench.answer()[scene].states.findIndex((own) => own?.[0] === 1));
+  const button = (text, click) => html("button", { type: "button", class: "more", click }, text);
   // The highlighted method beside the best on a scene, or the accuracy that it reaches there.
   const beside = (scene, question) => {
     const m = placeOf(question.highlight), own = stepbench.answer()[scene], runs = m >= 0 && own && runsOf(scene, m);
     if (!runs || own.first.includes(m)) return [];
     const mine = reaching(scene, m), first = best(scene), near = nearest([runs], question), next = near && data.targets.findLast((target) => Number(target) >= near.error);
     if (mine) return [[stepbench.methodRef(m), `: ${stepbench.costWithUnit(own.states[m][2], question.cost)} at ${runs.resolutions[mine.k]}, `,
-      `${against(runs, mine.k, runsOf(scene, first.index), first.k, question.cost, false)}, beside `, stepbench.methodRef(first.index), "."].map(part)];
-    const ask = html("button", { type: "button", class: "more", click: () => stepbench.ask({ target: next }) }, `ask for ${next}`);
+      `${against(runs, mine.k, runsOf(scene, first.index), first.k, question.cost, false)}, beside `, stepbench.methodRef(first.index), "; ",
+      button("beside all", () => document.querySelector("[data-methods]").scrollIntoView({ block: "center" })), "."].map(part)];
+    const ask = button(`ask for ${next}`, () => stepbench.ask({ target: next }));
     return [[part(stepbench.methodRef(m)), " does not reach it", ...(near ? [`: its least error is ${number(near.error)}`] : []), ...(next ? ["; ", ask] : []), "."]];
   };
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
     const scene = Number(place.dataset.verdict), own = stepbench.answer()[scene], aim = own?.reached ? [`To ${question.target} in ${quantity(question)}: `] : [];
-    const said = [[...aim, ...stepbench.verdict(scene, question)].map(part), ...beside(scene, question), own ? avoided(own).map(part) : []];
+    const said = [[...aim, ...stepbench.verdict(scene, question)].map(part), ...beside(scene, question), own?.reached ? avoided(own, question).map(part) : []];
     place.replaceChildren(...said.filter((parts) => parts.length).map((parts) => html("p", {}, ...parts)), ...stepbench.wrong("scenes", scene));
   });
 
