@@ -38,10 +38,10 @@ def tie_text(cost: str) -> str:
     tie, is_time = COSTS[cost].tie, COSTS[cost].is_time
     if tie == 1.0:
         return "equal counts"
-    said = f"{'times' if is_time else 'counts'} that differ by at most {100 * (tie - 1):.3g} %"
     if is_time:
-        said += f", or by less than the {100 * LEVEL:.3g} % interval of their samples"
-    return said
+        within = f"within a factor of {tie:g} of 1, or whose {100 * LEVEL:.3g} % interval holds 1"
+        return f"times whose median quotient in rounds of samples is {within}"
+    return f"counts that differ by at most {100 * (tie - 1):.3g} %"
 
 
 def times(ratio: float | None) -> str:

@@ -36,7 +36,7 @@ HEADLINES = {
     "several": "{who} are each cheapest on {on}{but}.",
 }
 #: A winner that other starts of the motion make one, and one with wrong accelerations.
-LATER = "a tie, as it is the cheapest if the same motion is run from a later instant"
+LATER = "a tie, as it is among the cheapest if the same motion is run from a later instant"
 WRONG_A = "its acceleration is wrong in every run"
 
 
@@ -57,7 +57,7 @@ def headline(found: Answer, names: Names, of: Answer | None = None) -> Sentence:
     alone = max(s.alone for s in lead)
     on = every if count == judged else f"{count} of {judged} scenes"
     kind, but = "one" if len(lead) == 1 else "several", f"; nobody reaches {missed}" * bool(missed)
-    if any(s.tied for s in lead):
+    if not missed and any(s.tied for s in lead):
         many = " (ties)" if alone else " (all tied)"
         but = f" ({alone} alone, {count - alone} tied)" if kind == "one" else many
     said = HEADLINES[kind].rpartition("{who}")[2].format(on=on, but=but)
@@ -125,12 +125,15 @@ def violation_text(runs: Iterable[Record | None], target: float) -> str:
 
     '0.0022 m, relative 0.0073: 73 times the accuracy'; nothing without constraints.
     """
-    held = [(x, r) for r in runs if r and (x := r.constraint.get("position")) is not None]
+    held = [
+        (r.error("constraint", NORM) or 0.0, x, r.constraint_unit)
+        for r in runs
+        if r and (x := r.constraint.get("position")) is not None
+    ]
     if not held:
         return ""
-    size, run = max(held, key=lambda pair: pair[0])
-    shown = f"{number(size)} {run.constraint_unit}".rstrip()
-    worst = max((r.error("constraint", NORM) or 0.0 for _, r in held), default=0.0)
+    worst, size, unit = max(held)
+    shown = f"{number(size)} {unit}".rstrip()
     off = f": {worst / target:.3g} times the accuracy" if worst > target else ""
     return f"{shown}, relative {number(worst)}{off}" if worst else shown
 

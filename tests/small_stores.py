@@ -19,7 +19,8 @@ AN_EXPERIMENT = ExperimentResult(
 #: One with a chart, as pages show it.
 A_SHOWN_EXPERIMENT = msgspec.structs.replace(
     AN_EXPERIMENT,
-    **dict.fromkeys(("title", "claim", "remedy", "source"), "A word."),
+    **dict.fromkeys(("title", "remedy", "source"), "A word."),
+    claim="Accelerations that a loop feeds back.",
     parts=[
         PartResult(
             text="a part",

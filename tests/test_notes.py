@@ -191,7 +191,7 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
     assert said("lam") == []
     every, coarsest = silent_tables(found(), "a", scenes)
     assert every.caption == "Wrong at every resolution, in acceleration: 2 runs"
-    assert every.rows == [["wrong", "s", "2 of 2", "0.2 at h=0.05", "It is stiff."]]
+    assert every.rows == [["wrong", "s", "2 of 2", "0.2 at h=0.05", "hard here: It is stiff."]]
     assert coarsest.rows[0][:3] == ["late", "s", "1 of 2"]
     series[0].records[0].message = "It may be wrong."  # one run of them says nothing
     assert said() == [head.format(2, "; 1 more with a warning"), never.format("s: ")]

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from typing import NamedTuple
 
+from bench.results.quantities import NORM
 from reports.charts import vega_lite as vl
 from reports.formatting import number
 from reports.names import scene_name
@@ -102,9 +103,11 @@ def method_strip(
     if not rows:
         return None
     for scene, s in series.items():
-        if wrong := [r for r in s.ok if r.wrong(found[0].question.group) and not r.message]:
+        group = found[0].question.group
+        known = [r for r in s.ok if r.error(group, NORM) is not None]
+        if wrong := [r for r in known if r.wrong(group) and not r.message]:
             cell = {"scene": scene_name(scene), "target": "wrong", "state": _LOOKS["wrong"][0]}
-            rows.append(cell | {"text": f"{len(wrong)} of {len(s.records)}"})
+            rows.append(cell | {"text": f"{len(wrong)} of {len(known)}"})
     order = [*(answer.question.accuracy for answer in found), "wrong"]
     place = {
         "x": vl.category("target", title=None, sort=order, axis={"labelAngle": 0, "orient": "top"}),

@@ -12,7 +12,7 @@ from bench.results.records import TOLD, MethodFacts
 from bench.results.studies import ExperimentResult, spared
 from bench.results.table import Table
 from reports.charts.maps import method_strip
-from reports.formatting import file_name, number
+from reports.formatting import file_name
 from reports.names import form_name
 from reports.pages.page import Figure, Page, Section, Text, page_file
 from reports.ranking import Answer
@@ -20,7 +20,13 @@ from reports.scenes import StoredRuns
 from reports.series import Series, groups_of
 from reports.tables.order_table import order_table
 from reports.tables.ranking_tables import claims_text
-from reports.tables.run_tables import failures_table, notes_table, unsupported_table
+from reports.tables.run_tables import (
+    doubt,
+    failures_table,
+    least_error,
+    notes_table,
+    unsupported_table,
+)
 from reports.verdicts import failings
 from reports.wrong import silent_tables, wrong_runs
 
@@ -111,10 +117,9 @@ def _scenes_table(series: Mapping[str, Series]) -> Table:
     groups = groups_of(r for s in series.values() for r in s.ok)
     rows = []
     for scene, s in series.items():
-        near = {f"error in {g}": s.nearest(g) for g in groups}
-        least = {name: number(own[0] if own else None) for name, own in near.items()}
+        least = {f"error in {g}": least_error(s, g)[0] for g in groups}
         rows.append({"scene": scene, **least, "runs": s.statuses, "resolutions": s.resolutions})
-    note = f"Errors: the smallest of its runs, relative, {NORMS[NORM]}."
+    note = f"Errors: the smallest of its runs, relative, {NORMS[NORM]}.{doubt(rows)}"
     return Table.from_dicts("Its least errors, scene by scene", rows, note=note)
 
 

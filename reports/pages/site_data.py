@@ -12,9 +12,16 @@ from itertools import product
 from typing import Any
 
 from bench.results.quantities import ASKED, COSTS, ERROR_NAMES, NORM, NORMS, RANKED_COSTS, TRUST
-from bench.results.records import NOT_TRIED, UNSUPPORTED, Record, SceneRecord, counted
+from bench.results.records import (
+    NOT_TRIED,
+    TIMING_SECONDS,
+    UNSUPPORTED,
+    Record,
+    SceneRecord,
+    counted,
+)
 from bench.results.table import short_exponent
-from bench.results.timings import FEWEST, LEAST_OF_FEW, median_interval
+from bench.results.timings import FEWEST, LEAST_OF_FEW, by_round, median_interval
 from reports.charts.mechanism import little_picture
 from reports.formatting import number, tie_text
 from reports.names import FAMILIES, form_name, scene_name
@@ -78,7 +85,8 @@ def site_data(report: Report) -> dict[str, Any] | None:
         "later": LATER,
         "wrong_a": WRONG_A,
         "units": {c: COSTS[c].unit for c in RANKED_COSTS},
-        "apart": {c: COSTS[c].tie for c in RANKED_COSTS} | {"few": LEAST_OF_FEW},
+        "apart": {c: COSTS[c].tie for c in RANKED_COSTS},
+        **_timing_rules([r for s in series for r in s.records]),
         "ties": {cost: tie_text(cost) for cost in RANKED_COSTS},
         "targets": [replace(first, target=t).accuracy for t in GRID],
         "first": {
@@ -155,7 +163,7 @@ def _runs(series: Series, places: Mapping[str, int], columns: Sequence[str]) -> 
         "resolutions": [r.resolution.split(",")[0].split(" ")[0] for r in series.records],
         "options": [_option(r) for r in series.records],
         "columns": [own if any(own) else None for own in found],
-        "spread": [_spread(r) for r in series.records],
+        "samples": [_samples(r) for r in series.records],
         "phi": [_violation(r) for r in series.records],
         **({"endings": endings} if {*endings} != {"ok"} else {}),
         **({"refused": series.records[0].message} if refused else {}),
@@ -174,10 +182,17 @@ def _violation(record: Record) -> str:
     return "" if size is None else f"{number(size)} {record.constraint_unit}".rstrip()
 
 
-def _spread(record: Record) -> list[float] | None:
-    """The interval of a run's median time; None of too few samples."""
-    enough = len(record.run_s) >= FEWEST
-    return [_short(x, 4) for x in median_interval(record.run_s)] if enough else None
+def _samples(record: Record) -> dict[str, float]:
+    """The times of a run in s by their rounds."""
+    return {f"{i}-{k}": _short(x, 6) for (i, k), x in by_round(record).items()}
+
+
+def _timing_rules(records: Sequence[Record]) -> dict[str, Any]:
+    """The numbers of `bench.results.timings.quotient`; ``cuts`` are, by the count of samples, how
+    many are left out at each end of an interval."""
+    most = max((len(r.run_s) for r in records), default=0)
+    cuts = [0, *(round(median_interval(range(n))[0]) for n in range(1, most + 1))]
+    return {"cuts": cuts, "fewest": FEWEST, "few": LEAST_OF_FEW, "long": TIMING_SECONDS}
 
 
 def _value(record: Record, name: str) -> float | None:

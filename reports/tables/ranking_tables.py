@@ -17,7 +17,7 @@ from reports.verdicts import unjudged, verdict, violation_text
 #: When costs tie.
 _TIES = (
     "".join(f"Ties in {COSTS[cost].words}: {tie_text(cost)}. " for cost in RANKED_COSTS)
-    + "One that is the cheapest from a later start on the same motion ties, too."
+    + "One that is among the cheapest from a later start on the same motion ties, too."
 )
 
 

@@ -17,28 +17,36 @@ from reports.series import Series, groups_of, ok_runs, reference_error
 def summary_table(series: Sequence[Series]) -> Table:
     """One row per integrator: best errors, costs of its most accurate run, endings."""
     groups = groups_of(ok_runs(series))
-    rows, doubtful = [], False
+    rows = []
     sure: dict[str, list[tuple[float, int]]] = {g: [] for g in groups}
     for i, s in enumerate(series):
         run = near[1] if (near := s.nearest("q")) else None
         row = {"integrator": s.label}
         for g in groups:
-            error = near[0] if (near := s.nearest(g)) else None
-            row[f"error in {g}"] = number(error)
-            if error is not None and error <= TRUST * reference_error(s.ok, g, NORM):
-                row[f"error in {g}"] += " *"
-                doubtful = True
-            elif error is not None:
+            row[f"error in {g}"], error = least_error(s, g)
+            if error is not None:
                 sure[g].append((error, i))
         row |= {**_costs(run), "runs": s.statuses}
         rows.append(row | {"most accurate run": run.resolution if run else NO_VALUE})
     several = len(rows) > 1
     best = {(min(own)[1], j) for j, own in enumerate(sure.values(), 1) if own and several}
     note = f"Smallest error over the runs. {ERROR_MEANING} Time and counts: of the run that is "
-    note += "most accurate in q."
-    if doubtful:
-        note += f" * within {TRUST:g} times the reference's own error: says nothing more."
+    note += "most accurate in q." + doubt(rows)
     return Table.from_dicts("All integrators", rows, best=best, note=note)
+
+
+def least_error(series: Series, group: str) -> tuple[str, float | None]:
+    """The smallest error of its runs with a mark of doubt, or as a number if it can be judged."""
+    if not (near := series.nearest(group)):
+        return NO_VALUE, None
+    judged = near[0] > TRUST * reference_error(series.ok, group, NORM)
+    return number(near[0]) + " *" * (not judged), near[0] if judged else None
+
+
+def doubt(rows: Sequence[Mapping[str, str]]) -> str:
+    """The sentence on the marks of doubt in a table, if it has any."""
+    marked = any(cell.endswith(" *") for row in rows for cell in row.values())
+    return f" * within {TRUST:g} times the reference's own error: says nothing more." * marked
 
 
 def _costs(run: Record | None) -> dict[str, str]:

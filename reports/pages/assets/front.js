@@ -43,7 +43,7 @@
         line(null, `To ${question.target} in ${data.group_names[question.group]} (${stepbench.norm()}), scene by scene:`),
         ...stepbench.chosen().map((k) => [k, data.scenes[k]]).map(([k, { id, name, page }]) =>
           line(null, { kind: "scene", key: id, text: name, page }, ": ", ...stepbench.verdict(k, question))),
-        line("note", `Error: ${worst}, ${stepbench.norm()}. Tied: ${data.ties[question.cost]}, or the cheapest from a later start of the motion.`)));
+        line("note", `Error: ${worst}, ${stepbench.norm()}. Tied: ${data.ties[question.cost]}, or among the cheapest from a later start of the motion.`)));
     standings(rows, stepbench.chosen().filter((k) => here[k]).length);
   });
 
@@ -67,9 +67,7 @@
     // All panels but a large one are equally wide: measured once, before the first is drawn.
     broad = cards.find((own) => !own.card.hidden && own !== large)?.place.clientWidth;
   };
-  const draw = (own) => {
-    if (!own.card.hidden) stepbench.draw(own.place, own.index, own === large ? { large: true } : { wide: broad });
-  };
+  const draw = (own) => own.card.hidden || stepbench.draw(own.place, own.index, own === large ? { large: true } : { wide: broad });
   const enlarge = (wanted) => {
     const changed = [large, wanted].filter(Boolean);
     large = wanted;

@@ -101,10 +101,7 @@
 
   const side = document.querySelector("nav.side");
   if (side) {
-    const set = (on) => {
-      side.classList.toggle("open", on);
-      menu.setAttribute("aria-expanded", on);
-    };
+    const set = (on) => menu.setAttribute("aria-expanded", side.classList.toggle("open", on));
     const menu = button({ class: "menu", "aria-expanded": "false", click: () => set(!side.classList.contains("open")) }, "Contents");
     side.addEventListener("keydown", (event) => { if (event.key === "Escape") set(false); });
     side.firstElementChild.after(menu);

@@ -181,10 +181,7 @@
     const ring = svg("circle", { class: "found", r: size.mark + 4, visibility: "hidden" }), box = () => chart.getBoundingClientRect();
     const scale = () => box().width / chart.viewBox.baseVal.width, seen = () => points.filter((p) => !hidden.has(p.index));
     let now = null;
-    const hide = () => {
-      ring.setAttribute("visibility", "hidden");
-      stepbench.tip.hide();
-    };
+    const hide = () => { ring.setAttribute("visibility", "hidden"); stepbench.tip.hide(); };
     const show = (p) => {
       now = p;
       for (const [name, value] of [["cx", p.x], ["cy", p.y], ["visibility", "visible"]]) ring.setAttribute(name, value);

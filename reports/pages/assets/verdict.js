@@ -2,9 +2,7 @@
 "use strict";
 (() => {
   const { html, data, part, runsOf, columnOf, number, columns, fill } = stepbench;
-  const STATES = {
-    far: "not reached", failed: "no run reached the end", unknown: "reached, cost not measured", refused: "the method does not take the scene",
-  };
+  const STATES = { far: "not reached", failed: "no run reached the end", unknown: "reached, cost not measured", refused: "the method does not take the scene" };
   // The run of the least error of some methods on a scene: its method, place and error.
   const nearest = (all, { group }) => {
     let best = null;
@@ -52,13 +50,23 @@
     if (stepbench.violation(question)) return ["Held by ", ...listed(of(stepbench.reaches).map(([m]) => [methodRef(m)]), 99), "."];
     return second !== null ? [...(dear.length ? ["Costly: ", ...listed(dear), ". "] : []), ...(far.length ? ["Not reached by ", ...listed(far), "."] : [])] : [];
   };
-  // The cost of a run over that of another one; of times with their interval, and whether it is significant.
+  // The median of values with its interval, and the quotient of the times of two runs, as bench/results/timings.py has them.
+  const middle = (values) => {
+    const own = values.toSorted((one, two) => one - two), n = own.length, cut = data.cuts[n];
+    return { value: (own[(n - 1) >> 1] + own[n >> 1]) / 2, low: own[cut], high: own[n - 1 - cut], few: n < data.fewest, precise: n > 1 || own[0] > data.long };
+  };
+  const quotient = (one, two) => {
+    const all = [one, two].map(Object.values), shared = Object.keys(one).filter((k) => k in two).map((k) => two[k] / one[k]), [a, b] = all.map(middle);
+    if (shared.length && shared.length >= Math.min(all[0].length, all[1].length)) return middle(shared);
+    return a.precise && b.precise ? { value: b.value / a.value, low: b.low / a.high, high: b.high / a.low, few: a.few || b.few } : null;
+  };
+  // The cost of a run over that of another one; of times with the interval of their quotient, and whether it is significant.
   const against = (runs, k, other, j, cost, tied) => {
-    const ratio = columnOf(runs, cost)[k] / columnOf(other, cost)[j];
-    const [a, b] = cost === "seconds" ? [runs.spread[k], other.spread[j]] : [], known = a && b, ends = known ? [a[0] / b[1], a[1] / b[0]] : [ratio, ratio];
-    const tie = Math.max(ratio, 1 / ratio) <= data.apart[cost === "seconds" && !known ? "few" : cost] || ends[0] <= 1 && ends[1] >= 1;
-    const said = known ? ` (${ends.map(number).join(" to ")})` : "", few = cost === "seconds" && !known ? ` (few times, ${tie ? "at most" : "more than"} ${data.apart.few} ×)` : "";
-    return `${number(ratio)} ×${said}, ${tied ? "a tie" : (tie ? "not " : "") + (cost === "seconds" ? "significant" : "told apart")}${few}`;
+    const ratio = columnOf(runs, cost)[k] / columnOf(other, cost)[j], sizes = `${stepbench.multiple(ratio)} ×`, beyond = (value, least) => Math.max(value, 1 / value) > least;
+    if (cost !== "seconds") return `${sizes}, ${tied ? "a tie" : beyond(ratio, data.apart[cost]) ? "told apart" : "not told apart"}`;
+    const found = quotient(other.samples[j], runs.samples[k]), ends = found ? [...new Set([found.low, found.high].map(number))] : [];
+    const differs = found && beyond(found.value, found.few ? data.few : data.apart.seconds) && (found.low > 1 || found.high < 1);
+    return `${sizes}${ends.length > 1 ? ` (${ends.join(" to ")})` : ""}, ${tied ? "a tie" : differs ? "significant" : "not significant"}${found?.few === false ? "" : ", of few times"}`;
   };
   const placeOf = (label) => data.methods.findIndex((method) => method.label === label);
   const best = (scene) => reaching(scene, stepbench.answer()[scene].states.findIndex((own) => own?.[0] === 1));
@@ -66,10 +74,10 @@
   // The highlighted method beside the best on a scene, or the accuracy that it reaches there.
   const beside = (scene, question) => {
     const m = placeOf(question.highlight), own = stepbench.answer()[scene], runs = m >= 0 && own && runsOf(scene, m);
-    if (!runs || own.first.includes(m)) return [];
+    if (!runs || own.first.slice(0, 3).includes(m)) return [];
     const mine = reaching(scene, m), first = best(scene), near = nearest([runs], question), next = near && data.targets.findLast((target) => Number(target) >= near.error);
     if (mine) return [[stepbench.methodRef(m), `: ${stepbench.costWithUnit(own.states[m][2], question.cost)} at ${runs.resolutions[mine.k]}, `,
-      `${against(runs, mine.k, runsOf(scene, first.index), first.k, question.cost, false)}, beside `, stepbench.methodRef(first.index), "; ",
+      `${against(runs, mine.k, runsOf(scene, first.index), first.k, question.cost, own.first.includes(m))}, beside `, stepbench.methodRef(first.index), "; ",
       button("beside all", () => document.querySelector("[data-methods]").scrollIntoView({ block: "center" })), "."].map(part)];
     const ask = button(`ask for ${next}`, () => stepbench.ask({ target: next }));
     return [[part(stepbench.methodRef(m)), " does not reach it", ...(near ? [`: its least error is ${number(near.error)}`] : []), ...(next ? ["; ", ask] : []), "."]];
@@ -105,7 +113,7 @@
         far: near ? ` down to ${runs.resolutions.at(runs.endings?.lastIndexOf("ok") ?? -1)}; least error: ${number(near.error)}` : "",
         failed: `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}`, refused: `: ${runs.refused}`,
       };
-      const text = state ? STATES[state] + (told[state] ?? "") : "cannot be judged";
+      const text = state ? STATES[state] + (told[state] ?? "") : stepbench.unjudged(scene, question);
       return html("tr", { class: "out" }, ...lead, html("td", { colspan: 3 + 2 * held + Boolean(mine) }, text));
     }
     const [multiple, k, cost] = state, off = held ? columnOf(runs, "constraint")[k] : NaN;
