@@ -58,15 +58,14 @@ def published_table(digits: Sequence[Digits]) -> Table | None:
     return Table("Published digits", head, rows) if rows else None
 
 
-def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None = None) -> str:
+def csv_text(rows: Sequence[Mapping[str, object]]) -> str:
     """Write rows as CSV with a header line; return the table, every line ended by a line feed.
 
     The numbers of a list are a text with a space in between, "nan" where there is none. Other
-    values with parts are JSON. ``columns`` are all names of the rows, in order of first appearance,
-    if None; one that a row lacks stays empty.
+    values with parts are JSON. Columns are all names of the rows, in order of first appearance; one
+    that a row lacks stays empty.
     """
-    if columns is None:
-        columns = list(dict.fromkeys(name for row in rows for name in row))
+    columns = list(dict.fromkeys(name for row in rows for name in row))
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, columns, lineterminator="\n")
     writer.writeheader()

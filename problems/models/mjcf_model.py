@@ -167,21 +167,7 @@ class Tree:
     @traced_once
     def mass_matrix(self, q: Float[Array, " nq"]) -> Float[Array, "nv nv"]:
         """Return M(q) with the armatures, in kg (or kg m^2)."""
-        at = self.poses(q)
-        centres, inertias = self._bodies(at)
-        squares = jnp.sum(centres**2, axis=1)[:, None, None] * np.eye(3)
-        around = squares - centres[:, :, None] * centres[:, None, :]
-        about = inertias + self.mass[:, None, None] * around
-        # Of all that hangs at the link of a velocity.
-        hanging, of = self._above.T[self._of], self._of
-        mass, moment = hanging @ self.mass, hanging @ (self.mass[:, None] * centres)
-        inertia = jnp.einsum("dn,nij->dij", hanging, about)
-        force = mass[:, None] * at.moving + jnp.cross(at.turning, moment)
-        torque = _turn(inertia, at.turning) + jnp.cross(moment, at.moving)
-        places = np.arange(len(of))
-        first = (of[:, None] != of) | (places[:, None] >= places)
-        lower = self._above[of][:, of] * first * (force @ at.moving.T + torque @ at.turning.T)
-        return lower + (1 - np.eye(len(of))) * lower.T + np.diag(self.m.dof_armature)
+        return jax.vmap(lambda a: self.mass_product(q, a))(jnp.eye(len(self._of)))
 
     @traced_once
     def mass_product(self, q: Float[Array, " nq"], a: Float[Array, " nv"]) -> Float[Array, " nv"]:
