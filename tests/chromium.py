@@ -1,7 +1,5 @@
 """Chromium for tests of pages, where it and its driver are installed."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from collections.abc import Callable, Iterator

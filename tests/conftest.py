@@ -1,7 +1,5 @@
 """Shared set-up of the tests."""
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

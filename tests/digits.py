@@ -1,7 +1,5 @@
 """Write problems/truth/digits.json, the certain digits of all built-in scenes; `make digits`."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Jobs of guarded processes for test_guard.py."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import time

@@ -1,7 +1,5 @@
 """Operations of equations and steps, by hand, as automatic differentiation forms them."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable
 from typing import Any, NamedTuple

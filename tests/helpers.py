@@ -1,7 +1,5 @@
 """Helpers of several tests: errors and slopes, measured independently of the bench."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import sys

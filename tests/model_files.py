@@ -1,7 +1,5 @@
 """Files of models as people have them, made of snippets; none is a copy of one that exists."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

@@ -3,8 +3,6 @@
 Runs that an earlier attempt has measured are kept in the folders of results.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Sequence

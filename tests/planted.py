@@ -1,7 +1,5 @@
 """A store with planted records, whose numbers the tests of the pages know."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

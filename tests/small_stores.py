@@ -1,7 +1,5 @@
 """A store with one of everything, for tests that change it behind its back."""
 
-from __future__ import annotations
-
 import sqlite3
 from contextlib import closing
 from pathlib import Path

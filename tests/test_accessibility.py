@@ -1,7 +1,5 @@
 """The pages of a report for all readers: axe-core finds no fault, headings follow each other."""
 
-from __future__ import annotations
-
 import base64
 import re
 from importlib import resources

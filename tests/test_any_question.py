@@ -1,7 +1,5 @@
 """Answers that the page looks up, beside Python's; what is typed is kept."""
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 

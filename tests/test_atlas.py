@@ -1,7 +1,5 @@
 """Every experiment of the failure atlas comes out as predicted, a mutant does not; verdicts."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Scenes of rigid bodies: joints, springs and starts, and two mechanisms by one angle each."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The page in Chromium: menus, legend, tooltip and download give the numbers of the store."""
 
-from __future__ import annotations
-
 import csv
 import shutil
 

@@ -1,7 +1,5 @@
 """The car in a lane change and its quarter: balances, published frequencies, their physics."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from helpers import run_of, toy

@@ -1,7 +1,5 @@
 """Right plugins pass every check, and the checks find every planted fault."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

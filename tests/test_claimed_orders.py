@@ -1,7 +1,5 @@
 """The checks of claimed orders and of counts, on planted errors and on lies."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

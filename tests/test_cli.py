@@ -1,7 +1,5 @@
 """The command line: results of commands, and messages for wrong input."""
 
-from __future__ import annotations
-
 import json
 import webbrowser
 

@@ -1,7 +1,5 @@
 """Runs on a cluster: the same answers, a worker that dies costs nothing, timing stays here."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

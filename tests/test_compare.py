@@ -1,7 +1,5 @@
 """Comparing two folders of results."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

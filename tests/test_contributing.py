@@ -1,7 +1,5 @@
 """Examples of the documents run as printed; commands, options and numbers are those there are."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

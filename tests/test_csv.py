@@ -1,7 +1,5 @@
 """CSV and JSON: numbers stay, lists are lists and names are names."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -1,7 +1,5 @@
 """What grows in runs: drifts of long ones, changes of the start, and errors from later starts."""
 
-from __future__ import annotations
-
 import json
 
 import msgspec

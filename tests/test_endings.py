@@ -1,7 +1,5 @@
 """Endings of runs: their statuses, messages, counts and last rows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from helpers import long, toy

@@ -1,7 +1,5 @@
 """Ensembles: every member equals a single run and does not disturb the others."""
 
-from __future__ import annotations
-
 import json
 import re
 import time

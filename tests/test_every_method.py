@@ -1,7 +1,5 @@
 """Every method: it runs or refuses in one sentence, and its form of the constraints is told."""
 
-from __future__ import annotations
-
 import re
 from itertools import product
 

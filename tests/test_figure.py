@@ -1,7 +1,5 @@
 """Single figures: their numbers are those of the store, their look is fit for paper."""
 
-from __future__ import annotations
-
 import json
 import re
 import struct

@@ -1,7 +1,5 @@
 """A fingerprint changes with everything that can change a run's numbers."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path

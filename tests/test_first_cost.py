@@ -1,7 +1,5 @@
 """The cost by which a report ranks first: seconds where samples repeat, else operations."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

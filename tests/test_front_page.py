@@ -1,7 +1,5 @@
 """The front page in Chromium: its question bar drives words, charts and heat table; its layout."""
 
-from __future__ import annotations
-
 import re
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """Pictures of scenes: stills, animations, the catalogue, and its facts about a scene."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

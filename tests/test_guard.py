@@ -1,7 +1,5 @@
 """Guarded processes: fates of jobs, budgets, and nothing that is left behind."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

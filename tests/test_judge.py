@@ -1,7 +1,5 @@
 """Runs of other programs: rows of files have the errors that were planted, and disorder is told."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """What pages and sentences say of sampled controllers and events, from planted records."""
 
-from __future__ import annotations
-
 import pytest
 from planted import STEPS, planted
 from small_stores import atlas_with

@@ -5,8 +5,6 @@ loop calls a library, and other numbers compile nothing new. ``make bench`` meas
 What is counted inside is exact, whatever a compiler merges or drops.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor

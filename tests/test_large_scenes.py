@@ -1,7 +1,5 @@
 """Scenes of many unknowns: memory grows with their number, answers stay right."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

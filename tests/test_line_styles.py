@@ -1,7 +1,5 @@
 """Colours, marks and dashes: fixed by the name, legible on every paper, not twice in a figure."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

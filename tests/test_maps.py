@@ -1,7 +1,5 @@
 """Maps and ensembles: a point or a member is a single run, whoever runs it."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

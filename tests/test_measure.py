@@ -1,7 +1,5 @@
 """Stored rows of a trajectory: reading them back, and their violations of the equations."""
 
-from __future__ import annotations
-
 from types import MappingProxyType
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files as people have them: each is a scene with MuJoCo's numbers, or refused by name."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """MuJoCo's own steps on its models, and built-in scenes of users' models."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import sys
 from dataclasses import dataclass
