@@ -33,10 +33,7 @@ def planted(
     family: str = "alpha",
     **changes,
 ) -> Record:
-    """A record with errors C h^p for {group: (C, p)} and three residuals per step.
-
-    Its bill of operations is ten per residual unless another is given.
-    """
+    """A record with errors C h^p for {group: (C, p)}; a step has 3 residuals of 10 operations."""
     steps = round(1 / h)
     known = {
         "key": f"{problem} | {integrator} | h={h!r}",
@@ -215,10 +212,7 @@ def chart_rows(chart: dict[str, Any], name: str) -> list[dict[str, str]]:
 
 
 class Document(HTMLParser):
-    """Tables by caption, attributes that name a place, scripts, and the visible text.
-
-    Of an integrator or a scene a cell has the full name, which is a hint on the page.
-    """
+    """Tables by caption, with full names for short ones; places, scripts, and the visible text."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

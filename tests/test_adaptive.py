@@ -50,10 +50,7 @@ RATIOS = [1.0, 1.0, 1.3, 0.8, 1.6, 0.4, 1.0, 0.7, 1.2]  # 0.4 restarts gamma and
 
 
 def off(method, scene, h=0.001):
-    """Largest distance of estimated from true errors, relative, in each of some steps.
-
-    The truth starts from the same q, v, x.
-    """
+    """Relative distances of estimated errors from those of the truth that starts with a step."""
     program, numbers = method.program(scene)
     rate = jax.jit(partial(ode_rate, scene))
     step = jax.jit(lambda state, t, h: program.step(scene, numbers, state, t, h)[0])

@@ -1,7 +1,4 @@
-"""Imports go down the layers of folders and make no circle; the test reads sources only.
-
-Imports inside functions and under TYPE_CHECKING count, too.
-"""
+"""Imports go down the layers of folders and make no circle; those inside functions count, too."""
 
 import ast
 from collections.abc import Iterator

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from integrators import Steps
-from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.truth.reference import Reference
 
 
@@ -46,20 +45,6 @@ def test_tables_of_races():
     rows = race.beside_python(race.CarAxis(), race.SOLVERS[0], rounds=1)
     assert rows[0]["ratio"] == "1.00 (1.00 to 1.00)"
     assert all(0 < row["error"] < 0.1 for row in rows)
-
-
-@pytest.mark.long
-def test_the_yardstick_in_c_solves_the_same_equations():
-    import frame
-    import opponents
-
-    try:
-        c = opponents.c_program()
-    except frame.NotHere as reason:
-        pytest.skip(str(reason))
-    steps = Steps(frame.T_END / frame.STEPS)
-    ours = GeneralizedAlpha().prepare(frame.SCENE, frame.T_END, steps).measure()
-    assert np.abs(c.q - ours.q[-1]).max() < 1e-11
 
 
 def test_programs_that_the_compiler_refuses_are_left_out_with_a_sentence(monkeypatch, capsys):

@@ -61,18 +61,6 @@ def test_results_are_independent_of_later_calls_and_of_the_arguments():
         assert s.tolist() == [7.0] * 3
 
 
-def test_programs_have_run_when_their_call_returns_and_see_the_arguments_of_this_call():
-    packed, given = PackedFunction(lambda t, s: t * s, None, 2), []
-    packed.program = given.append
-    later = packed.bind()
-    later(2.0, np.ones(2))
-    later(3.0, np.ones(2))
-    assert [numbers[0] for numbers in given] == [2.0, 3.0]
-    long, many = jax.jit(lambda x: jnp.sin(x).sum()), jnp.ones(10**7)
-    long(many).block_until_ready()
-    assert long(many).is_ready()
-
-
 # ---- the same runs ---------------------------------------------------------------------
 def run(method, scene, length=1.0):
     return method.prepare(scene, scene.interval[0] + length, Tolerances(1e-6))

@@ -58,17 +58,6 @@ def test_programs_of_which_no_times_are_taken_are_compiled_quickly(stepbench, mo
 
 
 @pytest.mark.usefixtures("without_processes")
-def test_an_order_has_a_window_and_errors():
-    steps = [0.01, 0.005, 0.0025, 0.00125]
-    found = order("pendulum", "generalized_alpha[rho_inf=0.5]", steps)
-    for group in ("q", "v", "a", "lam"):
-        assert found.orders[group]["settled"] == pytest.approx(2.0, abs=0.06)
-        assert found.fits[group]["settled"].window == pytest.approx([0.01, 0.00125])
-        assert len(found.errors[group]["settled"]) == 4
-    assert found.orders["lam"]["max"] == pytest.approx(1.0, abs=0.1)
-
-
-@pytest.mark.usefixtures("without_processes")
 def test_a_table_for_people_has_residuals_of_constraints(stepbench):
     shown = stepbench("solve", "pendulum", "newmark", "--step", "0.01", "--set", "th0=1.0")
     assert shown.exit_code == 0, shown.output

@@ -15,7 +15,7 @@ from helpers import cell_of
 from bench.plugins.registry import Registry, Sources
 from bench.results.store import Store
 from bench.running.process import Limits, NoAnswer
-from bench.running.runner import ClusterRunner, Runner, cell_task
+from bench.running.runner import ClusterRunner, cell_task
 from bench.running.worker import Worker
 from integrators.resolutions import Steps
 from problems.base.spec import SpecError
@@ -75,16 +75,18 @@ def tasks_of(*steps, integrator="newmark", plugins=()):
 
 
 @pytest.mark.long
-def test_a_cluster_gives_the_answers_of_this_machine(cluster):
-    tasks = tasks_of(0.1, 0.05)
-    with Runner(1, Limits(60.0, 4.0)) as here:
-        expected = dict(here.run([tasks]))
-    with ClusterRunner(cluster.scheduler_address, Limits(60.0, 4.0)) as there:
-        answers = dict(there.run([[tasks[0]], [tasks[1]]]))
-    for task in tasks:
-        assert answers[task].record.errors == expected[task].record.errors
-        assert answers[task].record.work == expected[task].record.work
-        assert answers[task].rows == expected[task].rows
+def test_a_cluster_gives_the_answers_of_this_machine(stepbench, cluster, tmp_path):
+    (tmp_path / "p.toml").write_text(PROFILE)
+    found = []
+    for name, more in (("here", ()), ("there", ("--cluster", cluster.scheduler_address))):
+        result = stepbench("run", tmp_path / "p.toml", "--out", tmp_path / name, *more)
+        assert result.exit_code == 0, result.output
+        with Store(tmp_path / name) as store:
+            records = store.records().values()
+            found.append([(r.status, r.errors, r.work, store.rows(r.key)) for r in records])
+        assert [len(r.run_s) for r in records] == [1] * 3
+    assert found[0] == found[1]
+    assert {status for status, *_ in found[0]} == {"ok"}
 
 
 @pytest.mark.long
@@ -154,18 +156,6 @@ def test_budgets_hold_on_a_cluster_and_a_plugin_that_it_lacks_is_named(cluster, 
             ((_, answer),) = runner.run([tasks])
         assert (type(answer), answer.status) == (NoAnswer, status)
     assert "missing.py" in answer.message
-
-
-@pytest.mark.long
-def test_the_command_runs_a_suite_on_a_cluster(stepbench, cluster, tmp_path):
-    (tmp_path / "p.toml").write_text(PROFILE)
-    address, out = cluster.scheduler_address, tmp_path / "out"
-    result = stepbench("run", tmp_path / "p.toml", "--out", out, "--cluster", address)
-    assert result.exit_code == 0, result.output
-    with Store(out) as store:
-        records = store.records().values()
-    assert [record.status for record in records] == ["ok"] * 3
-    assert all(len(record.run_s) == 1 for record in records)
 
 
 def test_a_cluster_that_does_not_answer_or_lacks_its_library_costs_one_sentence(

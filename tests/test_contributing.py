@@ -20,10 +20,6 @@ from bench.commands.main import main
 from bench.plugins.registry import Registry
 from bench.results.store import Store
 from bench.running.plan import built_in_profiles
-from integrators import Steps
-from integrators.native.step import step_work
-from integrators.native.step.step_work import EquationsFinder, StepWork
-from problems.scenes.oscillators import Duffing
 
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = {
@@ -110,28 +106,6 @@ def test_the_examples_have_the_order_that_they_claim(plugins, integrator, order)
     found = bench.order("ramp_oscillator", integrator, steps, plugins=[plugins])
     for group in ("q", "v", "a"):
         assert found.orders[group]["max"] == pytest.approx(order, abs=0.1)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("newton", ["full", "modified"])
-def test_stages_in_a_loop_are_those_one_by_one_with_fewer_traces(plugins, monkeypatch, newton):
-    example = type(Registry([plugins]).integrator("sdirk3"))
-    runs, traced, solve = [], [0, 0], step_work.newton
-
-    def counted(*given):
-        traced[len(runs)] += 1
-        return solve(*given)
-
-    monkeypatch.setattr(step_work, "newton", counted)
-    for name, scan in (("Loop", StepWork.scan), ("OneByOne", EquationsFinder.scan)):
-        monkeypatch.setattr(StepWork, "scan", scan)
-        method = type(name, (example,), {"__module__": __name__})(newton=newton)
-        runs.append(method.prepare(Duffing(), 0.5, Steps(0.05)).measure())
-    loop, one_by_one = runs
-    assert traced[0] < traced[1] == 3  # JAX may trace a loop twice, for the types of its values
-    assert (loop.work == one_by_one.work) == (newton == "full")
-    for group in ("q", "v", "a"):
-        assert getattr(loop, group) == pytest.approx(getattr(one_by_one, group), rel=1e-9)
 
 
 # ---- an installed package ----------------------------------------------------------------

@@ -58,25 +58,6 @@ def at_constant_steps(method, scene, h, pattern=(1.0,)):
 
 
 # ---- accuracy --------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("method", "scene", "rtols", "within"),
-    long(
-        (Kvaerno5(), SpringMass(), (1e-7, 1e-11), 1e-8),
-        (Kvaerno5(), Pendulum(), (1e-7, 1e-11), 1e-8),
-        (KenCarp4(), Pendulum(), (1e-7, 1e-11), 1e-8),
-        *((cls(), Pendulum(), (1e-5, 1e-9), 1e-4) for cls in (Dopri8, Kvaerno3, KenCarp3)),
-        (ImplicitEuler(), Pendulum(), (1e-3, 1e-5), 0.1),
-    ),
-    ids=lambda of: getattr(of, "spec", ""),
-)
-def test_errors_fall_with_the_tolerance_in_every_group(method, scene, rtols, within):
-    t_end = 5.0 if scene.name == "spring_mass" else 1.35
-    loose, tight = (run(method, scene, rtol, t_end) for rtol in rtols)
-    assert loose.status == tight.status == "ok", tight.message
-    assert tight.t[[0, -1]].tolist() == [scene.interval[0], t_end]
-    for group in ("q", "v", "a", "lam" if scene.sizes.nl else "x"):
-        assert worst(tight, scene, group) < within
-        assert worst(tight, scene, group) < worst(loose, scene, group) / 8
 
 
 # ---- constant steps --------------------------------------------------------------------

@@ -20,7 +20,6 @@ from integrators.native.loops.kernel import Kernel
 from problems import parameter
 from problems.base.runtime import SPARE_THREADS
 from problems.base.spec import SpecError, split_spec
-from problems.equations.initial_values import consistent_start, consistent_starts
 from problems.scenes.oscillators import Duffing
 
 REGISTRY = Registry()
@@ -184,17 +183,6 @@ def test_blocks_are_bounded_hold_runs_of_like_length_and_leave_xla_a_thread(monk
     monkeypatch.setenv("NPROC", "3")
     assert len(list(batch.blocks(jobs=8))) == 3
     assert max(most) <= 3 - SPARE_THREADS
-
-
-def test_starts_of_many_are_those_of_each():
-    scenes = [REGISTRY.problem(f"pendulum[m={m},th0=2]") for m in (0.3, 0.36, 0.5)]
-    starts, refused = consistent_starts(scenes)
-    assert refused == {}
-    for k, scene in enumerate(scenes):
-        one = consistent_start(scene)
-        for name in ("q", "v", "a", "lam"):
-            assert getattr(starts.z, name)[k] == pytest.approx(getattr(one.z, name), rel=1e-11)
-        assert starts.jerk[k] == pytest.approx(one.jerk, rel=1e-9, abs=1e-9)
 
 
 def test_a_member_without_a_start_says_why():

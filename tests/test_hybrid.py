@@ -17,7 +17,7 @@ from integrators.methods.radau_iia import RadauIIA
 from integrators.methods.simulator_steppers import SemiImplicitEuler
 from integrators.methods.symplectic import StormerVerlet
 from integrators.resolutions import Steps, Tolerances
-from problems import SampledSystem, held, jnp
+from problems import held, jnp
 from problems.base.spec import SpecError
 from problems.hybrid.phases import crossing
 from problems.scenes.contacts import BouncingBall, RockingBlock
@@ -135,13 +135,6 @@ def test_bills_work_and_kernels_are_those_of_all_phases():
     whole = one.bill(one.measure())
     assert found.work.steps == 100
     assert sum(prepared.bill(found).values()) == pytest.approx(sum(whole.values()), rel=1e-9)
-
-
-Misspelt = toy(
-    "Misspelt", base=SampledSystem, u=held(0.0, "N", "force"),
-    mass=lambda self, q: jnp.eye(1), initial_state=toy().initial_state,
-    force=lambda self, q, v, t: jnp.stack([self.u]), sample=lambda self, z: {"w": -z.q[0]},
-)  # fmt: skip
 
 
 # ---- events ----------------------------------------------------------------------------
@@ -327,5 +320,3 @@ def test_bad_input_is_one_sentence(refused):
         (["sampled_pd[sampling=ignore]", *ensemble], "jump at samples or events"),
     ]:
         assert words in refused("solve", *arguments)
-    with pytest.raises(SpecError, match=r"sample\(\) is 'w', expected one of q, v, x, u"):
-        run(StormerVerlet(), Misspelt(), Steps(0.1))

@@ -166,30 +166,27 @@ def test_disorder_in_a_file_is_a_sentence(judged, tmp_path, change, facts, sente
     assert "run.csv" in str(told.value) or "method" in str(told.value)
 
 
+SPOILT = [b"", b"PK\x03\x04 and no more", b"rows", b"\x93NUMPY"]
+
+
 @pytest.mark.parametrize(
-    ("text", "sentence"),
+    ("name", "content", "sentence"),
     [
-        ("t;q1\n0,35;0,8\n0,36;0,8\n", "write numbers with a point"),
-        ("t,q1\n0,35,0,8\n", "the head has 2 columns"),
-        ("t,q1\n0.35,0.8\n0.36\n", "a cell for each column"),
-        ("t,q1\n0.35,0.8\n0.36,zero\n", "is not as expected: could not convert"),
-        ("t,q1,q1\n0.35,0.8,0.8\n", "has the column 'q1' twice"),
-        ("", "it is empty"),
-        ("t\n" + "0.35\n" * (2 * exchange.MOST_ROWS + 1), "rows; 2 to 1000000 are judged"),
+        ("run.csv", b"t;q1\n0,35;0,8\n0,36;0,8\n", "write numbers with a point"),
+        ("run.csv", b"t,q1\n0,35,0,8\n", "the head has 2 columns"),
+        ("run.csv", b"t,q1\n0.35,0.8\n0.36\n", "a cell for each column"),
+        ("run.csv", b"t,q1\n0.35,0.8\n0.36,zero\n", "is not as expected: could not convert"),
+        ("run.csv", b"t,q1,q1\n0.35,0.8,0.8\n", "has the column 'q1' twice"),
+        ("run.csv", b"", "it is empty"),
+        ("run.csv", b"t\n" + b"0.35\n" * (2 * exchange.MOST_ROWS + 1), "2 to 1000000 are judged"),
+        *((f"run.{k}", text, rf"n.{k} is not as expected: .*\.$")
+          for k in ("npz", "json") for text in SPOILT),
     ],
-)
-def test_a_file_that_is_no_table_is_a_sentence(judged, tmp_path, text, sentence):
-    (tmp_path / "run.csv").write_text(text)
+)  # fmt: skip
+def test_a_file_that_is_no_table_is_a_sentence(judged, tmp_path, name, content, sentence):
+    (tmp_path / name).write_bytes(content)
     with pytest.raises(SpecError, match=sentence):
-        judged("pendulum", tmp_path / "run.csv")
-
-
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 and no more", b"rows", b"\x93NUMPY"])
-def test_an_archive_that_is_spoilt_is_a_sentence(judged, tmp_path, content):
-    for name in ("run.npz", "run.json"):
-        (tmp_path / name).write_bytes(content)
-        with pytest.raises(SpecError, match=rf"{name} is not as expected: .*\.$"):
-            judged("pendulum", tmp_path / name)
+        judged("pendulum", tmp_path / name)
 
 
 def test_rows_where_values_jump_are_compared_in_their_phases(judged, worker, tmp_path):

@@ -1,9 +1,4 @@
-"""Properties of compiled programs that make small scenes fast, independent of the machine's load.
-
-The time loop of a small scene is one compiled function: XLA splits no loop in it into pieces, no
-loop calls a library, and other numbers compile nothing new. ``make bench`` measures the times.
-What is counted inside is exact, whatever a compiler merges or drops.
-"""
+"""The time loop of a small scene is one compiled function, and counts in programs are exact."""
 
 import re
 from collections import Counter
@@ -101,17 +96,6 @@ def test_a_product_that_is_left_to_a_library_takes_it_apart(monkeypatch):
         assert not Program(prepared(QuarterCar(), RadauIIA())).joined()
     finally:
         forget_programs()
-
-
-def test_a_tangent_is_kept_over_many_steps_and_full_newton_takes_two_iterations_in_each():
-    run = prepared(SliderCrank(), "modified", steps=20_000).measure()
-    work = run.work
-    assert run.status == "ok"
-    assert work.factorisations == work.jacobians < 0.03 * work.steps
-    assert work.residuals == work.newton == work.solves < 2.7 * work.steps
-    work = prepared(SliderCrank(), steps=20_000).measure().work
-    assert work.residuals == work.newton == work.jacobians == work.factorisations
-    assert 1.9 * work.steps < work.residuals <= 2 * work.steps
 
 
 class Watched(Pendulum):

@@ -13,6 +13,14 @@ from bench.plugins.registry import Registry
 from integrators import Tolerances
 from integrators.adapters import equations, solve_dae
 from integrators.adapters.cvode import CVODE
+from integrators.adapters.diffrax_methods import (
+    Dopri8,
+    ImplicitEuler,
+    KenCarp3,
+    KenCarp4,
+    Kvaerno3,
+    Kvaerno5,
+)
 from integrators.adapters.ida import IDA
 from integrators.adapters.scipy_ode import BDF, Radau
 from integrators.adapters.solve_dae import BDFDAE, RadauDAE
@@ -58,19 +66,24 @@ def run(method, scene=None, rtol=1e-6, t_end=0.0):
             *((m(formulation=f), Pendulum(), 1e-5)
               for m in (IDA, RadauDAE, BDFDAE) for f in ("index1", "index2")),
             *((m, Pendulum(), 1e-5) for m in (CVODE(method="adams"), BDFDAE())),
+            *((m(), s, 1e-8) for m in (Kvaerno5, KenCarp4, Dopri8)
+              for s in (Pendulum(), SpringMass())),
+            *((m(), Pendulum(), 1e-7) for m in (Kvaerno3, KenCarp3)),
+            (ImplicitEuler(), Pendulum(), 0.1),
         ),
     ],
     ids=lambda of: getattr(of, "spec", ""),
 )  # fmt: skip
 def test_errors_fall_with_the_tolerance_in_every_group(method, scene, limit):
     t_end = 5.0 if scene.name == "spring_mass" else 1.35
-    loose, tight = (run(method, scene, rtol, t_end) for rtol in (1e-5, 1e-10))
+    rtols, falls = ((1e-5, 1e-10), 50) if limit < 0.1 else ((1e-3, 1e-5), 8)
+    loose, tight = (run(method, scene, rtol, t_end) for rtol in rtols)
     assert loose.status == tight.status == "ok", tight.message
     assert tight.t[[0, -1]].tolist() == [scene.interval[0], t_end]
     for group in ("q", "v", "a", *(["lam"] if scene.sizes.nl else ["x", "y"])):
         most = 100 * limit if group == "lam" and method.formulation != "ode" else limit
         assert worst(tight, scene, group) < most, group
-        assert worst(tight, scene, group) < worst(loose, scene, group) / 50, group
+        assert worst(tight, scene, group) < worst(loose, scene, group) / falls, group
 
 
 @every_solver

@@ -113,8 +113,7 @@ def alike(labels: Iterable[str]) -> list[tuple[LineStyle, LineStyle]]:
 
 
 def test_lines_of_a_suite_are_told_apart():
-    """Near colours differ in mark and dash, lines of one mark in colour; without colour, in greys
-    of equal lightness, mark and dash part them."""
+    """Near colours differ in mark and dash, lines of one mark in colour, and all without colour."""
     for name in ("quick", "full", "sizes", "families"):
         if name != "families":
             pairs = alike(suite(name))

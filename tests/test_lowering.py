@@ -12,7 +12,6 @@ from integrators import Tolerances
 from integrators.adapters import equations
 from integrators.adapters.cvode import CVODE
 from integrators.adapters.equations import PackedFunction
-from integrators.adapters.equations import in_c as compiled_in_c
 from integrators.adapters.scipy_ode import BDF
 from integrators.lowering import c_source, graph
 from integrators.lowering.c_source import c_function
@@ -90,20 +89,6 @@ def test_entries_of_a_sparse_jacobian_are_those_of_jax():
     pytest.importorskip("klujax")
     scene = Registry([]).problem("chain[links=3]")
     assert max(differences(scene, "stabilised_index2", sparse=True)) < ROUNDING
-
-
-@pytest.mark.parametrize(
-    ("name", "other"), [("add", "subtract"), *long(("sine", "cosine"), ("multiply", "add"))]
-)
-def test_another_operation_in_the_place_of_one_is_seen(name, other, monkeypatch):
-    spoiled = graph.OPERATORS[name]._replace(c=graph.OPERATORS[other].c)
-    monkeypatch.setitem(graph.OPERATORS, name, spoiled)
-    compiled_in_c.cache_clear()
-    scene = Registry([]).problem("slider_crank" if name == "sine" else "pendulum")
-    try:
-        assert max(differences(scene, "index1")) > 1e-6
-    finally:
-        compiled_in_c.cache_clear()
 
 
 # ---- primitives ------------------------------------------------------------------------
@@ -250,20 +235,6 @@ def test_loops_take_the_turns_that_they_take_in_jax(more):
             u = np.random.default_rng(seed).normal(size=3) * (1 + seed % 3)
             right = np.asarray(traced(u))
             assert function(u) == pytest.approx(right, rel=1e-13, abs=1e-13), (name, seed)
-
-
-def test_constants_are_no_values_given_to_a_loop():
-    known = jnp.arange(9.0)
-
-    def function(u):
-        return jax.lax.while_loop(lambda x: x[0] < u[1], lambda x: x + known[2:5] * u[0], u)
-
-    program = lowered(function, np.zeros(3))
-    (loop,) = (
-        given for operator, given in program.graph.nodes if isinstance(operator, graph.WhileLoop)
-    )
-    assert loop
-    assert not any(map(program.graph.is_constant, loop))
 
 
 # ---- simplification --------------------------------------------------------------------

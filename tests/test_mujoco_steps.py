@@ -208,17 +208,3 @@ def test_tangents_are_kept_by_default_where_they_are_dear_and_the_name_says_it()
 
     assert settings(DearCrank()) == (True, True)
     assert settings(SliderCrank()) == settings(DearCrank(), sparse=False) == (False, False)
-
-
-@pytest.mark.long
-def test_kept_tangents_end_where_new_ones_do():
-    full, kept, fast = (
-        GeneralizedAlpha(newton=newton).prepare(scene, 5.0, Steps(5e-4)).measure()
-        for scene, newton in (
-            (SliderCrank(), "full"), (DearCrank(), "auto"), (SliderCrank(), "modified")
-        )
-    )  # fmt: skip
-    assert kept.work.jacobians < 0.2 * kept.work.steps
-    size = np.abs(full.q).max()
-    assert np.abs(kept.q - full.q).max() < 3e-11 * size
-    assert np.abs(fast.q - full.q).max() > 3e-10 * size
