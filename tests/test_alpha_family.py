@@ -29,7 +29,7 @@ from integrators.methods.generalized_alpha_step import (
 )
 from integrators.native.loops import constant_steps
 from integrators.output_rows import FIRST_ROWS, SPREAD_ROWS, spread_rows
-from problems import jnp
+from problems import jax, jnp
 from problems.base.spec import SpecError, build
 from problems.equations.kinematics import constrained_part
 from problems.scenes.contacts import SoftImpact
@@ -243,7 +243,9 @@ def test_guarded_ratios_keep_gamma_in_its_proven_interval_and_others_meet_a_pole
 
 def test_the_projector_keeps_what_constraints_act_on():
     q = np.array([0.6, -0.8])
-    part = constrained_part(Pendulum(m=3.0), q, 0.0, np.array([1.0, 2.0]))
+    part = jax.jit(lambda q, w: constrained_part(Pendulum(m=3.0), q, 0.0, w))(
+        q, np.array([1.0, 2.0])
+    )
     assert part == pytest.approx(q * (q @ [1.0, 2.0]), abs=1e-14)
 
 

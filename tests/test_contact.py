@@ -162,10 +162,6 @@ def test_impacts_of_a_ball_that_accumulate_are_passed_and_it_rests():
     assert found.a[1:, 0] == pytest.approx(mean, abs=1e-9)
 
 
-def order(sizes, errors):
-    return slope([*sizes], [*errors])
-
-
 def stepped(scene, t_end, coarse, fine, count, **options):
     """Step sizes, and errors of q and v in phases and of times of impact."""
     reference, errors = Reference(scene, t_end), []
@@ -181,7 +177,7 @@ def stepped(scene, t_end, coarse, fine, count, **options):
 @pytest.mark.parametrize("theta", [0.5, *long(1.0)])
 def test_the_ball_has_order_one_through_impacts(theta):
     sizes, errors = stepped(BouncingBall(), 2.0, 0.01, 1e-4, 24, theta=theta)
-    assert [order(sizes, e) for e in errors.T] == pytest.approx([1, 1, 1], abs=0.2)
+    assert [slope(sizes, e) for e in errors.T] == pytest.approx([1, 1, 1], abs=0.2)
     assert errors[-1].min() > 1e-6
 
 
@@ -238,7 +234,7 @@ def test_methods_find_the_impacts_of_the_stop_or_pass_them_by_order_one():
         assert found.events[:, 0] == pytest.approx(wanted, abs=error)
     for theta in (0.5, 1.0):
         sizes, errors = stepped(ImpactStop(), 4.0, 0.005, 2.5e-4, 16, theta=theta)
-        assert [order(sizes, e) for e in errors.T] == pytest.approx([1, 1, 1], abs=0.2)
+        assert [slope(sizes, e) for e in errors.T] == pytest.approx([1, 1, 1], abs=0.2)
 
 
 # ---- sliding, then rolling -----------------------------------------------------------------------

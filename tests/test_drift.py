@@ -21,7 +21,6 @@ from integrators.methods.generalized_alpha import GeneralizedAlpha
 from integrators.resolutions import Steps
 from problems import State, parameter
 from problems.base.spec import SpecError
-from problems.scenes.contacts import SoftImpact
 from problems.scenes.pendulums import Pendulum
 from problems.truth.reference import Reference
 from reports.pages.html_report import Site
@@ -236,7 +235,7 @@ def test_a_motion_without_a_finite_jacobian_has_no_condition():
 
 # ---- later starts ------------------------------------------------------------------------
 def test_a_later_start_is_the_same_motion():
-    scene = SoftImpact()
+    scene = Pendulum()
     t0, t_end = scene.interval
     reference = Reference(scene, t_end)
     t = t0 + LATER[0] * (t_end - t0)
@@ -248,8 +247,8 @@ def test_a_later_start_is_the_same_motion():
     run = GeneralizedAlpha().prepare(later, t_end, Steps(1e-3)).measure()
     assert run.t[0] == t
     assert run.t[-1] == pytest.approx(t_end)
-    assert run.q[0] == z["q"][0]
-    assert run.v[0] == z["v"][0]
+    assert run.q[0].tolist() == z["q"][0].tolist()
+    assert run.v[0].tolist() == z["v"][0].tolist()
 
 
 def test_errors_from_later_starts_fall_with_the_order_of_the_method():

@@ -138,12 +138,19 @@ def test_a_member_that_ends_early_leaves_the_others_as_they_are():
     assert (ends_of(found)["q"][:2] == ends_of(whole)["q"][:2]).all()
 
 
+#: With two iterations, steps have to be short; four members run in one program.
+PENDULUM, TIGHT = (
+    REGISTRY.problem("pendulum"),
+    REGISTRY.integrator("generalized_alpha[newton_max=2]"),
+)
+
+
 def test_newton_failures_are_told_as_in_single_runs():
-    tight, steps = REGISTRY.integrator("generalized_alpha[newton_max=2]"), [0.001, 0.2, 0.002, 0.1]
-    found = ensemble(REGISTRY.problem("pendulum"), tight, {"h": steps})
+    steps, masses = [0.001, 0.2, 0.002, 0.1], [0.3, 0.36, 0.5, 1.0]
+    found = ensemble(PENDULUM, TIGHT, {"h": steps, "m": masses})
     assert found.status == ["ok", "newton_failed", "ok", "newton_failed"]
-    for k, h in enumerate(steps):
-        check_member(found, k, alone("pendulum", tight.spec, h), 1e-7)
+    for k, (h, m) in enumerate(zip(steps, masses, strict=True)):
+        check_member(found, k, alone(f"pendulum[m={m}]", TIGHT.spec, h), 1e-7)
 
 
 def test_ok_means_finite_values_in_every_group(monkeypatch):
@@ -153,9 +160,8 @@ def test_ok_means_finite_values_in_every_group(monkeypatch):
         table, end = plain(self, packed, rows, row_count)
         return np.array(table) * np.where(np.arange(table.shape[2]) == 5, np.nan, 1.0), end
 
-    scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
     monkeypatch.setattr(Kernel, "batched", spoiled)
-    found = ensemble(scene, method, {"h": [0.01] * 4})  # [n, t, q1, q2, v1, v2, ...]
+    found = ensemble(PENDULUM, TIGHT, {"h": [0.002] * 4})  # [n, t, q1, q2, v1, v2, ...]
     assert found.status == ["diverged"] * 4
     assert found.message[0] == "It ended with values that are not finite."
 
@@ -186,12 +192,11 @@ def test_blocks_are_bounded_hold_runs_of_like_length_and_leave_xla_a_thread(monk
 
 
 def test_a_member_without_a_start_says_why():
-    scene, method = REGISTRY.problem("pendulum"), REGISTRY.integrator("generalized_alpha")
-    found = ensemble(scene, method, {"radial": [0.0, 0.1, 0.0, 0.0]}, Steps(0.01))
+    found = ensemble(PENDULUM, TIGHT, {"radial": [0.0, 0.1, 0.0, 0.0]}, Steps(0.002))
     assert found.status == ["ok", "crashed", "ok", "ok"]
     assert "violates the constraints at velocity level by 1.000e-01" in found.message[1]
     assert (ends_of(found)["q"][0] == ends_of(found)["q"][2]).all()
-    assert found.values["work_steps"].tolist() == [100, 0, 100, 100]
+    assert found.values["work_steps"].tolist() == [500, 0, 500, 500]
 
 
 # ---- the command -------------------------------------------------------------------------

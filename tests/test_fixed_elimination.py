@@ -295,7 +295,7 @@ def test_the_product_with_a_vector():
 
 
 def test_many_systems_side_by_side_have_pivots_of_their_own_and_do_not_disturb_each_other():
-    for n in (1, 4, 13):
+    for n in (1, 4, 7):
         a = np.stack([np.eye(n)[RANDOM.permutation(n)] for _ in range(9)])
         a += 1e-3 * RANDOM.normal(size=a.shape)
         b = RANDOM.normal(size=(9, n))

@@ -11,16 +11,9 @@ from odd_forces import RaisingForce
 
 from bench.plugins.registry import Registry
 from integrators import Tolerances
+from integrators.adapters import diffrax_methods as diffrax
 from integrators.adapters import equations, solve_dae
 from integrators.adapters.cvode import CVODE
-from integrators.adapters.diffrax_methods import (
-    Dopri8,
-    ImplicitEuler,
-    KenCarp3,
-    KenCarp4,
-    Kvaerno3,
-    Kvaerno5,
-)
 from integrators.adapters.ida import IDA
 from integrators.adapters.scipy_ode import BDF, Radau
 from integrators.adapters.solve_dae import BDFDAE, RadauDAE
@@ -66,10 +59,10 @@ def run(method, scene=None, rtol=1e-6, t_end=0.0):
             *((m(formulation=f), Pendulum(), 1e-5)
               for m in (IDA, RadauDAE, BDFDAE) for f in ("index1", "index2")),
             *((m, Pendulum(), 1e-5) for m in (CVODE(method="adams"), BDFDAE())),
-            *((m(), s, 1e-8) for m in (Kvaerno5, KenCarp4, Dopri8)
+            *((m(), s, 1e-8) for m in (diffrax.Kvaerno5, diffrax.KenCarp4, diffrax.Dopri8)
               for s in (Pendulum(), SpringMass())),
-            *((m(), Pendulum(), 1e-7) for m in (Kvaerno3, KenCarp3)),
-            (ImplicitEuler(), Pendulum(), 0.1),
+            *((m(), Pendulum(), 1e-7) for m in (diffrax.Kvaerno3, diffrax.KenCarp3)),
+            (diffrax.ImplicitEuler(), Pendulum(), 0.1),
         ),
     ],
     ids=lambda of: getattr(of, "spec", ""),

@@ -216,7 +216,7 @@ def test_methods_of_groups_are_those_of_sums_where_coordinates_move_by_sums(scen
     for group in ("q", "v", "x", "lam"):
         wanted = getattr(one, group)
         assert getattr(two, group) == pytest.approx(wanted, rel=1e-6, abs=1e-8), group
-    one, two = (run_of(m, SO3, 1e-3, T_END) for m in (GeneralizedAlpha(), GeneralizedAlphaLie()))
+    one, two = (run_of(m, R3_SO3, 1e-3, T_END) for m in (GeneralizedAlpha(), GeneralizedAlphaLie()))
     assert np.array_equal(one.q, two.q)
     with pytest.raises(SpecError, match=r"states no kinematics.* take generalized_alpha"):
         GeneralizedAlphaLie().prepare(Pendulum(), 1.0, Steps(0.1))
