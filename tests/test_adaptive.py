@@ -54,12 +54,13 @@ def off(method, scene, h=0.001):
     program, numbers = method.program(scene)
     rate = jax.jit(partial(ode_rate, scene))
     step = jax.jit(lambda state, t, h: program.step(scene, numbers, state, t, h)[0])
-    t = scene.interval[0]
-    state = program.begin(scene, numbers, consistent_start(scene), jnp.asarray(h))
+    begin = jax.jit(lambda start, h: program.begin(scene, numbers, start, h))
+    estimate = jax.jit(program.method(numbers).estimate)
+    t, state = scene.interval[0], begin(consistent_start(scene), h)
     for ratio in RATIOS:
         h *= ratio
         new = step(state, t + h, h)
-        estimated = program.method(numbers).estimate(state.state, new.state, h)
+        estimated = estimate(state.state, new.state, h)
         old, now = program.read(scene, state), program.read(scene, new)
         s0 = np.concatenate([old.q, old.v, old.x])
         exact = solve_ivp(rate, (t, t + h), s0, method="DOP853", rtol=3e-14, atol=1e-15).y[:, -1]

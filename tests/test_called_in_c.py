@@ -59,6 +59,12 @@ def test_results_are_independent_of_later_calls_and_of_the_arguments():
         for part, old in zip(jax.tree.leaves(first), before, strict=True):
             assert np.asarray(part).tolist() == old.tolist()
         assert s.tolist() == [7.0] * 3
+    packed, given = PackedFunction(lambda t, s: t * s, None, 2), []
+    packed.program = given.append  # it may read its numbers late
+    later = packed.bind()
+    for t in (2.0, 3.0):
+        later(t, np.ones(2))
+    assert [numbers[0] for numbers in given] == [2.0, 3.0]
 
 
 # ---- the same runs ---------------------------------------------------------------------

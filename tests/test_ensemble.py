@@ -146,11 +146,11 @@ PENDULUM, TIGHT = (
 
 
 def test_newton_failures_are_told_as_in_single_runs():
-    steps, masses = [0.001, 0.2, 0.002, 0.1], [0.3, 0.36, 0.5, 1.0]
-    found = ensemble(PENDULUM, TIGHT, {"h": steps, "m": masses})
+    steps, gravities = [0.001, 0.2, 0.002, 0.1], [9.0, 9.5, 10.0, 10.5]
+    found = ensemble(PENDULUM, TIGHT, {"h": steps, "g": gravities})
     assert found.status == ["ok", "newton_failed", "ok", "newton_failed"]
-    for k, (h, m) in enumerate(zip(steps, masses, strict=True)):
-        check_member(found, k, alone(f"pendulum[m={m}]", TIGHT.spec, h), 1e-7)
+    for k, (h, g) in enumerate(zip(steps, gravities, strict=True)):
+        check_member(found, k, alone(f"pendulum[g={g}]", TIGHT.spec, h), 1e-7)
 
 
 def test_ok_means_finite_values_in_every_group(monkeypatch):

@@ -44,7 +44,7 @@ def run(method, scene, resolution, t_end=None):
 
 # ---- samples ---------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    "cases", [[{"delay": 1}, {}], *long([{"sampling": "interpolate"}, {"sampling": "ignore"}])]
+    "cases", [[{"delay": 1}, {}, {"sampling": "ignore"}], *long([{"sampling": "interpolate"}])]
 )
 def test_the_reference_hits_the_samples_whatever_runs_do_and_is_that_of_exponentials(cases):
     for options in cases:
@@ -300,10 +300,6 @@ def test_solve_prints_held_values_and_events(stepbench):
     found = solve("sampled_pd", "generalized_alpha", "--step", "0.05")
     assert len(found["xd"]) == 2
     assert 0 < found["errors"]["xd"]["max"] < 1e-2
-    found = solve("sampled_pd[sampling=ignore]", "generalized_alpha", "--step", "0.05")
-    # the difference of the digits of both controllers, relative to q(0) = 1
-    wanted = 0.0412160715525846 - 0.0123657925475071
-    assert found["errors"]["q"]["end"] == pytest.approx(wanted, rel=0.02)
 
 
 @pytest.mark.usefixtures("without_processes")
