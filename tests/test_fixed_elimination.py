@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers import forget_programs, long
 from test_lowering import many
-from test_sparse_newton import assert_agree
+from test_sparse import assert_agree
 
 from integrators import Steps
 from integrators.lowering.graph import NotLowered, side_by_side
