@@ -24,6 +24,7 @@ from integrators.methods.generalized_alpha import (
     Newmark,
     WBZClassical,
 )
+from integrators.methods.implicit_structural import Houbolt, Park
 from problems.base.spec import SpecError
 
 OMEGA_H = np.geomspace(1e-2, 1e4, 40)
@@ -68,6 +69,8 @@ def test_the_radius_at_infinity_is_rho_inf():
 def test_the_radius_at_infinity_is_a_limit():
     for method, radius in [
         (BDF2(), 0.0),
+        (Park(), 0.0),
+        (Houbolt(), 0.0),
         (Newmark(), 1.0),
         (Newmark(beta=0), math.inf),
     ]:
