@@ -102,22 +102,19 @@ def _toward(tried: Mapping[float, float], size: float, limit: float, caution: fl
     order = _ORDER
     if len(known) > 1:
         (_, near), (_, far) = known[:2]
-        order = power_of(far / near, tried[far], tried[near])
-    return caution / multiple(limit, tried[size] or limit / 1e16, order)
+        order = _power(far / near, tried[far], tried[near])
+    return caution / _multiple(limit, tried[size], order)
 
 
-def power_of(quotient: float, far: float, near: float) -> float:
-    """Return the power of a quotient of two sizes, or costs, that their errors show.
-
-    It is one of `_ORDERS`, whatever the errors: they may be equal, or grow.
-    """
+def _power(quotient: float, far: float, near: float) -> float:
+    """The power of a quotient of sizes, or costs, that two errors show; these may be equal."""
     power = (math.log(far) - math.log(near)) / math.log(quotient)
     return min(max(power, _ORDERS[0]), _ORDERS[1])
 
 
-def multiple(limit: float, error: float, power: float) -> float:
-    """Return the quotient by which sizes, or costs, lead from an error to a limit."""
-    far = (math.log(error) - math.log(limit)) / power
+def _multiple(limit: float, error: float, power: float) -> float:
+    """The quotient by which sizes, or costs, lead from an error, perhaps of zero, to a limit."""
+    far = (math.log(error or limit / 1e16) - math.log(limit)) / power
     return math.exp(min(max(far, -_FARTHEST), _FARTHEST))
 
 
@@ -218,12 +215,12 @@ class Candidate:
             return self.cost()
         power = _STEPS if self.method.controls == "step" else _TOLERANCES
         if best:  # its first step may be much too fine
-            finer = multiple(limit, self.asked.of(best) or limit / 1e16, power)
+            finer = _multiple(limit, self.asked.of(best), power)
             return max(self.cost() * finer, self.least)
         (cost, error), *others = known
         if others and others[0][0] < cost and error < others[0][1]:
-            power = power_of(cost / others[0][0], others[0][1], error)
-        return cost * multiple(limit, error, power)
+            power = _power(cost / others[0][0], others[0][1], error)
+        return cost * _multiple(limit, error, power)
 
 
 # ---- the race of many --------------------------------------------------------------------

@@ -76,10 +76,8 @@ def measure_suite(
     known = before.integrators if before else {}
     facts = {name: own for name, own in known.items() if name in kept} | suite.plan.integrators
     store.keep(replace(suite.plan, integrators=facts))
-    number, searches = 0, further is not None
+    machine, searches = environment(), further is not None
     if cells or searches or any(_samples_due(suite, records, last) for last in (False, True)):
-        machine = environment()
-        number = machine.number
         store.keep(machine)
     if not (cells or scenes or searches):
         return 0
@@ -101,7 +99,7 @@ def measure_suite(
         if record:
             record.budget_s, record.memory_gib = suite.plan.budget_s, suite.memory_gib
         if isinstance(found, CellResult):
-            found.record.environment = number
+            found.record.environment = machine.number
             store.save(*found)
         elif found:
             store.keep(found)
