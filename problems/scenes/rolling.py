@@ -292,10 +292,7 @@ class Bicycle(MechatronicSystem):
         return (centres[2:] + jnp.cross(turning, self._lowest(q)))[:, :2].ravel()
 
     def energy(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        moving, turning = self._velocities(q, v)
-        height = -self._centres(q)[:, 2] @ _MASSES
-        spins = jnp.einsum("bi,bij,bj", turning, _INERTIAS, turning)
-        return 0.5 * ((moving**2).sum(axis=1) @ _MASSES + spins) + self.g * height
+        return 0.5 * (v @ self.mass(q) @ v) - self.g * (self._centres(q)[:, 2] @ _MASSES)
 
     def initial_state(self) -> State:
         v = np.zeros(9)
