@@ -99,7 +99,11 @@ def impact(
     holds, and Newton's method the impulses. They are NaN where this does not converge.
     """
     contacts = Contacts.of(scene, z.q, z.v, z.t, closed)
-    nc, g, moved = len(contacts.closed), contacts.g, _moved_by(scene, z, contacts.g)
+    nc, g, nl = len(contacts.closed), contacts.g, scene.sizes.nl
+    # Changes of v by unit impulses, and by the impulses of constraints that follow.
+    matrix = augmented(scene, z.q, z.t, nl) if nl else scene.mass(z.q)
+    right = jnp.concatenate([g.T, jnp.zeros((nl, len(g)))])
+    moved = jnp.linalg.solve(matrix, right)[: g.shape[1]].T
     matrix, still = g @ moved.T, g @ z.v + contacts.b
 
     def sweep(_: int, p: Array) -> Array:
@@ -122,14 +126,6 @@ def impact(
     solved = jnp.max(jnp.abs(residual(p))) <= _SOLVED * jnp.max(jnp.abs(g @ z.v))
     p = jnp.where(solved, p, jnp.nan)
     return z.v + p @ moved, p
-
-
-def _moved_by(scene: MechatronicSystem, z: Variables, directions: Array) -> Array:
-    """Changes of v by unit impulses along rows, and by the impulses of constraints that follow."""
-    nv, nl = directions.shape[1], scene.sizes.nl
-    matrix = augmented(scene, z.q, z.t, nl) if nl else scene.mass(z.q)
-    right = jnp.concatenate([directions.T, jnp.zeros((nl, len(directions)))])
-    return jnp.linalg.solve(matrix, right)[:nv].T
 
 
 @dataclass(frozen=True)
