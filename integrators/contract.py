@@ -24,7 +24,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial, wraps
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 from integrators.advice import advice
 from integrators.multistep import MultistepForm
@@ -88,12 +88,6 @@ def option(
     return dataclasses.field(default=default, metadata=meta)
 
 
-def _stated_by_subclass() -> str:
-    """An abstract attribute that a subclass replaces by a constant, an option or a property."""
-    missing: Any = property(abstractmethod(lambda self: None))
-    return missing
-
-
 def _of_taken_scenes(prepare: Callable[..., PreparedRun]) -> Callable[..., PreparedRun]:
     """`Integrator.prepare` that asks ``supports`` first."""
 
@@ -152,12 +146,13 @@ class Integrator(ABC):
     orders: ClassVar[dict[str, int]] = {}
     source: ClassVar[str] = ""
     takes: ClassVar[tuple[str, ...]] = ()
-    # Without annotations: a subclass may replace these by a constant, an option or a property.
+    # Without annotations: a subclass may replace these by a constant, an option or a property; it
+    # has to state the last one.
     controls = "step"
     drift = ""
     takes_redundant = False
     passes_impacts = False
-    formulation = _stated_by_subclass()
+    formulation = cast("str", property(abstractmethod(lambda self: None)))
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)

@@ -183,10 +183,6 @@ def _pad(step: Step, x: np.ndarray, value: np.ndarray) -> np.ndarray:
     return x
 
 
-def _dynamic_slice(step: Step, x: np.ndarray, *starts: np.ndarray) -> np.ndarray:
-    return x[_window(x, np.array(starts, int), step.numbers("slice_sizes"))]
-
-
 def _dynamic_update_slice(
     step: Step, x: np.ndarray, update: np.ndarray, *starts: np.ndarray
 ) -> np.ndarray:
@@ -207,16 +203,12 @@ def _gather(step: Step, x: np.ndarray, indices: np.ndarray) -> np.ndarray:
     return np.moveaxis(windows, range(-len(offsets), 0), offsets)
 
 
-def _combined(operator: str, *arrays: np.ndarray) -> np.ndarray:
-    return OPERATORS[operator].numpy(*arrays)
-
-
 def _scatter(
     step: Step,
     x: np.ndarray,
     indices: np.ndarray,
     updates: np.ndarray,
-    combined: Callable[..., np.ndarray] = _combined,
+    combined: Callable[..., np.ndarray] = lambda by, *arrays: OPERATORS[by].numpy(*arrays),
 ) -> np.ndarray:
     by = step.operation or ""
     if by not in OPERATORS and by != "second":
@@ -242,7 +234,9 @@ def _scatter(
 MOVES: dict[str, Callable[..., np.ndarray]] = {
     "broadcast_in_dim": _broadcast_in_dim,
     "concatenate": lambda step, *x: np.concatenate(x, step.numbers("dimension")[0]),
-    "dynamic_slice": _dynamic_slice,
+    "dynamic_slice": lambda step, x, *starts: x[
+        _window(x, np.array(starts, int), step.numbers("slice_sizes"))
+    ],
     "dynamic_update_slice": _dynamic_update_slice,
     "gather": _gather,
     "pad": _pad,

@@ -95,22 +95,22 @@ class Compiled:
 
             return jax.jvp(values, (t, s), (jnp.ones_like(t), ode_rate(scene, t, s)))
 
-        def invariant(block: str) -> Callable:
-            return _over_rows(lambda p, q, v: getattr(at(p), block)(q, v))
-
-        def jump(event: int) -> Callable:
-            return jax.jit(lambda p, z: at(p).jump(z, event))
-
         self.linearised = jax.jit(start, compiler_options=FEW_CALLS)
         self.starts = _over_rows(lambda p, *state: linearised(at(p), *state)[0])
         self.rates = jax.jit(jax.vmap(rate, (None, 0, 0, None)))
         self.complete = _over_rows(lambda p, *state: complete(at(p), *state))
         self.levels = _over_rows(levels)
-        self.invariants = {block: invariant(block) for block in INVARIANTS}
+        self.invariants = {
+            block: _over_rows(lambda p, q, v, block=block: getattr(at(p), block)(q, v))
+            for block in INVARIANTS
+        }
         self.points = _over_rows(lambda p, q: at(p).points(q))
         self.events = _over_rows(events)
         self.sample = jax.jit(lambda p, z: at(p).sample(z))
-        self.jumps = [jump(event) for event in range(_number_of_events(template))]
+        self.jumps = [
+            jax.jit(lambda p, z, event=event: at(p).jump(z, event))
+            for event in range(_number_of_events(template))
+        ]
         self.projected = jax.jit(lambda p, t, s: projected_state(at(p), t, s))
         self.iterations = _over_rows(lambda p, *state: algebraic_iterations(at(p), *state))
 
