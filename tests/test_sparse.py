@@ -87,10 +87,12 @@ def assert_agree(run, other, steps, h):
 @pytest.mark.parametrize("form", [GGL, *long("index3")])
 def test_sparse_runs_are_those_of_dense_tangents_whether_these_are_kept_or_not(scene, form):
     steps, h = 40, scene.nominal_step / 10
+    # On index 3 kept tangents leave more in the first steps after a corrected start.
+    start = "corrected" if form == GGL else "consistent"
     dense, full, kept = (
-        ended(GeneralizedAlpha(**of, formulation=form, start="corrected"), scene, steps * h,
-              Steps(h)) for of in (DENSE, SPARSE, SPARSE | {"newton": "modified"})
-    )  # fmt: skip
+        ended(GeneralizedAlpha(**of, formulation=form, start=start), scene, steps * h, Steps(h))
+        for of in (DENSE, SPARSE, SPARSE | {"newton": "modified"})
+    )
     for sparse in (full, kept):
         assert_agree(sparse, dense, steps, h)
     assert abs(full.work.newton - dense.work.newton) <= 2
