@@ -248,7 +248,7 @@ class ModelBasedMethod(OwnValues, ExplicitMethod):
         def between(new: Array, old: Array) -> Array:
             return (1 - p.alpha_f) * new + p.alpha_f * old
 
-        at = *map(between, (q, v), before), state.shown.x, t - p.alpha_f * h
+        at = between(q, before[0]), between(v, before[1]), state.shown.x, t - p.alpha_f * h
         z, xdot = evaluate_and_count(scene, *at, work)
         a = a + matrices.gain @ (z.a - a)
         z = z._replace(q=q, v=v, a=a, t=t)
