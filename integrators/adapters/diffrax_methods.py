@@ -174,7 +174,7 @@ class DiffraxAdaptiveRun(DiffraxRun):
     """A solve by ``diffrax.diffeqsolve`` under its step-size control."""
 
     def __init__(
-        self, method: DiffraxStepMethod, t_end: float, resolution: Tolerances, max_steps: int
+        self, method: DiffraxStep, t_end: float, resolution: Tolerances, max_steps: int
     ) -> None:
         scene = method.scene
         super().__init__(method.scheme, scene, t_end)
@@ -247,17 +247,30 @@ class DiffraxState(NamedTuple):
 
 
 @dataclass(frozen=True)
-class DiffraxStep(StepFunctions):
-    """The step of a diffrax solver on scenes of one kind."""
+class DiffraxStep(NativeMethod, StepFunctions):
+    """A diffrax method on one scene as our time loop takes it; the step of its solver on scenes of
+    one kind has numbers ``p`` in the place of the scene."""
+
+    formulation: ClassVar[str] = "ode"
+    states_only: ClassVar[bool] = True
+    takes: ClassVar[tuple[str, ...]] = tuple(WIDER)  # `DiffraxSolver` has refused others
 
     scheme: DiffraxScheme
-    numbers: Any = None
+    scene: Any = None
+    baumgarte: Baumgarte | None = None
+    p: Any = None
+
+    def functions(self) -> StepFunctions:
+        return DiffraxStep(self.scheme)
+
+    def numbers(self) -> np.ndarray:
+        return packed_parameters(self.scene, self.baumgarte)
 
     def with_numbers(self, numbers: Any) -> DiffraxStep:
-        return replace(self, numbers=numbers)
+        return replace(self, p=numbers)
 
     def begin(self, scene: MechatronicSystem, start: Start, h: Time) -> DiffraxState:
-        z, p = start.z, self.numbers
+        z, p = start.z, self.p
         s = jnp.concatenate([z.q, z.v, z.x])
         size = jnp.max(jnp.abs(jnp.concatenate([s, z.a, start.xdot])))
         # No iteration can get below the rounding of the rates, which in stiff scenes is large.
@@ -273,7 +286,7 @@ class DiffraxStep(StepFunctions):
         from diffrax import RESULTS
 
         s, _, _, solver_state, result = self._solver(state.atol).step(
-            _terms(self.scheme), t - h, t, state.s, self.numbers,
+            _terms(self.scheme), t - h, t, state.s, self.p,
             state.solver_state, made_jump=False,
         )  # fmt: skip
         work.count(converged=result == RESULTS.successful)
@@ -294,32 +307,13 @@ class DiffraxStep(StepFunctions):
         return self.scheme.solver(Newton(rtol=_NEWTON_TOLERANCE, atol=atol, norm=max_norm))
 
 
-@dataclass(frozen=True)
-class DiffraxStepMethod(NativeMethod):
-    """A diffrax method on one scene as our time loop takes it."""
-
-    formulation: ClassVar[str] = "ode"
-    states_only: ClassVar[bool] = True
-    takes: ClassVar[tuple[str, ...]] = tuple(WIDER)  # `DiffraxSolver` has refused others
-
-    scheme: DiffraxScheme
-    scene: MechatronicSystem
-    baumgarte: Baumgarte | None = None
-
-    def functions(self) -> StepFunctions:
-        return DiffraxStep(self.scheme)
-
-    def numbers(self) -> np.ndarray:
-        return packed_parameters(self.scene, self.baumgarte)
-
-
 class DiffraxConstantRun(DiffraxRun):
     """The solver's steps on the grid of our time loop: exact times, and any pattern.
 
     Neither another number of steps nor another pattern compiles anything.
     """
 
-    def __init__(self, method: DiffraxStepMethod, t_end: float, resolution: Steps) -> None:
+    def __init__(self, method: DiffraxStep, t_end: float, resolution: Steps) -> None:
         super().__init__(method.scheme, method.scene, t_end)
         self._method, self._resolution = method, resolution
         self._timed = method.prepare(method.scene, t_end, resolution)
@@ -393,10 +387,10 @@ class DiffraxSolver(ODEMethod):
             return DiffraxConstantRun(method, t_end, resolution)
         return DiffraxAdaptiveRun(method, t_end, resolution, self.max_steps)
 
-    def _on(self, scene: MechatronicSystem) -> DiffraxStepMethod:
+    def _on(self, scene: MechatronicSystem) -> DiffraxStep:
         baumgarte, projects = self.baumgarte(scene), self.projects(scene)
         key = self.library_class, scene.template(), projects, baumgarte is not None
-        return DiffraxStepMethod(DiffraxScheme(*key), scene, baumgarte)
+        return DiffraxStep(DiffraxScheme(*key), scene, baumgarte)
 
 
 def _method(name: str, library_class: str, order: int, source: str, text: str) -> Any:
