@@ -178,8 +178,7 @@ def test_in_equal_steps_they_are_the_polynomials():
 # with a rest r_n: u_n = ... + r_n A_n-1 and u_n-1 = ... + r_n-1 A_n-2. Then (1 - alpha_m) r_n-1
 # times the first plus alpha_m r_n times the second is free of A.
 class Formula(NamedTuple):
-    """values @ u = rates @ (derivatives of u), with a coefficient for each last time, the latest
-    first."""
+    """values @ u = rates @ (derivatives of u) over the last times, the latest first."""
 
     values: np.ndarray
     rates: np.ndarray

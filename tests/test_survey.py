@@ -51,10 +51,7 @@ def scenes():
 
 @pytest.fixture(scope="module")
 def runner():
-    """A worker process with a budget: some methods need minutes at the default tolerance.
-
-    Its programs run once, and are compiled without optimisation.
-    """
+    """A worker process with a budget, as some methods need minutes; its programs run once."""
     with Runner(1, Limits(20.0, 8.0)) as runner:
         runner.draft = True
         yield runner

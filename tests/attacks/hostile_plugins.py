@@ -20,13 +20,10 @@ GROUPS: dict[str, dict[str, Hostile]] = {
         "raise_value": ("top", "raise ValueError('no')", "lost", "ValueError: no"),
         "syntax": ("top", "def broken(:", "lost", "SyntaxError"),
         "missing": ("top", "import no_such_package_at_all", "lost", "No module named"),
-        "no_x64": (
-            "top", "import jax; jax.config.update('jax_enable_x64', False)", "crashed",
-            "32-bit floats",
-        ),
-        "family_raises": (
-            "facts", "@property\ndef family(self): 1 / 0", "crashed", "ZeroDivisionError",
-        ),
+        "no_x64": ("top", "import jax; jax.config.update('jax_enable_x64', False)", "crashed",
+                   "32-bit floats"),
+        "family_raises": ("facts", "@property\ndef family(self): 1 / 0", "crashed",
+                          "ZeroDivisionError"),
         "spec_raises": ("facts", "@property\ndef spec(self): 1 / 0", "lost", "ZeroDivisionError"),
         "supports_exits": ("facts", "def supports(self, scene): os._exit(9)", "crashed", "code 9"),
         "claims_raise": ("facts", "def claims(self, scene): 1 / 0", "ok", ""),
@@ -37,10 +34,8 @@ GROUPS: dict[str, dict[str, Hostile]] = {
         "measure_segv": ("measure", "ctypes.string_at(0)", "crashed", "SIGSEGV"),
         "measure_sys_exit": ("measure", "sys.exit(0)", "crashed", "SystemExit"),
         "measure_killed": ("measure", "os.kill(os.getpid(), 9)", "interrupted", "SIGKILL"),
-        "measure_hog": (
-            "measure", "x = [np.ones(10**7) for _ in range(22)]; time.sleep(60)",
-            "budget_exceeded", "budget",
-        ),
+        "measure_hog": ("measure", "x = [np.ones(10**7) for _ in range(22)]; time.sleep(60)",
+                        "budget_exceeded", "budget"),
         "measure_too_much": ("measure", "np.ones(10**14)", "crashed", "It asks for 728. TiB"),
         "measure_child": ("measure", "subprocess.Popen(['sleep', '3599'])", "ok", ""),
         "execute_raises": ("execute", "raise ValueError('timed')", "ok", ""),
@@ -50,9 +45,8 @@ GROUPS: dict[str, dict[str, Hostile]] = {
     "hangs": {
         "prepare_sleeps": ("prepare", SLEEP, "budget_exceeded", SLEPT),
         "measure_busy": ("measure", SPIN, "budget_exceeded", BUSY),
-        "busy_child": (
-            "measure", f"if os.fork() == 0:\n    {SPIN}\n{SLEEP}", "budget_exceeded", BUSY,
-        ),
+        "busy_child": ("measure", f"if os.fork() == 0:\n    {SPIN}\n{SLEEP}", "budget_exceeded",
+                       BUSY),
         "execute_busy": ("execute", SPIN, "ok", ""),
         "third_sleeps": ("execute", f"if self.calls == 3: {SLEEP}", "ok", ""),
     },
@@ -64,9 +58,7 @@ SCENES: dict[str, tuple[str, str, str]] = {
     "force_raises": ("def force(self, q, v, t): 1 / 0", "crashed", "ZeroDivisionError"),
     "force_segv": ("def force(self, q, v, t): ctypes.string_at(0)", "crashed", "SIGSEGV"),
     "force_nan": ("def force(self, q, v, t): return q * jnp.nan", "diverged or crashed", ""),
-    "force_sleeps": (
-        f"def force(self, q, v, t): {SLEEP}", "crashed or budget_exceeded", SLEPT,
-    ),
+    "force_sleeps": (f"def force(self, q, v, t): {SLEEP}", "crashed or budget_exceeded", SLEPT),
     "draw_exits": ("def draw(self, q): os._exit(5)", "ok", ""),
     "energy_garbage": ("def energy(self, q, v): return 'much'", "ok", ""),
     "interval_odd": ("interval = (0.0, float('nan'))", "lost", "interval"),

@@ -47,10 +47,7 @@ HELD = {"index3": "q", "index2": "v", "stabilised_index2": "qv"}
 
 @dataclass(frozen=True)
 class Case:
-    """A method with so many steps, and half of them, on one second of a scene.
-
-    Without orders, those at the end are as claimed.
-    """
+    """So many steps, and half of them, on one second; if none is given, orders are the claimed."""
 
     method: Integrator
     steps: int = 400
