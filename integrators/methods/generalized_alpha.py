@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, ClassVar
 
 from integrators.advice import advice
@@ -102,13 +101,7 @@ class AlphaMethod(NewtonOptions):
 
     def radius_at_infinity(self) -> float:
         """Return the growth per step at infinite frequency, of q and v; infinite if beta is 0."""
-        return _radius_at_infinity(self.scheme())
-
-
-@lru_cache
-def _radius_at_infinity(scheme: Scheme) -> float:
-    """Growth per step at infinite frequency; each member of an ensemble asks for it."""
-    return multistep_form(scheme).q.infinity_radius
+        return self.multistep_form().q.infinity_radius
 
 
 #: The ways in which gamma and theta follow the steps, for the lists of options.
