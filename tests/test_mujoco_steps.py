@@ -166,7 +166,7 @@ def test_without_a_library_the_other_scenes_are_there(library, monkeypatch):
         monkeypatch.setitem(sys.modules, "mujoco", None)
     else:
         monkeypatch.setattr(importlib.metadata, "version", version)
-    for name in ("four_bar", "arm", "quadruped", "linkages"):
+    for name in ("from_files", "linkages"):
         monkeypatch.delitem(sys.modules, f"{examples.__name__}.{name}", raising=False)
     lost, there = (OF_MUJOCO, OF_SYMPY) if library == "mujoco" else (OF_SYMPY, OF_MUJOCO)
     registry = Inventory()
