@@ -57,7 +57,7 @@ def headline(found: Answer, names: Names, of: Answer | None = None) -> Sentence:
     alone = max(s.alone for s in lead)
     on = every if count == judged else f"{count} of {judged} scenes"
     kind, but = "one" if len(lead) == 1 else "several", f"; nobody reaches {missed}" * bool(missed)
-    if not missed and any(s.tied for s in lead):
+    if any(s.tied for s in lead):
         many = " (ties)" if alone else " (all tied)"
         but = f" ({alone} alone, {count - alone} tied)" if kind == "one" else many
     said = HEADLINES[kind].rpartition("{who}")[2].format(on=on, but=but)
@@ -151,13 +151,13 @@ def _costs(entry: RankEntry, found: SceneAnswer) -> str:
 def _near(found: SceneAnswer, names: Names) -> str:
     """The smallest error of those that do not reach the accuracy, with the run."""
     group, norm = found.question.group, found.question.norm
-    others = (e.series.nearest(group, norm) for e in found.entries.values() if not e.reached)
-    known = [own for own in others if own]
+    others = [e.series for e in found.entries.values() if not e.reached]
+    known = [(*own, s.finest) for s in others if (own := s.nearest(group, norm))]
     if not known:
         return ""
-    error, run = min(known, key=lambda pair: pair[0])
-    name = names.get(label_of(run), label_of(run))
-    return f" (nearest: {name}, {number(error)} at {run.resolution.split(',')[0]})"
+    error, run, finest = min(known, key=lambda own: own[0])
+    name, last = names.get(label_of(run), label_of(run)), ", its finest run" * (run is finest)
+    return f" (nearest: {name}, {number(error)} at {run.resolution.split(',')[0]}{last})"
 
 
 # ---- the card of an integrator -----------------------------------------------------------
@@ -204,8 +204,21 @@ def failings(label: str, group: str, stored: StoredRuns) -> list[Sentence]:
     runs = [r for s in series for r in s.records if r.status not in NOT_TRIED]
     failed = sum(r.status != "ok" for r in runs)
     count = f"{failed} of its {counted(len(runs), 'run')} failed."
-    wrong = wrong_sentences(wrong_runs(stored, group, label), group, stored.names)
-    return [[count if failed else "All of its runs reached the end."], *wrong]
+    found = wrong_runs(stored, group, label)
+    wrong = wrong_sentences(found, group, stored.names)
+    some = [
+        [f"Wrong without warning {lead}: ", *listed(where, 9), "."]
+        for kind, lead in (
+            ("some", "at some steps or tolerances"),
+            ("coarsest", "at the coarsest alone"),
+        )
+        if (where := [[scene_ref(w.scene)] for w in found if w.kind == kind and w.silent])
+    ]
+    return (
+        [[count], *wrong, *some]
+        if failed
+        else [*wrong, *some] or [["All of its runs reached the end."]]
+    )
 
 
 def _detail(place: str, entry: RankEntry, answer: SceneAnswer, names: Names) -> Sentence:

@@ -316,7 +316,7 @@ def test_each_is_compared_with_the_highlighted_method_or_else_with_the_best(brow
         lines = each(browser, "[data-verdict] p", "node.innerText.replaceAll('\u00d7', 'x')")
         beside = [line for line in lines if line.startswith("two: ")]
         assert [line.partition(", ")[2] for line in beside] == (
-            [] if "tie" in said else [f"{said}, beside one; beside all."]
+            [] if "tie" in said else [f"{said}, beside one; compare with all."]
         )
     visit(browser, folder / "report" / "scene-won.html", "#group=a&target=1e-4&highlight=far")
     said = each(browser, "[data-verdict] p", "node.innerText")[1]

@@ -210,7 +210,7 @@ def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_viol
 
     (verdict,), rows = asked("pendulum", "#group=constraint&target=1e-3&cost=operations")
     assert verdict.startswith(
-        "To 1e-3 in constraints Φ: two (3000 operations at h=0.01; violation of Φ"
+        "To 1e-3 (relative) in constraints Φ: two (3000 operations at h=0.01; violation of Φ"
     )
     assert "Held by two." in verdict
     assert "one index 2 not reached" in rows[-1].replace("\t", " ")

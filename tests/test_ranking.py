@@ -173,7 +173,7 @@ def test_a_verdict_in_words():
     )
     far = run("one", "lean", 0.04, None, 1)
     by = judged(run("one", "quick", 0.01, None, 9), far)
-    near = "(nearest: lean, 0.00144 at h=0.04)"
+    near = "(nearest: lean, 0.00144 at h=0.04, its finest run)"
     assert worded(by["residuals"]) == f"quick (9 {at} alone reaches it {near}"
     assert not by["seconds"].votes
 
@@ -282,7 +282,8 @@ def test_every_state_of_an_integrator_on_a_scene():
     found = answer(scenes_of(records), Question("a", 1e-6, "residuals")).scenes["s"]
     assert {entry.state for entry in found.entries.values()} == {"far", "failed"}
     assert not found.reached
-    assert worded(found).startswith("nobody reaches it (nearest: best, 1e-5 at h=0.01)")
+    near = "nobody reaches it (nearest: best, 1e-5 at h=0.01, its finest run)"
+    assert worded(found).startswith(near)
 
 
 def test_a_verdict_says_who_ties_by_a_later_start_and_whose_accelerations_are_wrong():

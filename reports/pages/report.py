@@ -138,7 +138,7 @@ class Report:
             f"steps: at most {number(max(errors, default=0.0))} in {quantity(group)}.",
             f"Accuracies within {TRUST:g} times that error get no answer.",
             *[atlas] * bool(cases),
-            self.times,
+            f"A limit: {self.times[0].lower()}{self.times[1:]}",
             "A winner by time is named alone if the difference is significant; otherwise methods "
             "tie.",
             "The page of a scene has the command that repeats a run, and published digits where "

@@ -277,7 +277,7 @@ def _failed(scene: str, report: Report) -> list[Sentence]:
     ends = Counter(r.status for r in failed).most_common()
     how = named(f"{count} {_ENDS.get(end) or end.replace('_', ' ')}" for end, count in ends)
     whose = Counter(map(label_of, failed)).most_common()
-    who = listed([method_ref(label, report.names), f" ({count})"] for label, count in whose)
+    who = listed(([method_ref(label, report.names), f" ({n})"] for label, n in whose), len(whose))
     hard = report.stored.scenes[scene].difficulties[:1] if scene in report.stored.scenes else []
     lead = f"Failed: {len(failed)} of {counted(len(runs), 'run')}, of "
     why = [f". Hard here: {hard[0]}."] if hard else ["."]

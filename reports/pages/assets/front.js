@@ -5,7 +5,6 @@
   const card = document.getElementById("answer"), place = document.getElementById("profile");
   if (!card) return;
 
-  // ---- answer and standings ----
   const MOST = 5;
   let folded = true;
   const standings = (rows, of) => {
@@ -24,7 +23,8 @@
     const heads = columns("method", "alone", "tied", "reached");
     heads.firstChild.after(html("td"));
     const scenes = `${of} ${of === 1 ? "scene" : "scenes"}${of < stepbench.chosen().length ? " that can be judged" : ""}`;
-    fill(table, `Cheapest alone or tied, and reached, of ${scenes}`, [heads], lines);
+    const none = stepbench.chosen().map((k) => stepbench.answer()[k]).filter((own) => own && !own.reached).length;
+    fill(table, `Cheapest alone or tied, and reached, of ${scenes}${none ? `, ${none} of them reached by none` : ""}`, [heads], lines);
   };
   stepbench.onChange((question) => {
     document.querySelector("main h1").textContent =

@@ -106,12 +106,12 @@
     side.addEventListener("keydown", (event) => { if (event.key === "Escape") set(false); });
     side.firstElementChild.after(menu);
     side.classList.add("folds");
-    const plain = (link) => ` ${link.textContent.toLowerCase().replace(/[^\p{L}\d.]+/gu, " ")}`;
+    const latin = (text) => text.replaceAll("α", "a"), plain = (link) => ` ${latin(link.textContent.toLowerCase()).replace(/[^\p{L}\d.]+/gu, " ")}`;
     const links = [...side.querySelectorAll("li")], none = html("p", { class: "about", role: "status" });
     const looks = { placeholder: "find …", title: "a scene, a method or a word", "aria-label": "filter the contents" };
     if (links.length > FEW) side.querySelector(".about").after(search(looks, (typed, wanted) => {
       // Every word that is typed begins a word of what is found.
-      const words = wanted.split(/[^\p{L}\d.]+/u).filter(Boolean);
+      const words = latin(wanted).split(/[^\p{L}\d.]+/u).filter(Boolean);
       for (const link of links) link.hidden = !words.every((word) => plain(link).includes(` ${word}`));
       for (const part of side.querySelectorAll("div"))
         part.hidden = "searched" in part.dataset && !wanted || !part.querySelector("li:not([hidden])");

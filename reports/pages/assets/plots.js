@@ -165,7 +165,6 @@
     taken.push(best);
     return best;
   };
-  // What a chart says, from its data.
   const words = (scene, curves, question, answer) => {
     const failed = curves.reduce((n, c) => n + c.points.filter((p) => p.failed).length, 0);
     const reach = answer ? Object.values(answer.states).filter(stepbench.reaches).length : 0;
@@ -222,11 +221,10 @@
     chart.append(ring);
   };
 
-  // Draw one scene's chart into a place, for the question of the page.
   stepbench.draw = (place, index, { large = false, wide: known = 0 } = {}) => {
     const scene = data.scenes[index], { question } = stepbench;
     if (!scene.groups.includes(question.group)) {
-      place.replaceChildren(html("p", { class: "note" }, stepbench.unjudged(index, question)));
+      place.replaceChildren(html("p", { class: "note" }, large ? "" : stepbench.unjudged(index, question)));
       return;
     }
     const answer = stepbench.answer()[index], floor = stepbench.floor(index), rank = { other: 0, first: 1, mine: 2 };

@@ -159,7 +159,7 @@
     const lead = rows.filter(([, alone, tied]) => alone + tied === most).map(([m]) => [stepbench.methodRef(m)]);
     const kind = !most ? missed < count ? "unpriced" : count ? "nobody" : "unjudged" : lead.length > 1 ? "several" : "one";
     const alike = lead.length > 1 ? one ? " (ties)" : " (all tied)" : ` (${one} alone, ${two} tied)`;
-    const but = missed ? `; nobody reaches ${missed}` : rows.some(([, alone, tied]) => tied && alone + tied === most) ? alike : "";
+    const but = rows.some(([, alone, tied]) => tied && alone + tied === most) ? alike : missed ? `; nobody reaches ${missed}` : "";
     const any = count === 1 ? "the scene" : `any of the ${count} scenes judged`, on = most && most < count ? `${most} of ${count} scenes` : every;
     const [before, after] = data.headlines[kind].replace(/\{(on|but|target|any)\}/g, (_, name) => ({ on, but, target: question.target, any })[name]).split("{who}");
     const [leader] = of ? stepbench.standings(of) : [], own = leader && rows.find(([m]) => m === leader[0]);

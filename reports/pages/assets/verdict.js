@@ -16,7 +16,8 @@
     const state = stepbench.answer()[scene]?.states[index];
     return Array.isArray(state) ? { index, k: state[1] } : null;
   };
-  // A violation that is larger than the accuracy is told to be.
+  // The step or tolerance of a run, told to be the finest of its method that reached the end.
+  const last = (runs) => runs.endings?.lastIndexOf("ok") ?? runs.resolutions.length - 1, size = (runs, k) => runs.resolutions[k] + (k === last(runs) ? ", its finest run" : "");
   const times = (off, { target }) => off > Number(target) ? `: ${number(off / target)} times the accuracy` : "";
   const quantity = ({ group }) => data.group_names[group];
   // 'A (100 at h=0.1) and B (105 at h=0.2) tie; next: C, 2 times', as `verdict` of reports/verdicts.py says it.
@@ -24,7 +25,7 @@
     const own = stepbench.answer(question)[scene];
     if (!own) return [stepbench.unjudged(scene, question)];
     const near = nearest(data.runs_of[scene].filter((runs) => own.states[runs.method] && !stepbench.reaches(own.states[runs.method])), question);
-    const closest = near ? ["; nearest: ", stepbench.methodRef(near.index), ` (${number(near.error)} at ${runsOf(scene, near.index).resolutions[near.k]}).`] : ["."];
+    const closest = near ? ["; nearest: ", stepbench.methodRef(near.index), ` (${number(near.error)} at ${size(runsOf(scene, near.index), near.k)}).`] : ["."];
     if (!own.first.length)
       return own.reached ? ["It is reached, at costs that are not measured."] : [`No method reaches ${question.target} in ${quantity(question)}`, ...closest];
     const run = (m) => {
@@ -78,12 +79,13 @@
     const mine = reaching(scene, m), first = best(scene), near = nearest([runs], question), next = near && data.targets.findLast((target) => Number(target) >= near.error);
     if (mine) return [[stepbench.methodRef(m), `: ${stepbench.costWithUnit(own.states[m][2], question.cost)} at ${runs.resolutions[mine.k]}, `,
       `${against(runs, mine.k, runsOf(scene, first.index), first.k, question.cost, own.first.includes(m))}, beside `, stepbench.methodRef(first.index), "; ",
-      button("beside all", () => document.querySelector("[data-methods]").scrollIntoView({ block: "center" })), "."].map(part)];
+      button("compare with all", () => document.querySelector("[data-methods]").scrollIntoView({ block: "center" })), "."].map(part)];
     const ask = button(`ask for ${next}`, () => stepbench.ask({ target: next }));
     return [[part(stepbench.methodRef(m)), " does not reach it", ...(near ? [`: its least error is ${number(near.error)}`] : []), ...(next ? ["; ", ask] : []), "."]];
   };
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
-    const scene = Number(place.dataset.verdict), own = stepbench.answer()[scene], aim = own?.reached ? [`To ${question.target} in ${quantity(question)}: `] : [];
+    const scene = Number(place.dataset.verdict), own = stepbench.answer()[scene], relative = stepbench.violation(question) ? " (relative)" : "";
+    const aim = own?.reached ? [`To ${question.target}${relative} in ${quantity(question)}: `] : [];
     const said = [[...aim, ...stepbench.verdict(scene, question)].map(part), ...beside(scene, question), own?.reached ? avoided(own, question).map(part) : []];
     place.replaceChildren(...said.filter((parts) => parts.length).map((parts) => html("p", {}, ...parts)), ...stepbench.wrong("scenes", scene));
   });
@@ -110,7 +112,7 @@
     const runs = runsOf(scene, index);
     if (!Array.isArray(state)) {
       const near = state === "far" && nearest([runs], question), told = {
-        far: near ? ` down to ${runs.resolutions.at(runs.endings?.lastIndexOf("ok") ?? -1)}; least error: ${number(near.error)}` : "",
+        far: near ? ` down to ${runs.resolutions[last(runs)]}; least error: ${number(near.error)}` : "",
         failed: `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}`, refused: `: ${runs.refused}`,
       };
       const text = state ? STATES[state] + (told[state] ?? "") : stepbench.unjudged(scene, question);
