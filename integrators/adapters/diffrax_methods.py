@@ -230,10 +230,10 @@ class DiffraxAdaptiveRun(DiffraxRun):
 
     def _defined_after(self, t: float, s: np.ndarray) -> bool:
         """Whether the right-hand side is finite here and a few smallest steps later."""
-        rates, p = compiled(self._scene).rates, np.array([*self._scene.parameters().values()])
-        (here,) = np.asarray(rates(p, np.array([t]), s[None], None))
+        rate, p = compiled(self._scene).ode, self._scene.parameters()
+        here = np.asarray(rate(p, t, s))
         ahead = 1e-13 * max(abs(self._t0), abs(self._t_end))
-        (later,) = np.asarray(rates(p, np.array([t + ahead]), s[None] + ahead * here, None))
+        later = np.asarray(rate(p, t + ahead, s + ahead * here))
         return bool(np.isfinite([s, here, later]).all())
 
 

@@ -42,10 +42,13 @@ class Compiled:
         s = [q, v, x] ``(n, n)``, of scenes with more than `MOST_STATES` states ``(n, 0)``
     ``starts(p, q, v, x, t)``
         the start alone at k times, as ``complete`` below
-    ``rates(values, t, s, rate)``
-        `formulations.ode_rate` of s = [q, v, x] at k times, arrays of shape ``(k,)`` and
-        ``(k, n)``, with Baumgarte's terms of a rate in 1/s unless it is None, and all parameters in
-        one array, in the order of p: a call costs a microsecond for every array that it is given
+    ``ode(p, t, s)``
+        `formulations.ode_rate` of s = [q, v, x]
+    ``rates(values, t, s)``
+        the same at k times, arrays of shape ``(k,)`` and ``(k, n)``, with all parameters in one
+        array, in the order of p: a call costs a microsecond for every array that it is given
+    ``pulled(values, t, s, rate)``
+        the same with Baumgarte's terms of a rate in 1/s
     ``complete(p, q, v, x, t)``
         `formulations.complete` at k times; arrays of shape ``(k, n)``, t of shape ``(k,)``, as may
         be the values of p here and below, where they jump
@@ -78,7 +81,7 @@ class Compiled:
             changes = jnp.eye(states if states <= MOST_STATES else 0, states)
             return linearised(at(p), q, v, x, t, changes)
 
-        def rate(values: Array, t: Array, s: Array, pull: Array | None) -> Array:
+        def rate(values: Array, t: Array, s: Array, pull: Array | None = None) -> Array:
             terms = None if pull is None else Baumgarte(pull, pull)
             return ode_rate(at(dict(zip(names, values, strict=True))), t, s, terms)
 
@@ -97,7 +100,9 @@ class Compiled:
 
         self.linearised = jax.jit(start, compiler_options=FEW_CALLS)
         self.starts = _over_rows(lambda p, *state: linearised(at(p), *state)[0])
-        self.rates = jax.jit(jax.vmap(rate, (None, 0, 0, None)))
+        self.ode = jax.jit(lambda p, t, s: ode_rate(at(p), t, s))
+        self.rates = jax.jit(jax.vmap(rate, (None, 0, 0)))
+        self.pulled = jax.jit(jax.vmap(rate, (None, 0, 0, None)))
         self.complete = _over_rows(lambda p, *state: complete(at(p), *state))
         self.levels = _over_rows(levels)
         self.invariants = {

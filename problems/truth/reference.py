@@ -277,7 +277,8 @@ class Reference:
         p = np.array(list(names.values()))
 
         def rates(*args: np.ndarray) -> np.ndarray:
-            return np.asarray(functions.rates(*args, self.pull or None))
+            pull = self.pull
+            return np.asarray(functions.pulled(*args, pull) if pull else functions.rates(*args))
 
         def watched(step: Motion, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             return functions.events(names, *at.split(step(t)), t)
