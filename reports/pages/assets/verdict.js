@@ -48,7 +48,7 @@
     const of = (is) => [...states.entries()].filter(([, state]) => state !== null && is(state)), { listed, methodRef, multiple } = stepbench;
     const dear = of(([ratio]) => ratio >= 10).sort(([, [one]], [, [two]]) => two - one).map(([m, [ratio]]) => [methodRef(m), ` (${multiple(ratio)} ×)`]);
     const far = of((state) => state === "far" || state === "failed").map(([m]) => [methodRef(m)]);
-    if (stepbench.violation(question)) return ["Held by ", ...listed(of(stepbench.reaches).map(([m]) => [methodRef(m)]), 99), "."];
+    if (stepbench.violation(question)) return [`${question.target} (relative) is held by `, ...listed(of(stepbench.reaches).map(([m]) => [methodRef(m)]), 99), "."];
     return second !== null ? [...(dear.length ? ["Costly: ", ...listed(dear), ". "] : []), ...(far.length ? ["Not reached by ", ...listed(far), "."] : [])] : [];
   };
   // The median of values with its interval, and the quotient of the times of two runs, as bench/results/timings.py has them.
@@ -84,10 +84,10 @@
     return [[part(stepbench.methodRef(m)), " does not reach it", ...(near ? [`: its least error is ${number(near.error)}`] : []), ...(next ? ["; ", ask] : []), "."]];
   };
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
-    const scene = Number(place.dataset.verdict), own = stepbench.answer()[scene], relative = stepbench.violation(question) ? " (relative)" : "";
-    const aim = own?.reached ? [`To ${question.target}${relative} in ${quantity(question)}: `] : [];
-    const said = [[...aim, ...stepbench.verdict(scene, question)].map(part), ...beside(scene, question), own?.reached ? avoided(own, question).map(part) : []];
-    place.replaceChildren(...said.filter((parts) => parts.length).map((parts) => html("p", {}, ...parts)), ...stepbench.wrong("scenes", scene));
+    const scene = Number(place.dataset.verdict), own = stepbench.answer()[scene], relative = stepbench.violation(question);
+    const aim = own?.reached ? [`To ${question.target}${relative ? " (relative)" : ""} in ${quantity(question)}: `] : [];
+    const others = own?.reached ? avoided(own, question).map(part) : [], verdict = [[...aim, ...stepbench.verdict(scene, question)].map(part), ...beside(scene, question)];
+    place.replaceChildren(...(relative ? [others, ...verdict] : [...verdict, others]).filter((parts) => parts.length).map((parts) => html("p", {}, ...parts)), ...stepbench.wrong("scenes", scene));
   });
 
   // A command that repeats the run of the verdict, or else the one that came nearest.
