@@ -257,6 +257,7 @@ def test_contents_are_filtered(browser, site):
         ("ringing", ["ringing 1"]),
         ("spared", ["Hit (spared)"]),
         ("the pendulum scene", ["pendulum"]),
+        ("zzz spared", ["Hit (spared)"]),
         ("a word.", ["A word."]),
         ("accel feeds", ["A word."]),  # in the claim of that experiment
         ("λ", ["Multiplier"]),

@@ -143,7 +143,6 @@
     return { x, y, inside, bands: bands.map(([name]) => name), onX, onY, floor: floor && Math.log10(floor) > y[0] ? onY(Math.min(floor, 10 ** y[1])) : null };
   };
 
-  // Points on the way from one to another, 8 px apart.
   const steps = (p, q) => {
     const count = Math.ceil(Math.hypot(q.x - p.x, q.y - p.y) / 8) || 1;
     return Array.from({ length: count }, (_, k) => ({ x: p.x + k / count * (q.x - p.x), y: p.y + k / count * (q.y - p.y) }));
