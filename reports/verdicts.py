@@ -203,10 +203,9 @@ def failings(label: str, group: str, stored: StoredRuns) -> list[Sentence]:
     series = [s for each in stored.series.values() for s in each if s.label == label]
     runs = [r for s in series for r in s.records if r.status not in NOT_TRIED]
     failed = sum(r.status != "ok" for r in runs)
-    count = f"{failed} of its {counted(len(runs), 'run')} failed."
     found = wrong_runs(stored, group, label)
     wrong = wrong_sentences(found, group, stored.names)
-    some = [
+    some: list[Sentence] = [
         [f"Wrong without warning {lead}: ", *listed(where, 9), "."]
         for kind, lead in (
             ("some", "at some steps or tolerances"),
@@ -214,11 +213,10 @@ def failings(label: str, group: str, stored: StoredRuns) -> list[Sentence]:
         )
         if (where := [[scene_ref(w.scene)] for w in found if w.kind == kind and w.silent])
     ]
-    return (
-        [[count], *wrong, *some]
-        if failed
-        else [*wrong, *some] or [["All of its runs reached the end."]]
-    )
+    ends = "" if wrong or some else "All of its runs reached the end."
+    if failed:
+        ends = f"{failed} of its {counted(len(runs), 'run')} failed."
+    return [*([[ends]] if ends else []), *wrong, *some]
 
 
 def _detail(place: str, entry: RankEntry, answer: SceneAnswer, names: Names) -> Sentence:

@@ -274,6 +274,8 @@ def _failed(scene: str, report: Report) -> list[Sentence]:
     """A sentence on the runs on a scene that failed, if any did: whose, how, what is hard there."""
     runs = [r for s in report.measured[scene] for r in s.records if r.status not in NOT_TRIED]
     failed = [r for r in runs if r.status != "ok"]
+    if not failed:
+        return []
     ends = Counter(r.status for r in failed).most_common()
     how = named(f"{count} {_ENDS.get(end) or end.replace('_', ' ')}" for end, count in ends)
     whose = Counter(map(label_of, failed)).most_common()
@@ -281,9 +283,7 @@ def _failed(scene: str, report: Report) -> list[Sentence]:
     hard = report.stored.scenes[scene].difficulties[:1] if scene in report.stored.scenes else []
     lead = f"Failed: {len(failed)} of {counted(len(runs), 'run')}, of "
     why = [f". Hard here: {hard[0]}."] if hard else ["."]
-    return (
-        [[lead, *who, f": {how} (", Ref("failed", scene, "reasons"), ")", *why]] if failed else []
-    )
+    return [[lead, *who, f": {how} (", Ref("failed", scene, "reasons"), ")", *why]]
 
 
 def _wrong(report: Report, group: str, chosen: Filters) -> dict[str, Any]:
