@@ -210,7 +210,6 @@ _ARGUMENTS = {
     "folder": _is(_FOLDER, default=RESULTS),
     "old": _is(_FOLDER),
     "new": _is(_FOLDER),
-    "folders": _is(_FOLDER, "FOLDER FOLDER...") | _MANY,
     "first": _is(metavar="A"),
     "second": _is(metavar="B"),
 }

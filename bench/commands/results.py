@@ -1,4 +1,4 @@
-"""The commands for results: `report`, `compare`, `merge`, `versus`; `judge` for other programs."""
+"""The commands for results: `report`, `compare`, `versus`; `judge` for other programs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bench.commands import options
 from bench.commands.options import Given
 from bench.commands.suite import write_reports
 from bench.results.flat_rows import csv_text, flatten
-from bench.results.folders import compare_folders, merge, regressions
+from bench.results.folders import compare_folders, regressions
 from bench.results.quantities import ASKED, COST, ERROR_NAMES, NORM, NORMS
 from bench.results.store import Store
 from bench.results.table import Table, formatted
@@ -113,24 +113,6 @@ def compare(o: Given) -> None:
         more = f"\n... and {len(worse) - _NAMED} more" if len(worse) > _NAMED else ""
         named = "\n".join(worse[:_NAMED])
         raise click.ClickException(f"{len(worse)} beyond the limits:\n{named}{more}")
-
-
-@options.command("merge", "folders out", out={"help": "A new folder.", "required": True})
-def merge_(o: Given) -> None:
-    """Put results of several folders into one.
-
-    Each record keeps the machine that measured it. If several folders have the same run, the last
-    one is kept.
-
-    \b
-    Examples:
-      stepbench merge laptop-results cluster-results --out all-results
-    """
-    records, environments = merge(o.folders, o.out)
-    click.echo(
-        f"{records} records of {len(o.folders)} folders, measured in {environments} environments, "
-        f"are in {o.out}. For the pages: stepbench report {o.out}"
-    )
 
 
 @options.command(

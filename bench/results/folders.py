@@ -1,4 +1,4 @@
-"""Run folders: two are compared, cell by cell, several are merged.
+"""Two run folders are compared, cell by cell.
 
 A cell is the same if its key is. Where it reached the end in both, three kinds are compared:
 
@@ -13,11 +13,8 @@ A cell is the same if its key is. Where it reached the end in both, three kinds 
 from __future__ import annotations
 
 import math
-import os
-import tempfile
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -25,8 +22,8 @@ from pathlib import Path
 import msgspec
 
 from bench.results.quantities import GROUPS, NORMS, TRUST
-from bench.results.records import INTERRUPTED, Environment, Plan, Record, Study, scene_titles
-from bench.results.store import FILE, Store
+from bench.results.records import INTERRUPTED, Environment, Record, scene_titles
+from bench.results.store import Store
 from bench.results.timings import LEAST_QUOTIENT, median_interval, quotient_of_medians
 from problems.base.spec import SpecError, one_of
 
@@ -266,53 +263,3 @@ def _ratio(old: float, new: float) -> float:
 
 def _changed(ratio: float, least: float) -> bool:
     return not 1 / least <= ratio <= least
-
-
-# ---- merging -------------------------------------------------------------------------------
-def merge(folders: Sequence[Path], out: Path) -> tuple[int, int]:
-    """Put the stores of the folders into a new one, one after the other.
-
-    Of a cell or a scene that several stores hold, that of the folder named last is kept; a run that
-    was interrupted takes no place of another. Returns the numbers of records and of environments.
-    SpecError or StoreError are raised before there is a new store.
-    """
-    if len(folders) < 2:
-        raise SpecError("To merge takes two folders or more; name them before --out.")
-    if (out / FILE).exists():
-        raise SpecError(f"{out} holds results already; name a new folder with --out.")
-    with ExitStack() as opened:
-        stores = [opened.enter_context(Store(folder)) for folder in folders]
-        plans = [plan for store in stores if (plan := store.plan())]
-        cells = [store.records() for store in stores]
-        machines = {number for store in stores for number in store.environments()}
-        out.mkdir(parents=True, exist_ok=True)
-        # Only a store that is whole takes its place.
-        with tempfile.TemporaryDirectory(dir=out, prefix="merging-") as scratch:
-            kept: set[str] = set()
-            with Store(Path(scratch), create=True) as new:
-                for store, records in zip(stores, cells, strict=True):
-                    new.take(store, {k for k in kept & records.keys()
-                                     if records[k].status == INTERRUPTED})  # fmt: skip
-                    kept |= records.keys()
-                if plans:
-                    new.keep(_united(plans))
-            os.replace(Path(scratch) / FILE, out / FILE)
-    return len(kept), len(machines)
-
-
-def _united(plans: Sequence[Plan]) -> Plan:
-    """One plan of all studies; studies that differ only in their cells become one."""
-    studies: dict[bytes, Study] = {}
-    for study in (study for plan in plans for study in plan.studies):
-        about = msgspec.json.encode(msgspec.structs.replace(study, cells=[]))
-        cells = [*(studies[about].cells if about in studies else []), *study.cells]
-        studies[about] = msgspec.structs.replace(study, cells=list(dict.fromkeys(cells)))
-    titles = dict.fromkeys(plan.title for plan in plans)
-    return Plan(
-        name=" + ".join(dict.fromkeys(plan.name for plan in plans)),
-        title=" + ".join(titles) if all(titles) else "",
-        samples=max(plan.samples for plan in plans),
-        budget_s=max(plan.budget_s for plan in plans),
-        studies=list(studies.values()),
-        mine=next((plan.mine for plan in plans if plan.mine), ""),
-    )

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sqlite3
 import zlib
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -148,13 +148,6 @@ class Store(ExitStack):
         record.run_s = [taken[place] for place in record.rounds]
         self._put([(key, record)])
 
-    def take(self, other: Store, but: Collection[str] = ()) -> None:
-        """Keep all that another store has, but its plan and the cells of some keys."""
-        select = "SELECT * FROM results WHERE kind != 'Plan' ORDER BY rowid"
-        rows = [row for row in other._read(select) if row[1] not in but]
-        with self._transaction() as db:
-            db.executemany(_KEEP, rows)
-
     # ---- reading -----------------------------------------------------------------------
     def values(self, kind: type[T], first: str = "", last: str = _LAST) -> dict[str, T]:
         """Return the values of a kind with keys from ``first`` to ``last``, in the order in which
@@ -225,7 +218,9 @@ class Store(ExitStack):
                 text = msgspec.json.encode(value)
                 msgspec.json.decode(text, type=type(value))  # it has to be read again
                 kept.append((type(value).__name__, key, zlib.compress(text, 9)))
-        with self._transaction() as db:
+        advice = "free some space or choose another --out. Earlier results are intact."
+        with self._errors(f"The store in {self.folder} cannot be written", advice), self._db as db:
+            db.execute("BEGIN IMMEDIATE")
             delete = "DELETE FROM results WHERE kind = 'Rows' AND key = ?"
             db.executemany(delete, [(key,) for key in forgotten])
             db.executemany(_KEEP, kept)
@@ -233,13 +228,6 @@ class Store(ExitStack):
     def _read(self, sql: str, *parameters: object) -> list[tuple]:
         with self._errors(f"The store {self._path} cannot be read"):
             return self._db.execute(sql, parameters).fetchall()
-
-    @contextmanager
-    def _transaction(self) -> Iterator[sqlite3.Connection]:
-        advice = "free some space or choose another --out. Earlier results are intact."
-        with self._errors(f"The store in {self.folder} cannot be written", advice), self._db:
-            self._db.execute("BEGIN IMMEDIATE")
-            yield self._db
 
     @contextmanager
     def _errors(self, words: str, advice: str = _WAY_OUT) -> Iterator[None]:

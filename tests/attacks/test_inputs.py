@@ -21,7 +21,7 @@ from problems.base.text import clean
 RIGHT = {
     "list": "scenes", "check": "pendulum", "new": "integrator mine", "show": "pendulum",
     "solve": "pendulum newmark", "order": "pendulum newmark", "run": "quick", "report": "{store}",
-    "compare": "{store} {store}", "merge": "{store}", "versus": "newmark ida {store}",
+    "compare": "{store} {store}", "versus": "newmark ida {store}",
     "stability": "newmark", "drift": "pendulum newmark", "atlas": "undamped_index3",
     "map": "pendulum generalized_alpha", "realtime": "pendulum newmark", "recommend": "pendulum",
     "recommend methods": "pendulum newmark", "judge": "pendulum {odd}/rows.csv",
@@ -39,7 +39,6 @@ MEMBERS = {"ensemble": "--ensemble 2", "vary": "--vary th0:1..2"}
 #: Options that go with the arguments or with the parameter that is wrong.
 NEEDED = {
     "map": {"over": "--over h,rho_inf"},
-    "merge": {"out": "--out all"},
     "realtime": {"rate": "--rate 1000"},
     **{
         f"report {option}": {"scene": "--scene pendulum", "kind": f"--figure {kind}"}

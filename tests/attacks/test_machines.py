@@ -99,7 +99,6 @@ READ_ONLY = {
     "report": ("report $D/out", "The results are stored."),
     "export": ("report $D/out --csv -o $D/x.csv", "Read-only file system"),
     "figure": ("report $D/out --figure work_precision --scene oscillator -o $D/f.svg", "Read-only"),
-    "merge": ("merge $D/out $D/out --out $D/all", "Read-only"),
     "show": ("show oscillator -o $D/scene.svg", "Read-only"),
 }
 
