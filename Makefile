@@ -30,7 +30,7 @@ test: .venv/tested  ## check style, and pass the tests; five minutes
 types: .venv/tested  ## check types; half a minute
 	$(BIN)/pyright
 
-test-long: .venv/tested  ## further scenes, members and sweeps of what `make test` proves
+test-long: .venv/tested  ## further scenes and sweeps of what `make test` proves
 	$(TESTS) -m long
 
 survey: .venv/tested  ## every method on a scene of each kind: none is wrong without a note; 45 minutes of one core
@@ -43,7 +43,6 @@ bench: .venv/tested  ## our time loop against C, exudyn and other solvers; micro
 	$(BIN)/python tests/benchmarks/start_up.py
 	$(BIN)/python tests/benchmarks/race.py
 	$(BIN)/python tests/benchmarks/sizes.py
-	$(BIN)/python tests/benchmarks/many_runs.py
 	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only --benchmark-disable-gc --benchmark-json=stepbench-speed.json
 
 pictures: .venv/tested  ## the gallery, README's picture and times of docs/iftomm.md; half an hour, in Chromium

@@ -31,39 +31,6 @@ sum to 1                                   | solve pendulum newmark --pattern 0.
 constraints act like infinite frequencies  | solve pendulum newmark[beta=0]
 not a Python file, nor a folder with one   | solve pendulum newmark --plugins no_such.py
 
---vary is for an ensemble                  | solve spring_mass newmark --vary k:1..2
---seed is for an ensemble                  | solve spring_mass newmark --seed 1
-give --vary                                | solve spring_mass newmark --ensemble 3
-not in the range 1<=x<=1000000             | solve spring_mass newmark --ensemble 1000001
-did you mean 'k'                           | solve spring_mass newmark --ensemble 3 --vary kk:1..2
-smaller one first                          | solve spring_mass newmark --ensemble 3 --vary k:2..1
-of the form NAME:LOW                       | solve spring_mass newmark --ensemble 3 --vary k=2
-lies outside                               | solve spring_mass newmark --ensemble 3 --vary m:-1..1
-larger than                                | solve spring_mass newmark --ensemble 3 --vary h:0.1..30
-leave --step out     | solve spring_mass newmark --ensemble 3 --vary h:0.1..0.2 --step 0.1
-give a name that ends in .csv   | solve spring_mass newmark --ensemble 3 --vary k:1..2 -o x.txt
-cannot run many members in one program     | solve spring_mass ida --ensemble 3 --vary k:1..2
-take kvaerno5[steps=constant               | solve spring_mass kvaerno5 --ensemble 3 --vary k:1..2
-does not take                           | solve pendulum newmark[beta=0] --ensemble 3 --vary g:1..2
-
-give two different numbers                 | map pendulum newmark --over h
-is no number that can vary                 | map pendulum newmark --over h,newton_max
-is of no axis                              | map pendulum newmark --over h,beta --range gamma:0..1
-positive number                            | map pendulum newmark --over h,beta --range h:-1..0.1
-outside [0.0, 1.0]                         | map pendulum newmark --over h,beta --range beta:0..7
-two finite numbers                         | map pendulum newmark --over h,beta --range h:nan..1
-two numbers of at least 2                  | map pendulum newmark --over h,beta --grid 1x5
-1000000 points                             | map pendulum newmark --over h,beta --grid 99999x99999
-no error of 'x'                            | map pendulum newmark --over h,beta --error x:end
-did you mean 'max'                         | map pendulum newmark --over h,beta --error q:mx
-give q:end                                 | map pendulum newmark --over h,beta --error q:max
-positive number                            | map pendulum newmark --over h,beta --threshold 0
-give --range sigma:A..B                    | map spring_mass newmark --over h,sigma --set sigma=0
-not rtol or atol                           | map pendulum generalized_alpha_adaptive --over h,th0
-leave --rtol out | map pendulum generalized_alpha_adaptive --over rtol,th0 --rtol 1e-3
-give --rtol      | map pendulum generalized_alpha_adaptive --over rtol,th0 --step 0.1
-rtol=-1 is not   | map pendulum generalized_alpha_adaptive --over rtol,th0 --range rtol:-1..1
-
 '0.1,,0.05,0.025' is not a list of numbers | order spring_mass newmark --steps 0.1,,0.05,0.025
 'm' is given twice                         | order spring_mass newmark --set m=1 --set ' m =2'
 not of the form name=value                 | order spring_mass newmark --set 'm= '

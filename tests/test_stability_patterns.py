@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import itertools
 import json
 
+import altair
 import numpy as np
 import pytest
 from helpers import long
@@ -22,6 +25,7 @@ from bench.stability.spectra import eigenvalues, radii
 from bench.stability.systems import Oscillator
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha, Newmark
+from reports.pages.stability import radius_map
 
 #: Largest ratios of two steps in turns that do not grow: rho_inf, gamma fixed, gamma updated.
 SAFE = [
@@ -148,6 +152,24 @@ def test_plugins_get_their_spectra_without_a_line(stepbench, plugins):
     assert euler["radius"] == pytest.approx(np.sqrt(1 + at**2), rel=1e-9)
     assert euler["stability_limit"] == 0.0
     assert euler["maps"] == []
+
+
+def test_tiles_meet_in_the_middle_and_show_the_radii():
+    rows = [{"value": 0.0, "radii": [0.2, 0.1, 1.0]}, {"value": 1.0, "radii": [None, 1.05, 1.02]}]
+    chart = radius_map({"over": "sigma", "omega_h": [0.01, 0.1, 1.0], "rows": rows}, "omega h")
+    altair.Chart.from_dict(chart)
+    tiles = [list(row.values()) for row in csv.DictReader(io.StringIO(chart["datasets"]["map"]))]
+    near, far = 10**-1.5, 10**-0.5
+    expected = [
+        (10**-2.5, far, -0.5, 0.5, "to 0.25"),
+        (far, 10**0.5, -0.5, 0.5, "0.99 to 1"),
+        (10**-2.5, near, 0.5, 1.5, "above 2"),
+        (near, 10**0.5, 0.5, 1.5, "1.001 to 1.1"),
+    ]
+    for (*ends, words), (*wanted, said) in zip(tiles, expected, strict=True):
+        assert words == said
+        assert [float(end) for end in ends] == pytest.approx(wanted, rel=1e-4)
+    assert radius_map({"over": "sigma", "omega_h": [0.01, 0.1], "rows": rows[:1]}, "h") is None
 
 
 @pytest.mark.long

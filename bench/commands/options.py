@@ -36,8 +36,6 @@ from problems.base.spec import SpecError
 RESULTS = "stepbench-results"
 #: Processor time in s after which a run is stopped, if nothing else is said.
 BUDGET_S = 300.0
-#: Most points of a map, and members of an ensemble: all are in memory.
-MOST_MEMBERS = 1_000_000
 #: Linear test systems of `stepbench stability`.
 SYSTEMS = ("oscillator", "relaxation", "loop", "coupled", "joined")
 B = TypeVar("B", bound=float | None)
@@ -79,22 +77,14 @@ class Given(SimpleNamespace):
         return {name: getattr(self, name) for name in ("step", "pattern", "rtol", "atol")}
 
     def guarded(
-        self,
-        about: str,
-        job: Callable[..., Any],
-        sources: Sources,
-        *arguments: Any,
-        threads: bool = False,
+        self, about: str, job: Callable[..., Any], sources: Sources, *arguments: Any
     ) -> Any:
         """Do a job of a worker in a process of its own, with plugins and within the budget.
 
         What it prints goes to the standard error. SpecError is raised if it refuses its arguments;
-        if it has no answer, with a message that begins with the words ``about`` it. A job of many
-        ``threads`` may keep all processors busy.
+        if it has no answer, with a message that begins with the words ``about`` it.
         """
-        processors = (os.cpu_count() or 1) if threads else 1
-        advice = "give it less to do, or a larger --budget"
-        limits = Limits(self.budget, processors=processors, advice=advice)
+        limits = Limits(self.budget, advice="give it less to do, or a larger --budget")
         with Runner(1, limits, OnStandardError()) as runner:
             ((_, answer),) = runner.run([[Task(job, arguments, about, sources=sources)]])
         if isinstance(answer, NoAnswer):
@@ -191,7 +181,6 @@ def _is(kind: Any = None, metavar: str | None = None, **more: Any) -> dict[str, 
 _MANY: dict[str, Any] = {"nargs": -1}
 _FOLDER, _FILE = PathName("folder"), PathName("file")
 _NAME, _REAL, _FLAG = _is(), _is(float), _is(is_flag=True)
-_RANGES = _is(metavar="NAME:LOW..HIGH", multiple=True)
 _LIMITS = {"callback": lambda _, __, text: {} if text is None else read_limits(text)}
 #: Arguments by the names of their values.
 _ARGUMENTS = {
@@ -251,23 +240,6 @@ _OPTIONS = {
     "iterations": ("--iterations", "Limit of iterations in each call of Newton's method; "
                    "both 1 and unlimited if not given.", _is(click.IntRange(1, 1000))),
     "duration": ("--duration", "Length of the run in s; the scene's interval if not given.", _REAL),
-    # of many runs as one program
-    "ensemble": ("--ensemble", "Run N members, a million at most, in one compiled program; needs "
-                 "--vary. --budget is for some 1000 members.",
-                 _is(click.IntRange(1, MOST_MEMBERS), "N")),
-    "vary": ("--vary", "Draw h, a parameter or an option of each member evenly from this range (in "
-             "the logarithm if it is wide); repeatable.", _RANGES),
-    "seed": ("--seed", "Seed of the random draw.", _is(click.IntRange(min=0), default=0)),
-    "over": ("--over", "Two quantities: the step h (or rtol or atol of a method that chooses its "
-             "steps), an option of the integrator, or a parameter of the scene.",
-             _is(metavar="X,Y", required=True)),
-    "ranges": ("--range", "Range of one of them; repeatable. An option is taken over all allowed "
-               "values, a parameter over a tenth to tenfold, h around the scene's nominal step, "
-               "rtol from 1e-6 to 1e-1, if not given.", _RANGES),
-    "grid": ("--grid", "Points along both; 100x100 if not given, 25 along a parameter of a scene "
-             "without a closed form.", _is(metavar="NXxNY")),
-    "threshold": ("--threshold", "A run with a larger error is called inaccurate.",
-                  _is(float, default=0.1)),
     # of stability
     "at": ("--at", "Values of omega h to report.", _is(metavar="WH1,...", callback=_numbers)),
     "zeta": ("--zeta", "Damping ratio of the oscillator; 0 if not given.", _REAL),

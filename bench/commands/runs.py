@@ -1,32 +1,20 @@
-"""The commands of single runs: `solve`, also of ensembles, and `map`."""
+"""The command of a single run, `solve`."""
 
 from __future__ import annotations
 
-import re
-import time
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
-import click
 import msgspec
 import numpy as np
 
 from bench.commands import options
-from bench.commands.options import MOST_MEMBERS, Given
+from bench.commands.options import Given
 from bench.commands.terminal import RunProgress
 from bench.results.flat_rows import published_table
 from bench.results.quantities import NORMS
 from bench.results.records import Record, Rows
 from bench.results.table import NO_VALUE, Table, formatted
-from bench.running.process import Limits
-from bench.running.runner import runner_for
 from bench.running.session import solve
-from problems.base.spec import SpecError
-from problems.base.usage import cores
-
-if TYPE_CHECKING:
-    from bench.sweeps.ensemble import Ensemble
 
 #: Components of a group that a table has at most: those of a planar mechanism of three bodies.
 _SHOWN = 9
@@ -38,27 +26,18 @@ _AFTER += ("history_error", "work")
 
 @options.command(
     "solve",
-    "problem integrator step pattern rtol atol t_end settings ensemble vary seed cluster file "
-    "budget plugins as_json",
-    cluster={"help": "Run the members on the workers of a dask scheduler, such as tcp://h:8786."},
-    file={"help": "File for the members, .csv, a flat row each."},
+    "problem integrator step pattern rtol atol t_end settings budget plugins as_json",
 )
 def solve_(o: Given) -> None:
     """Run one integrator on one scene.
 
-    The table has the values at the end, errors and work. With --ensemble, run many members; --vary
-    says how they differ.
+    The table has the values at the end, errors and work.
 
     \b
     Examples:
       stepbench solve spring_mass "generalized_alpha[rho_inf=0.8]" --step 0.1 --t-end 5
       stepbench solve pendulum ida --rtol 1e-8 --set th0=3.0 --json
-      stepbench solve quarter_car generalized_alpha --ensemble 1000 --vary k:2e4..3e4 -o cars.csv
     """
-    if o.ensemble is not None:
-        solve_ensemble(o)
-        return
-    options.refuse("is for an ensemble; give --ensemble N, too.", "vary", "seed", "cluster", "file")
     asked = o.problem, o.integrator, o.plugins, o.budget
     more = {"parameters": o.settings, "t_end": o.t_end, **o.sizes}
     with RunProgress() as progress:
@@ -143,120 +122,3 @@ def _facts(record: Record) -> list[str]:
             timed = f"run in {record.seconds:.3g} s (median of {len(record.run_s)})"
         lines.append(f"prepared in {record.compile_s:.2g} s of processor time; {timed}")
     return lines
-
-
-# ---- ensembles ---------------------------------------------------------------------------
-def solve_ensemble(o: Given) -> None:
-    """Draw and run the members, and show or write the results."""
-    from bench.sweeps import ensemble
-
-    scene, (method,) = o.asked_scene, o.asked_methods
-    common = scene.spec, method.spec, o.sizes, o.t_end
-    request = ensemble.EnsembleRequest(*common, o.ensemble, o.vary, o.seed)
-    if not o.vary:
-        raise SpecError("An ensemble needs something in which its members differ; give --vary.")
-    if o.file and o.file.suffix != ".csv":
-        raise SpecError(f"{o.file.name} is no table; give a name that ends in .csv.")
-    began = time.perf_counter()
-    limits = Limits(o.budget, processors=1 if o.cluster else cores())
-    with RunProgress() as progress, runner_for(1, limits, progress, o.cluster) as runner:
-        found, fault = ensemble.run_members(runner, request, scene.sources | method.sources)
-    names = ("problem", "integrator", "t_end", "work", "compile_s", "run_s")
-    counts = {"statuses": Counter(found.status), "summary": found.summary()}
-    facts = {name: getattr(found, name) for name in names} | counts
-    o.answer(facts, *_shown(found, time.perf_counter() - began))
-    if o.file:
-        found.write(o.file)
-        click.echo(f"{len(found.status)} members in {o.file}", err=o.as_json)
-    if "ok" not in found.status:
-        raise click.ClickException(f"No member succeeded. The first: {found.message[0]}")
-    if lost := o.ensemble - len(found.status):
-        raise click.ClickException(
-            f"Not complete: {lost} of {o.ensemble} members are missing. {fault}"
-        )
-
-
-def _shown(found: Ensemble, seconds: float) -> list[Table | str]:
-    """Least, median and largest end values; then statuses, work and times."""
-    count, statuses = len(found.status), Counter(found.status)
-    columns = ("min", "median", "max")
-    rows = [
-        [name, *(f"{numbers[column]:.9g}" for column in columns)]
-        for name, numbers in found.summary().items()
-    ]
-    first = {status: found.status.index(status) for status in statuses if status != "ok"}
-    return [
-        Table(
-            f"{found.integrator} on {found.problem}: {count} members at t={found.t_end:g} s",
-            ["value", *columns],
-            rows,
-        ),
-        ", ".join(f"{number} {status}" for status, number in statuses.items()),
-        *(
-            f"{status}, first member {found.values['member'][k]}: {found.message[k]}"
-            for status, k in first.items()
-        ),
-        "work of all: " + ", ".join(f"{name} {counts}" for name, counts in found.work.items()),
-        f"{count} members in {seconds:.3g} s: {count / seconds:.3g} members/s (all parts together: "
-        f"prepared in {found.compile_s:.2g} s, run in {found.run_s:.3g} s)",
-    ]
-
-
-# ---- maps --------------------------------------------------------------------------------
-@options.command(
-    "map",
-    "problem integrator over ranges grid step pattern rtol atol error threshold t_end settings "
-    "budget out plugins as_json",
-    error={"help": "Relative error at the end to show.", "default": "a:end"},
-    out="stepbench-map",
-)
-def map_(o: Given) -> None:
-    """Map where a method works, over two quantities.
-
-    Each point is a run: ok, inaccurate, failed in Newton's method, or diverged; all are run in one
-    compiled program. Writes a page with the map, coloured by outcome and error. Steps and wide
-    ranges are divided evenly in their logarithm. If scene and integrator have the same NAME, write
-    step.h, scene.NAME or integrator.NAME.
-
-    \b
-    Examples:
-      stepbench map pendulum generalized_alpha --over h,rho_inf
-      stepbench map stiff_bar newmark --over h,ea --range h:1e-3..0.1 --grid 60x40
-      stepbench map soft_impact generalized_alpha_adaptive --over rtol,d --error q:end
-    """
-    names = tuple(name.strip() for name in o.over.split(","))
-    if len(names) != 2 or not all(names) or names[0] == names[1]:
-        raise SpecError(
-            f"--over {o.over!r} is not allowed; give two different numbers as h,rho_inf."
-        )
-    counts = None
-    if o.grid is not None:
-        match = re.fullmatch(r"(\d{1,9})x(\d{1,9})", o.grid.replace(" ", ""))
-        counts = tuple(map(int, match.groups())) if match else (0, 0)
-        if min(counts) < 2 or counts[0] * counts[1] > MOST_MEMBERS:
-            raise SpecError(
-                f"--grid {o.grid!r} is not allowed; give two numbers of at least 2 as 200x200, "
-                f"and at most {MOST_MEMBERS} points."
-            )
-    from bench.sweeps.outcome_map import outcome_map
-    from bench.sweeps.variation import SweepRequest
-    from reports.pages.maps import write_map_page
-
-    scene, (method,) = o.asked_scene, o.asked_methods
-    request = SweepRequest(scene.spec, method.spec, o.sizes, o.t_end)
-    task = request, names, o.ranges, counts, o.error, o.threshold
-    about, sources = f"{o.integrator} on {o.problem}", scene.sources | method.sources
-    plain = o.guarded(about, outcome_map, sources, *task, threads=True)
-    total = sum(plain["counts"].values())
-    title = f"{plain['integrator']} on {plain['problem']} over {names[0]} and {names[1]}"
-    rows = [
-        [name, str(count), f"{100 * count / total:.1f} %", plain["reasons"].get(name, "")]
-        for name, count in plain["counts"].items()
-    ]
-    o.answer(
-        plain,
-        Table(f"{title}: {total} runs", ["outcome", "runs", "part", "reason"], rows),
-        f"Prepared in {plain['compile_s']:.2g} s, run in {plain['run_s']:.2g} s.",
-    )
-    if not o.as_json:
-        click.echo(f"Page: {write_map_page(plain, o.out)}")

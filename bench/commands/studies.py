@@ -113,7 +113,7 @@ def stability(o: Given) -> None:
         raise SpecError(f"--zeta damps the oscillator; the system {o.system} has no such number.")
     from bench.stability.analysis import analysis_job
     from bench.stability.tables import stability_tables
-    from reports.pages.maps import write_stability_page
+    from reports.pages.stability import write_stability_page
 
     task = o.system, o.zeta, o.pattern or (1.0,), o.at or (), o.ratios
     results = [*o.measured(analysis_job, *task)]

@@ -14,8 +14,6 @@ from reports.names import scene_name
 from reports.ranking import Answer
 from reports.series import Series
 
-#: Most values along a side that are drawn.
-MOST = 250
 #: Looks of an integrator's states on a scene: title and colour.
 _LOOKS = {
     "alone": ("cheapest alone", "#1a7f5a"),
@@ -36,15 +34,10 @@ class Side(NamedTuple):
     values: Sequence[float]
     log: bool
 
-    @property
-    def every(self) -> int:
-        """One of so many values is drawn."""
-        return -(-len(self.values) // MOST)
-
     def edge(self, k: int, way: int) -> float | None:
         """The end of the tile of a value below it (-1) or above it (1)."""
         first, last = (math.log10(v) if self.log else v for v in (self.values[0], self.values[-1]))
-        half = way * self.every * (last - first) / (len(self.values) - 1) / 2
+        half = way * (last - first) / (len(self.values) - 1) / 2
         return vl.short(self.values[k] * 10**half if self.log else self.values[k] + half)
 
     def channel(self, field: str) -> vl.Spec:
@@ -55,7 +48,7 @@ class Side(NamedTuple):
 
 
 def tile_chart(
-    x: Side, y: Side, state: Callable[[int, int], str], looks: Mapping[str, str], title: str = ""
+    x: Side, y: Side, state: Callable[[int, int], str], looks: Mapping[str, str], title: str
 ) -> vl.Spec:
     """A tile for each stretch of one state, as few as neighbours of the same state allow.
 
@@ -64,9 +57,8 @@ def tile_chart(
     first point to that behind its last.
     """
     rows = []
-    for k in range(0, len(y.values), y.every):
-        places = range(0, len(x.values), x.every)
-        for words, own in groupby(places, lambda i, k=k: state(k, i)):
+    for k in range(len(y.values)):
+        for words, own in groupby(range(len(x.values)), lambda i, k=k: state(k, i)):
             first, *more = own
             ends = {"left": x.edge(first, -1), "right": x.edge((more or [first])[-1], 1)}
             rows.append(ends | {"low": y.edge(k, -1), "high": y.edge(k, 1), "state": words})
@@ -78,10 +70,10 @@ def tile_chart(
             "x2": {"field": "right"},
             "y": y.channel("low"),
             "y2": {"field": "high"},
-            "color": _colors(rows, looks, title=title or None, orient="right", columns=1),
+            "color": _colors(rows, looks, title=title, orient="right", columns=1),
         },
-        width=620,
-        height=420,
+        width=410,
+        height=250,
     )
 
 

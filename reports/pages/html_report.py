@@ -29,7 +29,6 @@ _DRAWING_SCRIPTS = (LIBRARY, "charts.js", "motion.js")
 #: Pages beside a report that commands write into its folder, with their titles in the contents.
 _BESIDE = {
     "catalogue.html": "Catalogue of scenes",
-    "map.html": "Map of outcomes",
     "stability.html": "Stability",
 }
 #: Parts of the contents that show what is searched for, and nothing before.

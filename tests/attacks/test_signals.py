@@ -44,8 +44,6 @@ RUN = ("run", "small.toml", "--out", "out")
 BUSY_RUN = ("run", "busy.toml", "--plugins", "busy.py", "--out", "out")
 #: Commands that would take hours, most of them in one call of compiled code.
 ENDLESS = {
-    "map": "map oscillator newmark --over h,beta --range h:1e-9..1e-8 --grid 10x10",
-    "ensemble": "solve oscillator newmark --step 1e-8 --ensemble 10 --vary q0:1..2",
     "solve": "solve oscillator newmark --step 1e-8",
     "order": "order oscillator newmark --steps 1e-8,5e-9,2e-9",
     "stability": "stability newmark generalized_alpha hht wbz bdf2 park houbolt bathe",
@@ -103,7 +101,7 @@ def check_goes_on(folder: Path, kept: int, line: tuple[str, ...] = RUN, cells: i
 @pytest.mark.parametrize(
     ("name", "number"),
     [
-        pytest.param("map", INT, marks=long),
+        pytest.param("stability", INT, marks=long),
         *(pytest.param(name, number, marks=attack) for name in ENDLESS for number in (TERM, HUP)),
     ],
 )

@@ -1,9 +1,9 @@
-"""Maps over two numbers as pages, map.html and stability.html: outcomes of runs, spectral radii."""
+"""The page of `stepbench stability`: curves over omega h, and maps of spectral radii."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -11,22 +11,9 @@ from typing import Any
 from bench.stability.tables import stability_tables, step_name
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
-from reports.charts.maps import MOST, Side, tile_chart
-from reports.formatting import number
+from reports.charts.maps import Side, tile_chart
 from reports.pages.page import Figure, Page, Section, write_page
 
-#: Colours of ok runs, by decades of the error from the threshold down, and of inaccurate ones up.
-_OK = ("#b2e2be", "#7cc3b0", "#4fa3a8", "#2f81a0", "#1c5f90", "#083e78")
-_INACCURATE = ("#ffe28c", "#eb7814")
-#: Words and colour of each other outcome.
-_OTHERS = {
-    "newton_failed": ("Newton failed", "#7a3ca0"),
-    "step_too_small": ("step too small", "#c85aaa"),
-    "budget_exceeded": ("out of steps", "#6e645a"),
-    "diverged": ("diverged", "#a0101c"),
-    "not_run": ("not run", "#969696"),
-    "no_reference": ("no reference", "#bebebe"),
-}
 #: Quantities over omega h: field, title of the axis, whether the axis is logarithmic.
 _CURVES = (
     ("radius", "spectral radius", False),
@@ -48,58 +35,6 @@ _STATES = [
 ]
 
 
-# ---- outcomes of runs -------------------------------------------------------------------
-def write_map_page(found: Mapping[str, Any], folder: Path) -> Path:
-    """Write map.html into a folder, from the plain values of `bench.sweeps.outcome_map`."""
-    x, y = found["x"], found["y"]
-    about = (
-        f"{len(x['values'])} × {len(y['values'])} runs to t = {found['t_end']:g} s over "  # noqa: RUF001
-        f"{x['name']} and {y['name']}, as one program: prepared in {found['compile_s']:.2g} s, run "
-        f"in {found['run_s']:.2g} s. A run is ok up to a relative error {found['error']} of "
-        f"{found['threshold']:g}, and inaccurate beyond."
-    )
-    if "h" in (x["name"], y["name"]):
-        about += " A step that does not divide the interval is shortened to one that does."
-    about += " An error at the end alone may be small by chance, where it changes its sign."
-    counts = []
-    for outcome, count in found["counts"].items():
-        words, _ = _OTHERS.get(outcome, (outcome, ""))
-        why = found["reasons"].get(outcome, "")
-        counts.append(f"{words}: {count}{f'; {why}' if why else ''}")
-    caption = f"Outcome of each run; of more than {MOST} values along a side some are left out."
-    picture = Figure(caption, {"map": map_chart(found)})
-    section = Section("Outcome of each run", [counts, picture], "picture")
-    title = f"{found['integrator']} on {found['problem']}"
-    return write_page(Page("map.html", title, about, [section]), folder)
-
-
-def _words(outcome: str, error: float | None, threshold: float) -> str:
-    """The outcome of a run with log10 of its error; an error of zero has no logarithm."""
-    if outcome in _OTHERS:
-        return _OTHERS[outcome][0]
-    if outcome == "ok":
-        decades = math.inf if error is None else threshold - error
-        k = int(min(max(decades, 0.0), len(_OK) - 1))
-        return f"ok, error up to {number(10 ** (threshold - k))}"
-    near = error is not None and error <= threshold + 1
-    return f"inaccurate, error {'up to' if near else 'above'} {number(10 ** (threshold + 1))}"
-
-
-def map_chart(found: Mapping[str, Any]) -> vl.Spec:
-    """A tile for each stretch of runs with one outcome."""
-    x, y = (Side(**found[name]) for name in "xy")
-    threshold = math.log10(found["threshold"])
-    looks = {_words("ok", threshold - k, threshold): color for k, color in enumerate(_OK)}
-    far = (threshold + 1, None)
-    looks |= {_words("inaccurate", e, threshold): c for e, c in zip(far, _INACCURATE, strict=True)}
-
-    def state(k: int, i: int) -> str:
-        return _words(found["outcome"][k][i], found["log10_error"][k][i], threshold)
-
-    return tile_chart(x, y, state, looks | dict(_OTHERS.values()))
-
-
-# ---- stability --------------------------------------------------------------------------
 def write_stability_page(found: Sequence[dict[str, Any]], folder: Path) -> Path:
     """Write stability.html into a folder, from the plain values of each integrator's analysis."""
     name, pattern = step_name(found), found[0]["pattern"]
@@ -182,4 +117,4 @@ def radius_map(m: dict[str, Any], name: str) -> vl.Spec | None:
     # Ratios are spaced evenly in their logarithm, options in themselves.
     x, y = Side(name, m["omega_h"], log=True), Side(m["over"], values, m["over"] == "step ratio")
     looks = dict(zip(_STATES, _COLORS, strict=True))
-    return tile_chart(x, y, state, looks, "spectral radius") | {"width": 410, "height": 250}
+    return tile_chart(x, y, state, looks, "spectral radius")

@@ -1,1 +1,0 @@
-"""Many runs as one compiled program: ensembles and maps of outcomes."""
