@@ -65,7 +65,7 @@ class Solution:
         return f"<{about}; {len(self.t)} rows>"
 
     def _repr_svg_(self) -> str | None:
-        from reports.figures import solution_chart
+        from reports.charts.notebooks import solution_chart
 
         if not self._rows.t:
             return None
@@ -102,7 +102,7 @@ class Orders:
         )
 
     def _repr_svg_(self) -> str | None:
-        from reports.figures import orders_chart
+        from reports.charts.notebooks import orders_chart
 
         return orders_chart(self._records)
 

@@ -32,7 +32,7 @@ SELDOM = 50_000, 20, 100
 SLOWEST = (
     *("test_diffrax_solvers", "test_check", "test_method_orders"),
     *("test_sparse", "test_sundials", "test_adaptive", "test_hybrid", "test_sparse_newton"),
-    *("test_library_solvers", "test_ali3p", "test_figure"),
+    *("test_library_solvers", "test_ali3p"),
     *("test_kernel_counts", "test_cli", "test_alpha_family", "test_reports", "test_every_method"),
     *("test_contact", "test_guard", "test_new", "test_accessibility", "test_symplectic"),
     *("test_browser", "test_stability_spectra", "test_tolerances"),

@@ -43,7 +43,7 @@ LAYERS = [
     {"bench.atlas"},
     {"reports"},  # records as series, the ranking, and its words
     {"reports.charts", "reports.tables"},
-    {"reports.figures", "reports.pages"},
+    {"reports.pages"},
     {"bench.commands"},
     {"bench.notebook"},
     {"bench.__main__"},

@@ -46,10 +46,8 @@ did you mean 'wbz'                         | run --mine wbzz
 no integrator 'nothing'                    | run -i nothing
 no stepbench results                       | report nowhere
 --open and --csv do not go together        | report --csv --open
---json and --figure do not go together     | report --json --figure convergence
---t-end belongs to a figure; name its kind | report --t-end 1
---integrator belongs to a figure           | report -i ida --csv
-say --csv, --json or --figure              | report -o a.svg
+--csv and --json do not go together        | report --csv --json
+say --csv or --json                        | report -o a.svg
 pages of scenes alone                      | list newmark --draw
 leave out --json                           | list pendulum --draw --json
 --out goes with --draw                     | list --out pages

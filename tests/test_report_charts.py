@@ -216,6 +216,24 @@ def test_a_study_chooses_what_is_drawn_over_time_or_over_another_component(style
     assert "q2" not in first
 
 
+def test_a_trajectory_has_every_value_of_the_runs_and_of_the_reference():
+    runs = [(k, curves(1.0, {"q": 2, "lam": 1}, size)) for k, size in (("one", 1.1), ("two", 1.2))]
+    reference = curves(1.0, {"q": 2, "lam": 1})
+    styles, names = line_styles(["one", "two"]), {"q": ["X [m]", "Y [m]"]}
+    chart = trajectory_chart(runs, reference, ["q", "lam"], styles, names)
+    axes = [panel["layer"][-1]["encoding"]["y"] for panel in chart["concat"]]
+    titles = {"q0": "q[X] in m", "q1": "q[Y] in m", "lam0": "lam[1]"}
+    assert {axis["field"]: axis["title"] for axis in axes} == titles
+    for table, drawn in (("runs", runs), ("reference", [("reference", reference)])):
+        shown = [(r["series"], *(float(r[c]) for c in ("t", *titles))) for r in
+                 chart_rows(chart, table)]  # fmt: skip
+        assert shown == [
+            (label, *map(near, (t, *q, *lam)))
+            for label, run in drawn
+            for t, q, lam in zip(run.t, run.values["q"], run.values["lam"], strict=True)
+        ]
+
+
 def test_a_chart_shows_few_rows_and_the_last_among_them():
     count = 3 * MOST_ROWS + 1
     t = [float(k) for k in range(count)]

@@ -74,10 +74,8 @@ def test_the_commands_of_readme_run_and_say_what_it_shows(tmp_path):
 
 def test_the_tutorial_leaves_what_it_promises(folder):
     assert (folder / "first" / "report.html").stat().st_size > 0
-    assert (folder / "cost.pdf").read_bytes().startswith(b"%PDF")
-    assert (folder / "acceleration.png").read_bytes().startswith(b"\x89PNG")
-    words = " ".join(ElementTree.parse(folder / "orders.svg").getroot().itertext())
-    assert "my_method" in words
+    charts = [ElementTree.parse(p) for p in (folder / "first" / "report_figures").glob("*.svg")]
+    assert any("my_method" in " ".join(chart.getroot().itertext()) for chart in charts)
 
 
 def test_fewer_corrections_change_the_work_and_the_errors_of_one_method(folder):

@@ -268,11 +268,6 @@ _OPTIONS = {
     "single_file": ("--single-file", "One HTML file that holds all pages, to mail.", _FLAG),
     "opened": ("--open", "Open the pages in the browser, too.", _FLAG),
     "as_csv": ("--csv", "Write all records as comma-separated rows.", _FLAG),
-    "figure": ("--figure", "Write one figure for a paper, as wide as a column: work_precision, "
-               "convergence, trajectory or errors_over_time.", _is(metavar="KIND")),
-    "scene": ("--scene", "Figure: the scene; may be left out if the folder has one.", _NAME),
-    "component": ("--component", "Figure: what a trajectory shows, as a:Y; q:1 if not given.",
-                  _is(metavar="GROUP:PLACE")),
     # of files, processes and answers
     "draw": ("--draw", "Write pages of these scenes, or of all.", _FLAG),
     "animate": ("--animate", "Write a page that plays the motion, offline.", _FLAG),

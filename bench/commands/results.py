@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import webbrowser
-from pathlib import Path
 
 import click
 import msgspec
@@ -14,7 +13,7 @@ from bench.commands.options import Given
 from bench.commands.suite import write_reports
 from bench.results.flat_rows import csv_text, flatten
 from bench.results.folders import compare_folders, regressions
-from bench.results.quantities import ASKED, COST, ERROR_NAMES, NORM, NORMS
+from bench.results.quantities import ASKED, ERROR_NAMES, NORM, NORMS
 from bench.results.store import Store
 from bench.results.table import Table, formatted
 from problems.base.spec import SpecError
@@ -24,51 +23,30 @@ from reports.series import Series, series_of
 _PAGE = "report.html"
 #: Most regressions that are named on the screen.
 _NAMED = 10
-#: Options of a figure.
-_QUESTION = ("scene", "error", "cost", "component", "integrators", "t_end")
 
 
 @options.command(
     "report",
-    "folder single_file opened as_csv as_json figure scene error cost component integrators t_end "
-    "file",
+    "folder single_file opened as_csv as_json file",
     as_json={"help": "Write them as a JSON array of flat rows."},
-    error={"help": f"Figure: which error, as a:end; q:{NORM} if not given."},
-    cost={"help": f"Figure: seconds, or a count as residuals or steps; {COST} if not given.",
-          "metavar": None},
-    integrators={"help": "Figure: only this integrator; repeatable."},
-    t_end={"help": "Figure: end time in s, if FOLDER has the scene with several."},
-    file={"help": "File of rows, which ends in .csv or .json (the screen if not given), or of a "
-          "figure, which ends in .svg, .png, .pdf or .json (Vega-Lite; KIND.svg if not given)."},
+    file={"help": "File of rows, which ends in .csv or .json; the screen if not given."},
 )  # fmt: skip
 def report(o: Given) -> None:
-    """Make the report pages anew from the results in FOLDER, or write rows or a figure of them.
+    """Make the report pages anew from the results in FOLDER, or write rows of them.
 
     \b
     Examples:
       stepbench report --open
       stepbench report stepbench-results --csv -o records.csv
-      stepbench report --figure convergence --scene pendulum --error lam:settled \\
-          -i newmark -i hht -o orders.pdf
     """
     pages = "--open" if o.opened else "--single-file"
     asked = {pages: o.opened or o.single_file, "--csv": o.as_csv, "--json": o.as_json}
     wanted = [name for name, given in asked.items() if given]
-    wanted += ["--figure"] * (o.figure is not None)
     if len(wanted) > 1:
         raise SpecError(f"{wanted[0]} and {wanted[1]} do not go together; give one of them.")
-    if o.figure is None:
-        options.refuse("belongs to a figure; name its kind by --figure.", *_QUESTION)
     ending = o.file.suffix.lower().removeprefix(".") if o.file else ""
     form = "csv" if o.as_csv else "json" if o.as_json else "" if wanted else ending
-    if o.figure is not None:
-        from reports.figures import write_figure
-
-        # What the question leaves open, the writer decides.
-        question = {key: value for key in _QUESTION if (value := getattr(o, key)) not in (None, ())}
-        file = write_figure(o.figure, o.folder, o.file or Path(f"{o.figure}.svg"), **question)
-        click.echo(f"Figure: {file}")
-    elif form in ("csv", "json"):
+    if form in ("csv", "json"):
         if ending in {"csv", "json"} - {form}:
             raise SpecError(
                 f"{o.file} ends in .{ending} and --{form} was given; leave one of them out."
@@ -81,7 +59,7 @@ def report(o: Given) -> None:
             o.file.write_text(text, encoding="utf-8")
         click.echo(f"{len(rows)} records in {o.file}" if o.file else text, nl=bool(o.file))
     elif o.file:
-        raise SpecError(f"{o.file} is for rows or for a figure; say --csv, --json or --figure.")
+        raise SpecError(f"{o.file} is for rows; say --csv or --json.")
     else:
         Store(o.folder).close()  # says clearly if there is none
         write_reports(o.folder, o.single_file)

@@ -14,11 +14,8 @@ from reports.questions import Question
 from reports.series import Series, ok_runs, reference_error, step_or_tolerance
 
 #: Titles of what errors are shown against.
-ACROSS = {name: cost.title for name, cost in COSTS.items()} | {
-    "h": "step size h in s",
-    "rtol": "relative tolerance",
-}
-ACROSS |= {group: f"relative error in {name}" for group, name in ERROR_NAMES.items()}
+_ACROSS = {name: cost.title for name, cost in COSTS.items()} | {"h": "step size h in s"}
+_ACROSS |= {group: f"relative error in {name}" for group, name in ERROR_NAMES.items()}
 #: A reference's error is drawn if it lies less than this factor below the errors.
 _DEEP = 1e3
 #: Number formats of an axis by its field; counts have a suffix.
@@ -71,7 +68,7 @@ def error_charts(
     norm: str = NORM,
     notes: Mapping[str, str] | None = None,
 ) -> vl.Spec | None:
-    """Errors in the groups against some of `ACROSS`, a panel each; None if all are empty.
+    """Errors in groups against "h", costs or other errors, a panel each; None if all are empty.
 
     ``notes`` stand after the names of integrators in the legend.
     """
@@ -102,7 +99,7 @@ def run_rows(
         for r in s.ok:
             row: dict[str, Any] = {"series": s.label, "run": r.resolution}
             for name in places:
-                value = getattr(r, name) if name in ("h", "rtol") else r.cost(name)
+                value = r.h if name == "h" else r.cost(name)
                 row[name] = value if isinstance(value, int) else vl.short(value)
             errors = {f"{g}_{norm}": e for g in shown if (e := vl.short(r.error(g, norm)))}
             rows += [row | errors] if errors else []
@@ -118,7 +115,7 @@ def _panel(
     norm: str,
     first: bool,
 ) -> vl.Spec | None:
-    """Error of a group against one of `ACROSS`, log-log; None if there is nothing to draw.
+    """Error of a group against one of `_ACROSS`, log-log; None if there is nothing to draw.
 
     Guides to the eye are behind: the reference's own error unless it lies far below, the slopes of
     whole orders, or where both errors are the same.
@@ -127,13 +124,13 @@ def _panel(
     rows = [row for row in data.rows if row.get(x) and row.get(y)]
     if not rows:
         return None
-    zoom = f"zoom_{across}_{group.strip('|')}"
+    zoom = f"zoom_{across}_{group}"
 
     def place(field: str, name: str, **more: Any) -> vl.Spec:
         values = [row[field] for row in rows]
         axis = vl.log_axis(values, _FORMATS.get(name, "~s"), f"{zoom}['{field}']", **more)
         told = f", {NORMS[norm]}" if name in ERROR_NAMES and norm != NORM else ""
-        return vl.log_quantity(field, title=ACROSS[name] + told, axis=axis)
+        return vl.log_quantity(field, title=_ACROSS[name] + told, axis=axis)
 
     behind = []
     floor, lowest = reference_error(ok_runs(series), group, norm), min(row[y] for row in rows)
@@ -153,7 +150,7 @@ def _panel(
         at = {name: vl.log_quantity(name) for name in "xy"}
         behind += _guide(ends, at, type="line", strokeWidth=1, strokeDash=[5, 5])
     tooltip = [vl.category("series", title="integrator"), vl.category("run", title="resolution")]
-    titles = {y: f"error in {group}"} | {n: ACROSS[n] for n in ("seconds", COST)}
+    titles = {y: f"error in {group}"} | {n: _ACROSS[n] for n in ("seconds", COST)}
     titles |= {x: f"error in {across}"} if across in ERROR_NAMES else {}
     tooltip += [vl.quantity(name, title=text, format=".3g") for name, text in titles.items()]
     bright = {"x": place(x, across), "y": place(y, group, minExtent=38)}

@@ -56,7 +56,7 @@ def pictures(charts: Mapping[str, Spec]) -> dict[str, Picture]:
 
 
 def picture(chart: Spec, form: str = "svg", **options: float) -> Picture:
-    """Draw one chart as "svg", "png" or "pdf", with options of vl-convert for this form.
+    """Draw one chart as "svg" or "png", with options of vl-convert for this form.
 
     The text of a chart is clean: at a null character the library would end this process.
     """

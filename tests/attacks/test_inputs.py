@@ -29,18 +29,9 @@ RIGHT = {
     # Parameters that only other arguments take:
     **{f"solve {name}": "pendulum ida" for name in ("rtol", "atol")},
 }  # fmt: skip
-FIGURES = {
-    **dict.fromkeys(("kind", "scene", "error", "integrators", "t_end"), "convergence"),
-    "cost": "work_precision",
-    "component": "trajectory",
-}
 #: Options that go with the arguments or with the parameter that is wrong.
 NEEDED = {
     "realtime": {"rate": "--rate 1000"},
-    **{
-        f"report {option}": {"scene": "--scene pendulum", "kind": f"--figure {kind}"}
-        for option, kind in FIGURES.items()
-    },
 }
 #: Not wrong there: these commands tell of a plugin that is of no use.
 TOLD = re.compile(

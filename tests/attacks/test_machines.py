@@ -98,7 +98,6 @@ READ_ONLY = {
     "run": ("run $T --out $D/out", "Read-only file system"),
     "report": ("report $D/out", "The results are stored."),
     "export": ("report $D/out --csv -o $D/x.csv", "Read-only file system"),
-    "figure": ("report $D/out --figure work_precision --scene oscillator -o $D/f.svg", "Read-only"),
     "show": ("show oscillator -o $D/scene.svg", "Read-only"),
 }
 
