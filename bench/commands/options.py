@@ -6,7 +6,6 @@ A command is a function of one namespace, which has the values of all its parame
 from __future__ import annotations
 
 import os
-import re
 import stat
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, wraps
@@ -134,12 +133,6 @@ class PathName(click.Path):
         except OSError as error:
             self.fail(f"{text!r} names no {self.kind}: {error.strerror}.", param, ctx)
         return path
-
-
-def _address(_: click.Context, __: click.Parameter, text: str | None) -> str | None:
-    if text is not None and not re.fullmatch(r"\S+:\d{1,5}", text):
-        raise click.BadParameter(f"{text!r} is no address; give one such as tcp://head:8786.")
-    return text
 
 
 def _numbers(_: click.Context, __: click.Parameter, text: str | None) -> tuple[float, ...] | None:
@@ -281,8 +274,6 @@ _OPTIONS = {
     "fresh": ("--fresh", "Forget earlier results in that folder.", _FLAG),
     "jobs": ("--jobs", "Worker processes; timing is done by one at a time.",
              _is(click.IntRange(1, 1000), default=2)),
-    "cluster": ("--cluster", "Measure on the workers of a dask scheduler, such as tcp://host:8786; "
-                "timing stays here.", _is(metavar="ADDRESS", callback=_address)),
     "as_json": ("--json", "Print JSON instead of a table.", _FLAG),
 }  # fmt: skip
 

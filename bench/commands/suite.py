@@ -19,7 +19,7 @@ from bench.running.inventory import Inventory, SceneFacts
 from bench.running.plan import ProfileFile, StudyFile, Suite, make_suite, read_profile
 from bench.running.process import Limits
 from bench.running.recommend import Recommendation
-from bench.running.runner import runner_for
+from bench.running.runner import Runner
 from bench.running.session import measure_suite, time_suite
 from problems.base.cache import put
 from problems.base.spec import SpecError
@@ -32,12 +32,7 @@ FILE = "recommendation.json"
 
 
 def run_suite(
-    suite: Suite,
-    registry: Inventory,
-    out: Path,
-    fresh: bool = False,
-    jobs: int = 2,
-    cluster: str | None = None,
+    suite: Suite, registry: Inventory, out: Path, fresh: bool, jobs: int
 ) -> tuple[list[Record], list[str]]:
     """Measure what a folder lacks of a suite, with a progress bar, and store it; return the records
     of its cells, and sentences that count what was run."""
@@ -50,8 +45,7 @@ def run_suite(
     limits = suite.plan.budget_s, suite.memory_gib
     with (
         RunProgress() as progress,
-        # A cluster answers before it counts.
-        runner_for(jobs, Limits(*limits), progress, cluster) as runner,
+        Runner(jobs, Limits(*limits), progress) as runner,
         Store(out, create=True, fresh=fresh) as store,
     ):
         remark("Finished runs are stored; the same command goes on.")
@@ -95,7 +89,7 @@ def write_reports(folder: Path, single_file: bool = False) -> None:
 # ---- suites ------------------------------------------------------------------------------
 @options.command(
     "run",
-    "suite problems integrators mine settings out fresh jobs cluster budget plugins",
+    "suite problems integrators mine settings out fresh jobs budget plugins",
     budget={"help": "Processor time of a run in s, after which it is stopped; the suite's if not "
             "given. Runs that a smaller budget stopped are run again.", "default": None},
     out=RESULTS,
@@ -112,7 +106,6 @@ def run_(o: Given) -> None:
       stepbench run paper --out paper-results
       stepbench run -p pendulum -i ida -i "generalized_alpha[rho_inf=0.6]"
       stepbench run --mine my_method --plugins my_method.py
-      stepbench run full --cluster tcp://head:8786
     """
     if not o.problems:
         options.refuse("belongs to scenes; name them with -p.", "settings")
@@ -126,7 +119,7 @@ def run_(o: Given) -> None:
             f"{o.out}. Other suites: stepbench list suites",
             err=True,
         )
-    records, told = run_suite(suite, registry, o.out, o.fresh, o.jobs, o.cluster)
+    records, told = run_suite(suite, registry, o.out, o.fresh, o.jobs)
     from reports.verdicts import method_card
 
     answer, *others = method_card(o.out, "")

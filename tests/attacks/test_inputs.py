@@ -51,10 +51,6 @@ REAL = ANY | {
 }  # fmt: skip
 WHOLE = REAL | {"digits": "9" * 5000, "many": "9" * 30, "half": "1.5", "zero": "-0.0"}
 LIST = ANY | {"nans": "0.1,nan,0.2", "gap": "0.1,,0.2", "comma": ",", "minus": "-0.1,-0.2,0.3"}
-ADDRESS = ANY | {
-    "no port": "tcp://head", "port": "tcp://head:99999999999", "protocol": "file:///etc/passwd",
-    "space": "tcp://he ad:8786",
-}  # fmt: skip
 PLACE = {
     "pipe": "{odd}/pipe", "socket": "{odd}/socket", "null device": "/dev/null",
     "full device": "/dev/full", "below a file": "{odd}/file.txt/below", "long": "x" * 10_000,
@@ -73,8 +69,6 @@ def wrong_values(parameter: click.Parameter) -> dict[str, str]:
         return PLACE | (
             {"file": "{odd}/file.txt"} if kind.kind == "folder" else {"folder": "{odd}"}
         )
-    if parameter.name == "cluster":
-        return ADDRESS
     if parameter.name == "plugins":
         return PLUGIN
     if isinstance(kind, click.types.IntParamType):

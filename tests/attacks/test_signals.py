@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 
-import psutil
 import pytest
 from busy_methods import BUSY
 from planted import everything, plant
@@ -281,22 +280,6 @@ def test_a_killed_worker_costs_one_cell(folder, number, how):
         again = Started(folder, *BUSY_RUN)
         assert again.finish() == 0, again.said
         assert "1 measured now, 3 kept from before" in again.said
-
-
-@attack
-@pytest.mark.parametrize("number", [KILL, INT])
-def test_workers_of_a_cluster_stop_when_the_command_has_ended(folder, number):
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as cluster:
-        process, number_of_worker = held(folder, "locks", "--cluster", cluster.scheduler_address)
-        worker = psutil.Process(number_of_worker)
-        process.process.send_signal(number)
-        process.process.wait(promised_seconds())
-        assert "Traceback" not in process.said
-        worker.wait(2 * promised_seconds())
-        process.check_nothing_left()
 
 
 # ---- halts and load ------------------------------------------------------------------------
