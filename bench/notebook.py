@@ -67,8 +67,6 @@ class Solution:
     def _repr_svg_(self) -> str | None:
         from reports.charts.notebooks import solution_chart
 
-        if not self._rows.t:
-            return None
         return solution_chart(self.integrator, self._rows, self.components)
 
 
@@ -165,19 +163,14 @@ def solve(
     sizes = {"step": step, "pattern": fractions, "rtol": rtol, "atol": atol, "t_end": t_end}
     asked = problem, integrator, plugins, budget_of(budget), OnStandardError()
     (record, rows), names = run_one(*asked, parameters=parameters, samples=samples, **sizes)
+    same = "problem", "integrator", "resolution", "status", "errors", "work", "seconds"
     return Solution(
-        problem=record.problem,
-        integrator=record.integrator,
-        resolution=record.resolution,
-        status=record.status,
+        **{name: getattr(record, name) for name in same},
+        **{group: _array(rows, group) for group in GROUPS},
         message=" ".join(record.notes) or record.message,
         t=np.array(rows.t),
-        **{group: _array(rows, group) for group in GROUPS},
         components=names,
-        errors=record.errors,
-        work=record.work,
         operations=record.cost("operations"),
-        seconds=record.seconds,
         _rows=rows,
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -48,7 +47,7 @@ class Series:
     def resolutions(self) -> str:
         """The resolutions from coarse to fine: 'h=0.1 to 0.01 (4)'."""
         name = "h" if self.controls == "step" else "rtol"
-        values = [number(step_or_tolerance(r)) for r in self.records]
+        values = [number(r.size) for r in self.records]
         return f"{name}={' to '.join(dict.fromkeys((values[0], values[-1])))} ({len(values)})"
 
     def nearest(self, group: str, norm: str = NORM) -> tuple[float, Record] | None:
@@ -66,7 +65,7 @@ class Series:
         if (group, norm) not in self._fits:
             groups = dict.fromkeys([*groups_of(self.ok), group])
             fits = fit_orders(
-                [step_or_tolerance(r) for r in self.ok],
+                [r.size for r in self.ok],
                 {g: [r.error(g, norm) for r in self.ok] for g in groups},
                 {g: reference_error(self.ok, g, norm) for g in groups},
             )
@@ -80,12 +79,7 @@ def series_of(records: Iterable[Record]) -> list[Series]:
     for record in records:
         groups.setdefault(label_of(record), []).append(record)
     return [
-        Series(
-            label,
-            rs[0].family,
-            rs[0].controls,
-            tuple(sorted(rs, key=step_or_tolerance, reverse=True)),
-        )
+        Series(label, rs[0].family, rs[0].controls, tuple(sorted(rs, key=lambda r: -r.size)))
         for label, rs in groups.items()
     ]
 
@@ -100,12 +94,6 @@ def label_of(record: Record) -> str:
     if len(record.pattern) == 1:
         return record.integrator
     return f"{record.integrator} x {'/'.join(f'{f:g}' for f in record.pattern)}"
-
-
-def step_or_tolerance(record: Record) -> float:
-    """The step size h in s, or the relative tolerance of an adaptive run."""
-    value = record.h if record.controls == "step" else record.rtol
-    return math.nan if value is None else value
 
 
 def reference_error(records: Iterable[Record], group: str, norm: str) -> float:

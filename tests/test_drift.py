@@ -100,7 +100,7 @@ def test_the_command_prints_json_writes_a_page_and_tells_what_failed(stepbench, 
     assert "<svg" in page
     assert "energy [1]" in Document(page).words
     with Store(tmp_path) as store:
-        assert len(store.long_runs()) == 2
+        assert len(store.values(LongRun)) == 2
     assert "bdf2" in stepbench(*line).stdout
 
 

@@ -16,6 +16,7 @@ from small_stores import A_LONG_RUN, A_SCENE, AN_EXPERIMENT, NO_ROWS, a_record, 
 
 from bench.results.records import Plan, Rows, Study
 from bench.results.store import FILE, Store, StoreError
+from bench.results.studies import LongRun
 from bench.running.inventory import Inventory
 from bench.running.plan import ProfileFile, StudyFile, Suite, make_suite
 from bench.running.process import NoAnswer
@@ -64,7 +65,7 @@ def test_everything_written_is_read_back(tmp_path):
         assert store.environments() == {number: MACHINE}
         assert store.scenes() == {("pendulum", 1.35): A_SCENE}
         assert store.experiments() == {"e": AN_EXPERIMENT}
-        assert store.long_runs() == {A_LONG_RUN.key: A_LONG_RUN}
+        assert store.values(LongRun) == {A_LONG_RUN.key: A_LONG_RUN}
         assert store.rows("k") == rows
         assert store.records()["k"] == a_record(
             environment=number, run_s=[0.1, 0.2, 0.05], rounds=[(number, k) for k in range(3)]

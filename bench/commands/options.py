@@ -63,17 +63,11 @@ class Given(SimpleNamespace):
     @cached_property
     def asked_methods(self) -> list[MethodFacts]:
         """The integrators that are named; SpecError if one is named twice."""
-        names = self.names if hasattr(self, "names") else [self.integrator]
-        methods = [self.registry.integrator(name) for name in names]
+        methods = [self.registry.integrator(name) for name in self.names]
         for k, method in enumerate(methods):
             if method in methods[:k]:
                 raise SpecError(f"{method.spec} is named twice.")
         return methods
-
-    @property
-    def sizes(self) -> dict[str, Any]:
-        """The values of the options for steps and tolerances."""
-        return {name: getattr(self, name) for name in ("step", "pattern", "rtol", "atol")}
 
     def guarded(
         self, about: str, job: Callable[..., Any], sources: Sources, *arguments: Any
@@ -174,7 +168,6 @@ def _is(kind: Any = None, metavar: str | None = None, **more: Any) -> dict[str, 
 _MANY: dict[str, Any] = {"nargs": -1}
 _FOLDER, _FILE = PathName("folder"), PathName("file")
 _NAME, _REAL, _FLAG = _is(), _is(float), _is(is_flag=True)
-_LIMITS = {"callback": lambda _, __, text: {} if text is None else read_limits(text)}
 #: Arguments by the names of their values.
 _ARGUMENTS = {
     "problem": _is(metavar="SCENE"),
@@ -256,7 +249,8 @@ _OPTIONS = {
     "limits": ("--fail-on", "Exit with 1 if an error, work or time is more than RATIO times the "
                "old one, as in error:1.1,work:1.05,time:1.5, or a run no longer reaches the end; "
                "with 'vanished', also if NEW lacks a run.",
-               _is(metavar="KIND:RATIO,...") | _LIMITS),
+               _is(metavar="KIND:RATIO,...",
+                   callback=lambda _, __, text: {} if text is None else read_limits(text))),
     # of reports
     "single_file": ("--single-file", "One HTML file that holds all pages, to mail.", _FLAG),
     "opened": ("--open", "Open the pages in the browser, too.", _FLAG),

@@ -163,7 +163,7 @@ def judge(o: Given) -> None:
     if o.out:
         with Store(o.out, create=True) as store:
             store_judgement(store, found)
-        write_reports(o.out, False)
+        write_reports(o.out)
     o.faults += [f"{r.resolution}: {r.status}: {r.message}" for r in records if r.status != "ok"]
 
 

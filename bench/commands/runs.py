@@ -39,9 +39,9 @@ def solve_(o: Given) -> None:
       stepbench solve pendulum ida --rtol 1e-8 --set th0=3.0 --json
     """
     asked = o.problem, o.integrator, o.plugins, o.budget
-    more = {"parameters": o.settings, "t_end": o.t_end, **o.sizes}
+    sizes = {name: getattr(o, name) for name in ("step", "pattern", "rtol", "atol", "t_end")}
     with RunProgress() as progress:
-        (record, rows), names = solve(*asked, progress, **more)
+        (record, rows), names = solve(*asked, progress, parameters=o.settings, **sizes)
     last = {name: values[-1] for name, values in rows.values.items() if rows.t}
     found = {
         **{name: getattr(record, name) for name in _BEFORE},

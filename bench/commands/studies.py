@@ -13,7 +13,7 @@ from bench.commands import options
 from bench.commands.options import SYSTEMS, Given
 from bench.commands.terminal import RunProgress, show
 from bench.results.store import Store
-from bench.results.studies import drift_table, part_table
+from bench.results.studies import LongRun, drift_table, part_table
 from bench.running.interrupts import remark
 from integrators.resolutions import Steps, check_end
 from problems.base.spec import SpecError
@@ -54,7 +54,7 @@ def drift(o: Given) -> None:
                 o.faults.append(f"{run.integrator}: {run.status}: {run.message}")
         if results:
             o.answer(results, f"{scene.spec}, h={results[0].h:g} s", drift_table(results))
-            click.echo(f"Page: {write_drift_page(store.long_runs(), o.out)}", err=o.as_json)
+            click.echo(f"Page: {write_drift_page(store.values(LongRun), o.out)}", err=o.as_json)
 
 
 @options.command(

@@ -25,8 +25,6 @@ from problems.base.cache import put
 from problems.base.spec import SpecError
 from problems.base.text import said
 
-#: What a report shows of runs that were made for their orders.
-_FIGURES = ("orders", "convergence")
 #: File of a recommendation in its folder.
 FILE = "recommendation.json"
 
@@ -207,7 +205,7 @@ def suite_of_orders(
         t_end=t_end,
         steps=list(steps) if steps else None,  # halvings of the scene's own
         pattern=tuple(pattern or (1.0,)),
-        figures=_FIGURES,
+        figures=("orders", "convergence"),
     )
     profile = ProfileFile(study=[study], samples=0, budget_s=budget)
     return make_suite("orders", profile, registry, [scene.spec])

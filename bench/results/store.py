@@ -153,8 +153,8 @@ class Store(ExitStack):
         """Return the values of a kind with keys from ``first`` to ``last``, in the order in which
         they were kept."""
         select = "SELECT key, value FROM results WHERE kind = ? AND key BETWEEN ? AND ?"
-        rows = self._read(f"{select} ORDER BY rowid", kind.__name__, first, last)
         with self._errors(f"A {kind.__name__} in the store {self._path} cannot be read"):
+            rows = self._db.execute(f"{select} ORDER BY rowid", (kind.__name__, first, last))
             return {k: msgspec.json.decode(zlib.decompress(raw), type=kind) for k, raw in rows}
 
     def plan(self) -> Plan | None:
@@ -174,10 +174,6 @@ class Store(ExitStack):
         """Results of the experiments of the atlas by name, in the order of their numbers."""
         found = self.values(ExperimentResult)
         return dict(sorted(found.items(), key=lambda pair: pair[1].number))
-
-    def long_runs(self) -> dict[str, LongRun]:
-        """Long runs by key, in the order in which they were kept."""
-        return self.values(LongRun)
 
     def records(self) -> dict[str, Record]:
         """All finished cells by key, in the order of the plan; others come last."""
@@ -224,10 +220,6 @@ class Store(ExitStack):
             delete = "DELETE FROM results WHERE kind = 'Rows' AND key = ?"
             db.executemany(delete, [(key,) for key in forgotten])
             db.executemany(_KEEP, kept)
-
-    def _read(self, sql: str, *parameters: object) -> list[tuple]:
-        with self._errors(f"The store {self._path} cannot be read"):
-            return self._db.execute(sql, parameters).fetchall()
 
     @contextmanager
     def _errors(self, words: str, advice: str = _WAY_OUT) -> Iterator[None]:

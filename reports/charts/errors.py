@@ -11,7 +11,7 @@ from reports.charts.line_styles import LineStyle
 from reports.formatting import order_text
 from reports.names import scene_name
 from reports.questions import Question
-from reports.series import Series, ok_runs, reference_error, step_or_tolerance
+from reports.series import Series, ok_runs, reference_error
 
 #: Titles of what errors are shown against.
 _ACROSS = {name: cost.title for name, cost in COSTS.items()} | {"h": "step size h in s"}
@@ -185,7 +185,7 @@ def _slopes(series: Sequence[Series], group: str, norm: str) -> Iterator[dict[st
         whole = round(fit.order or 0.0) if fit.verdict == "converges" else 0
         if fit.window and fit.order and whole > 0 and abs(fit.order - whole) <= _NEAR:
             coarse, fine = fit.window
-            last = min(s.ok, key=lambda r, h=fine: abs(step_or_tolerance(r) - h))
+            last = min(s.ok, key=lambda r, h=fine: abs(r.size - h))
             own = _CLEAR * (last.error(group, norm) or 0.0), fine, coarse
             ends.setdefault(whole, []).append(own)
     for order in sorted(ends):

@@ -8,6 +8,7 @@ from bench.results.demands import overviews
 from bench.results.quantities import TRUST, quantity
 from bench.results.records import NOT_TRIED
 from bench.results.store import Store
+from bench.results.studies import LongRun
 from reports.charts.errors import error_against_cost
 from reports.charts.line_styles import line_styles
 from reports.charts.work import size_charts
@@ -70,7 +71,7 @@ class Report:
             self._failures(),
             Page("orders.html", "Orders", learn, [Section(t.caption, [t]) for t in orders]),
             jumps_page(stored),
-            drift_page(store.long_runs()),
+            drift_page(store.values(LongRun)),
             atlas_page(list(stored.atlas.values())),
             self._measured(),
         ]

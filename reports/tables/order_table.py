@@ -14,7 +14,7 @@ from bench.results.store import Store
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, number, order_text
 from reports.names import short_names
-from reports.series import Series, groups_of, ok_runs, series_of, step_or_tolerance
+from reports.series import Series, groups_of, ok_runs, series_of
 from reports.wrong import STUCK, Atlas, explained
 
 #: The figure of a study that asks for the table.
@@ -105,7 +105,7 @@ def lost_orders_table(
             if fit.verdict == STUCK:
                 name = "h" if s.controls == "step" else "rtol"
                 ends = [
-                    f"{number(r.error(group, NORM))} at {name}={number(step_or_tolerance(r))}"
+                    f"{number(r.error(group, NORM))} at {name}={number(r.size)}"
                     for r in (s.ok[0], s.ok[-1])
                 ]
                 found = f"none: error {', '.join(ends)}"
