@@ -41,7 +41,6 @@ from reports.questions import (
     kind_of,
     listed,
     method_ref,
-    named,
     tag_name,
 )
 from reports.ranking import Answer, SceneAnswer, answers
@@ -276,14 +275,18 @@ def _failed(scene: str, report: Report) -> list[Sentence]:
     failed = [r for r in runs if r.status != "ok"]
     if not failed:
         return []
-    ends = Counter(r.status for r in failed).most_common()
-    how = named(f"{count} {_ENDS.get(end) or end.replace('_', ' ')}" for end, count in ends)
-    whose = Counter(map(label_of, failed)).most_common()
-    who = listed(([method_ref(label, report.names), f" ({n})"] for label, n in whose), len(whose))
+    ends: dict[str, Counter[str]] = {}
+    for r in failed:
+        ends.setdefault(r.status, Counter())[label_of(r)] += 1
+    how: list[Sentence] = []
+    for end, whose in sorted(ends.items(), key=lambda item: -item[1].total()):
+        who = ([method_ref(label, report.names), f" ({n})"] for label, n in whose.most_common())
+        words = _ENDS.get(end) or end.replace("_", " ")
+        how.append([*listed(who, len(whose)), f" {words}"])
     hard = report.stored.scenes[scene].difficulties[:1] if scene in report.stored.scenes else []
-    lead = f"Failed: {len(failed)} of {counted(len(runs), 'run')}, of "
+    lead = f"Failed: {len(failed)} of {counted(len(runs), 'run')}: "
     why = [f". Hard here: {hard[0]}."] if hard else ["."]
-    return [[lead, *who, f": {how} (", Ref("failed", scene, "reasons"), ")", *why]]
+    return [[lead, *listed(how, len(how)), " (", Ref("failed", scene, "reasons"), ")", *why]]
 
 
 def _wrong(report: Report, group: str, chosen: Filters) -> dict[str, Any]:

@@ -37,18 +37,18 @@
       if (question.group !== "a" && data.scenes[scene].wrong_a.includes(m)) said.push(data.wrong_a);
       return [stepbench.methodRef(m), ` (${said.join("; ")})`];
     };
-    const next = own.second;
-    const rest = next !== null ? ["; next: ", stepbench.methodRef(next), `, ${stepbench.multiple(own.states[next][0])} times.`]
+    const next = own.second, rest = next !== null ? ["; next: ", stepbench.methodRef(next), `, ${stepbench.multiple(own.states[next][0])} times.`]
       : own.votes && own.first.length < 2 ? closest : [own.votes ? "." : "; none to compare."];
     return [...stepbench.listed(own.first.map(run)),
       own.first.length > 1 ? " tie" : own.votes && next === null ? " alone reaches it" : " is cheapest", ...rest];
   };
   // Whom to avoid on a scene: those that cost ten times the least or more, and those that do not reach the accuracy.
-  const avoided = ({ first, second, states }, question) => {
+  const avoided = (scene, { first, second, states }, question) => {
     const of = (is) => [...states.entries()].filter(([, state]) => state !== null && is(state)), { listed, methodRef, multiple } = stepbench;
+    const how = ([m]) => columnOf(runsOf(scene, m), question.group).some((error) => error > Number(question.target)) ? "in fine runs alone" : "in every run";
     const dear = of(([ratio]) => ratio >= 10).sort(([, [one]], [, [two]]) => two - one).map(([m, [ratio]]) => [methodRef(m), ` (${multiple(ratio)} ×)`]);
     const far = of((state) => state === "far" || state === "failed").map(([m]) => [methodRef(m)]);
-    if (stepbench.violation(question)) return [`${question.target} (relative) is held by `, ...listed(of(stepbench.reaches).map(([m]) => [methodRef(m)]), 99), "."];
+    if (stepbench.violation(question)) return [`${question.target} (relative) is held `, ...listed(Object.entries(Object.groupBy(of(stepbench.reaches), how)).map(([said, own]) => [`${said} by `, ...listed(own.map(([m]) => [methodRef(m)]), 99)])), "."];
     return second !== null ? [...(dear.length ? ["Costly: ", ...listed(dear), ". "] : []), ...(far.length ? ["Not reached by ", ...listed(far), "."] : [])] : [];
   };
   // The median of values with its interval, and the quotient of the times of two runs, as bench/results/timings.py has them.
@@ -86,7 +86,7 @@
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
     const scene = Number(place.dataset.verdict), own = stepbench.answer()[scene], relative = stepbench.violation(question);
     const aim = own?.reached ? [`To ${question.target}${relative ? " (relative)" : ""} in ${quantity(question)}: `] : [];
-    const others = own?.reached ? avoided(own, question).map(part) : [], verdict = [[...aim, ...stepbench.verdict(scene, question)].map(part), ...beside(scene, question)];
+    const others = own?.reached ? avoided(scene, own, question).map(part) : [], verdict = [[...aim, ...stepbench.verdict(scene, question)].map(part), ...beside(scene, question)];
     place.replaceChildren(...(relative ? [others, ...verdict] : [...verdict, others]).filter((parts) => parts.length).map((parts) => html("p", {}, ...parts)), ...stepbench.wrong("scenes", scene));
   });
 
