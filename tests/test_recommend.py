@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planted import MACHINE, planted
 
-from bench.results.demands import bracket, demand, overviews
+from bench.results.demands import bracket, demand
 from bench.results.quantities import NORMS
-from bench.results.records import UNSUPPORTED, Plan, Record, Rows, Study
+from bench.results.records import UNSUPPORTED, Record, Rows
 from bench.results.store import Store
 from bench.running import inventory, recommend
 from bench.running.inventory import Inventory
@@ -100,37 +100,6 @@ def test_demands_are_read_and_judged():
     for text in ("a", "a:", "a:0", "a:-1", "a:nan", "a:inf", ":1", "z:1", "a:b:1"):
         with pytest.raises(SpecError):
             demand(text)
-
-
-def test_the_table_of_a_suite_has_the_time_of_the_coarsest_good_run():
-    def run(scene, method, h, error, seconds, status="ok"):
-        return planted(
-            scene, method, {}, h=h, history_error=error, run_s=[seconds], status=status,
-        )  # fmt: skip
-
-    runs = [
-        run("s", "one", 0.1, 0.05, 1.0), run("s", "one", 0.01, 5e-4, 9.0),
-        run("s", "one", 0.02, 9e-4, 5.0), run("t", "one", 0.1, 9e-4, 3.0),
-        run("s", "two", 0.1, 0.05, 2.0), run("t", "two", 0.1, 0.0, 1.0, UNSUPPORTED),
-        run("s", "three", 0.1, 5e-4, 7.0), run("t", "three", 0.1, 2e-3, 2.0),
-        # Good by accident: a finer run is not.
-        run("s", "four", 0.1, 5e-4, 1.0), run("s", "four", 0.05, 0.01, 2.0),
-    ]  # fmt: skip
-    studies = [
-        Study(
-            title=scene, problem=scene, t_end=1.0, figures=[],
-            cells=[r.key for r in runs if r.problem == scene], demands=demands,
-        )
-        for scene, demands in (("s", ["points:1e-3", "no:1"]), ("t", ["points:1e-3"]), ("u", []))
-    ]  # fmt: skip
-    plan = Plan(name="", title="", samples=1, budget_s=1.0, studies=studies)
-    (table,) = overviews(plan, {r.key: r for r in runs})
-    assert table.head == ["integrator", "s", "t"]
-    assert table.rows == [
-        ["one", "5", "3"], ["three", "7", "not met"], ["two", "not met", "–"],  # noqa: RUF001
-        ["four", "not met", "–"],  # noqa: RUF001
-    ]  # fmt: skip
-    assert table.best == {(0, 1), (0, 2)}
 
 
 # ---- the race of all ---------------------------------------------------------------------
@@ -312,7 +281,8 @@ def test_constant_steps_win_where_they_are_cheapest_and_an_error_loses_nothing(
 
 
 def test_a_scene_without_points_is_judged_by_its_energy_or_says_why_not():
-    found = Recommendation(Inventory(), "pendulum", ["rattle"], rule="iftomm")
+    registry = Inventory()
+    found = Recommendation(registry, registry.problem("pendulum"), ["rattle"], rule="iftomm")
     assert found.remarks == ["pendulum names no points: its change of energy is judged."]
     demands = [str(race.asked) for race in found.races]
     assert demands == ["change of energy <= 0.1", "change of energy <= 0.001"]

@@ -70,8 +70,7 @@ spring_mass names no points                | recommend spring_mass ida --error p
 ranked by one error, and 2 are asked for   | recommend pendulum --rule iftomm
 or name integrators                        | recommend pendulum --error q:1 --error a:1
 No integrator takes heavy_top_so3          | recommend heavy_top_so3 rodas5p
-belong to one scene                        | recommend quick --t-end 1
-nothing.toml                               | recommend nothing.toml ida
+There is no scene 'quick'                  | recommend quick --t-end 1
 the scenes one, two; name one              | recommend two.py
 defines no MechatronicSystem               | recommend none.py
 

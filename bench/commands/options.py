@@ -180,7 +180,7 @@ _ARGUMENTS = {
     "experiments": _is(metavar="[EXPERIMENT]...") | _MANY,
     "kind": _is(click.Choice(["integrator", "problem"])),
     "name": _NAME,
-    "subject": _is(metavar="SCENE|FILE|SUITE"),
+    "subject": _is(metavar="SCENE|FILE"),
     "suite": _is(required=False),
     "folder": _is(_FOLDER, default=RESULTS),
     "old": _is(_FOLDER),

@@ -226,9 +226,9 @@ def recommend_(o: Given) -> None:
     steps and another Newton's method. FILE is a Python file with one scene, or a model of MuJoCo or
     URDF. The same command continues a search; a larger --budget tries more.
 
-    With INTEGRATOR or SUITE, the largest step or tolerance that meets every error is found for each
-    integrator, by bisection. The rule iftomm is that of the IFToMM benchmark library; on a scene
-    without named points it limits the change of energy.
+    With INTEGRATOR, the largest step or tolerance that meets every error is found for each one, by
+    bisection. The rule iftomm is that of the IFToMM benchmark library; on a scene without named
+    points it limits the change of energy.
 
     \b
     Examples:
@@ -236,7 +236,7 @@ def recommend_(o: Given) -> None:
       stepbench recommend my_scene.py --error q:1e-4 --cost operations
       stepbench recommend robot.xml --set contacts=left_out --budget 20
       stepbench recommend pendulum generalized_alpha ida --error a:1e-3
-      stepbench recommend iftomm --rule iftomm
+      stepbench recommend iftomm_pendulum rattle ida --rule iftomm
     """
     name = o.subject
     if name.endswith((".py", *SUFFIXES)):
@@ -250,7 +250,8 @@ def recommend_(o: Given) -> None:
             )
         (name,) = names
     asked = {"errors": o.errors, "rule": o.rule, "cost": o.ranked_by, "budget": o.budget}
-    found = Recommendation(o.registry, name, o.methods, **asked, t_end=o.t_end, settings=o.settings)
+    scene = o.registry.problem(name, **o.settings)
+    found = Recommendation(o.registry, scene, o.methods, **asked, t_end=o.t_end)
     for sentence in found.remarks:
         click.echo(sentence, err=True)
     with RunProgress(lines=False) as progress:
@@ -263,8 +264,8 @@ def recommend_(o: Given) -> None:
                 for race in found.races:
                     program = [race.program] if race.order else []
                     shown += [race.table(), *race.sentences(), *program]
-                o.answer(found.plain, *shown, *found.tables)
+                o.answer(found.plain, *shown)
     if not o.as_json:
         write_reports(o.out)
     if not any(race.order for race in found.races):
-        raise click.ClickException(f"No integrator reaches {found.about} on {found.name}.")
+        raise click.ClickException(f"No integrator reaches {found.about} on {scene.spec}.")

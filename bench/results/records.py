@@ -279,8 +279,7 @@ class SceneRecord(msgspec.Struct, kw_only=True):
 
 
 class Study(msgspec.Struct, kw_only=True, frozen=True):
-    """A part of a plan: some cells of one scene that belong on one chart. A rating's has the
-    ``demands`` on its errors, as `bench.results.demands.demand` reads them."""
+    """A part of a plan: some cells of one scene that belong on one chart."""
 
     title: str
     note: str = ""
@@ -289,7 +288,6 @@ class Study(msgspec.Struct, kw_only=True, frozen=True):
     figures: list[str]
     cells: list[str]
     components: list[str] = []
-    demands: list[Name] = []
 
 
 class MethodFacts(msgspec.Struct, kw_only=True, frozen=True):

@@ -101,11 +101,6 @@ def suite_titles() -> dict[str, str]:
     return {n: str(_read_toml(f).get("title", n)) for n, f in built_in_profiles().items()}
 
 
-def is_suite(name: str) -> bool:
-    """Whether a name is that of a suite that ships with the tool, or of a TOML file."""
-    return name in built_in_profiles() or name.endswith(".toml")
-
-
 def read_profile(name: str) -> tuple[str, ProfileFile]:
     """Read a built-in profile by name or any TOML file by path; return its name and contents.
 

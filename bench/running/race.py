@@ -139,11 +139,6 @@ class Candidate:
     refused: str = ""
 
     @property
-    def place(self) -> tuple[str, float]:
-        """The scene's printed name, and the end time in s."""
-        return self.scene.spec, self.t_end
-
-    @property
     def refusal(self) -> str:
         """The reason why the method does not take the scene, if so."""
         told = (r.message for r in self.runs.values() if r.status == UNSUPPORTED)
@@ -173,7 +168,8 @@ class Candidate:
     @property
     def best(self) -> Record | None:
         """The run with the coarsest good size, if there is one."""
-        return self.asked.best(self.runs.values())
+        good = bracket(self.errors, self.asked.limit).good
+        return None if good is None else self.runs[good]
 
     @property
     def shown(self) -> Record:

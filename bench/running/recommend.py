@@ -5,29 +5,19 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from bench.results.demands import ENERGY, POINTS, Demand, demand, overviews
+from bench.results.demands import ENERGY, POINTS, Demand, demand
 from bench.results.records import Record, Study
 from bench.results.store import Store
-from bench.results.table import Table
 from bench.running.interrupts import remark
 from bench.running.inventory import Inventory, SceneFacts
-from bench.running.plan import (
-    FIGURES,
-    Cell,
-    ProfileFile,
-    StudyFile,
-    Suite,
-    is_suite,
-    make_suite,
-    read_profile,
-)
+from bench.running.plan import FIGURES, Cell, ProfileFile, StudyFile, Suite, make_suite
 from bench.running.process import Limits
 from bench.running.race import FORMS, MOST_TIMED, SPREAD, TIE, Candidate, Race
 from bench.running.runner import Progress, Runner, Task
@@ -45,16 +35,14 @@ _STORED = "Finished runs are stored; the same command goes on."
 
 
 class Recommendation:
-    """A race of all methods that take a scene; or a search for each method that is named, or that
-    a suite has for its scenes.
+    """A race of all methods that take a scene; or a search for each method that is named.
 
     All methods have ``budget`` seconds together, and so are dropped as soon as they cannot win; of
     named ones it is the processor time in s after which a run is stopped. ``remarks`` are sentences
-    on what scenes lack, ``races`` are those of each scene and demand, and ``tables`` those of
-    several scenes. The name is that of a scene, perhaps with ``settings`` of its parameters and the
-    end time ``t_end`` in s; or of a suite. No ``methods`` stand for all, and for those of a suite.
-    ``errors`` are demands, as `bench.results.demands.demand` reads them; without any those of a
-    ``rule`` of `RULES`. ``cost`` is that of the ranking, "seconds" or "operations".
+    on what the scene lacks, ``races`` those of each demand. The run ends at ``t_end`` in s, or at
+    the scene's own end. ``errors`` are demands, as `bench.results.demands.demand` reads them;
+    without any those of a ``rule`` of `RULES`. ``cost`` is that of the ranking, "seconds" or
+    "operations".
 
     Raises
     ------
@@ -66,7 +54,7 @@ class Recommendation:
     def __init__(
         self,
         registry: Inventory,
-        name: str,
+        scene: SceneFacts,
         methods: Sequence[str] = (),
         *,
         errors: Sequence[str] = (),
@@ -74,52 +62,41 @@ class Recommendation:
         cost: str = "seconds",
         budget: float = 60.0,
         t_end: float | None = None,
-        settings: Mapping[str, str] | None = None,
     ) -> None:
         self.began, self.budget, self._registry = time.monotonic(), budget, registry
-        self.of_all = not (methods or is_suite(name))
-        if is_suite(name):
-            if settings or t_end is not None:
-                raise SpecError("--set and --t-end belong to one scene; a suite has its own.")
-            suite = make_suite(*read_profile(name), registry, (), methods, budget)
-        else:
-            scene = registry.problem(name, **(settings or {}))
-            name, methods = scene.spec, methods or _methods(registry, scene)
-            study = StudyFile(problems=[name], integrators=[*methods], t_end=t_end)
-            suite = make_suite("rating", ProfileFile(study=[study], budget_s=budget), registry)
+        self.scene, self.of_all = scene, not methods
+        names = [*(methods or _methods(registry, scene))]
+        study = StudyFile(problems=[scene.spec], integrators=names, t_end=t_end)
+        suite = make_suite("rating", ProfileFile(study=[study], budget_s=budget), registry)
         margin, self._ends = math.inf, [math.inf] * 3
         if self.of_all:
             margin = SPREAD if cost == "seconds" else TIE
             self._ends = [self.began + part * budget for part in PARTS[cost]]
         self.remarks: list[str] = []
-        self.candidates: list[Candidate] = []
-        self.races: list[Race] = []
-        for place, scene in suite.scenes.items():
-            demands = self._demands_on(scene, errors, rule)
-            if self.of_all and len(demands) > 1:
-                raise SpecError(
-                    f"All integrators are ranked by one error, and {len(demands)} are asked for; "
-                    "give one by --error, or name integrators."
-                )
-            cells = [c for c in suite.cells.values() if (c.problem, c.t_end) == place]
-            own = {cell.integrator: cell.method for cell in cells} if demands else {}
-            refused = registry.refusals(scene.spec, [*own])
-            candidates = [
-                Candidate(scene, method, place[1], demands[0], refused=refused.get(name, ""))
-                for name, method in own.items()
-            ]
-            self.candidates += candidates
-            for asked in demands:
-                in_turns = [replace(c, asked=asked) for c in _in_turns(candidates)]
-                self.races.append(Race(in_turns, margin, self._ends[0], cost))
-        if not self.races:
+        demands = self._demands(errors, rule)
+        if not demands:
             raise SpecError(" ".join(self.remarks))
-        if all(c.refused for c in self.candidates):
-            raise SpecError(f"No integrator takes {name}: {self.candidates[0].refused}")
-        self.about = ", ".join(dict.fromkeys(str(race.asked) for race in self.races))
-        plan = msgspec.structs.replace(suite.plan, title=f"Recommendation for {name}: {self.about}")
-        self.name, self._suite = name, replace(suite, plan=plan)
-        self.tables: list[Table] = []
+        if self.of_all and len(demands) > 1:
+            raise SpecError(
+                f"All integrators are ranked by one error, and {len(demands)} are asked for; "
+                "give one by --error, or name integrators."
+            )
+        own = {cell.integrator: (cell.method, cell.t_end) for cell in suite.cells.values()}
+        refused = registry.refusals(scene.spec, [*own])
+        if len(refused) == len(own):
+            raise SpecError(f"No integrator takes {scene.spec}: {next(iter(refused.values()))}")
+        self.candidates = [
+            Candidate(scene, *method, demands[0], refused=refused.get(name, ""))
+            for name, method in own.items()
+        ]
+        turns = _in_turns(self.candidates)
+        self.races = [
+            Race([replace(c, asked=asked) for c in turns], margin, self._ends[0], cost)
+            for asked in demands
+        ]
+        self.about = ", ".join(map(str, demands))
+        title = f"Recommendation for {scene.spec}: {self.about}"
+        self._suite = replace(suite, plan=msgspec.structs.replace(suite.plan, title=title))
         self._earlier: set[int] = set()  # numbers of invocations
         self._machines: object = {}
 
@@ -147,7 +124,7 @@ class Recommendation:
         Raises
         ------
         SpecError
-            If no scene moves, or no run ends in time.
+            If the scene does not move, or no run ends in time.
         """
         *_, self._until, over = self._ends  # processes are ended with all that they do then
         limits = Limits(self.budget / (4 if self.of_all else 1), self._suite.memory_gib)
@@ -157,7 +134,8 @@ class Recommendation:
         ):
             remark(_STORED)
             within = f", within {self.budget:g} s" if self.of_all else ""
-            progress.note(f"{len(self.candidates)} methods and variants on {self.name}{within}:")
+            count, name = len(self.candidates), self.scene.spec
+            progress.note(f"{count} methods and variants on {name}{within}:")
             try:
                 runner.draft = True
                 self._race(store, runner)
@@ -170,8 +148,6 @@ class Recommendation:
                 self._take(store)
             finally:  # the records that were found before an error stay
                 self._machines = store.environments()
-                if len({c.place for c in self.candidates}) > 1:
-                    self.tables = overviews(store.plan(), store.records())
         if not self.runs:
             searched = self._ends[0] - self.began
             raise SpecError(
@@ -181,14 +157,12 @@ class Recommendation:
 
     def _race(self, store: Store, runner: Runner) -> None:
         """Run what the races ask for until they ask for no more, and tell who leads."""
-        scenes = {c.place: c.scene.sources for c in self.candidates}
-        tasks = [
-            [Task(Worker.resting, place, f"start of {place[0]}", sources=sources)]
-            for place, sources in scenes.items()
-        ]
-        resting = [answer for _, answer in runner.run(tasks)]
-        if resting and all(isinstance(answer, str) and answer for answer in resting):
-            raise SpecError(resting[0])
+        name, own = self.scene.spec, self.scene.sources
+        place = name, self.candidates[0].t_end
+        task = Task(Worker.resting, place, f"start of {name}", sources=own)
+        for _, answer in runner.run([[task]]):
+            if isinstance(answer, str) and answer:
+                raise SpecError(answer)
         self._earlier = {*store.environments()}
         held, leaders = self._held(store), dict[int, Candidate]()
         while self.of_all and (
@@ -229,23 +203,16 @@ class Recommendation:
         return held
 
     def _restricted(self, cells: Iterable[Cell]) -> Suite:
-        """The suite with these cells, and a plan with a study of each scene with all its runs."""
-        places = dict.fromkeys(c.place for c in self.candidates)
-        studies = [
-            Study(
-                title=place[0],
-                problem=place[0],
-                t_end=place[1],
-                figures=list(FIGURES),
-                demands=[r.asked.text for r in self.races if r.candidates[0].place == place],
-                cells=[
-                    x.key for c in self.candidates if c.place == place for x in c.cells.values()
-                ],
-            )
-            for place in places
-        ]
+        """The suite with these cells, and a plan with all runs."""
+        study = Study(
+            title=self.scene.spec,
+            problem=self.scene.spec,
+            t_end=self.candidates[0].t_end,
+            figures=list(FIGURES),
+            cells=[cell.key for c in self.candidates for cell in c.cells.values()],
+        )
         methods = {c.method.spec: c.method for c in self.candidates}
-        plan = msgspec.structs.replace(self._suite.plan, studies=studies, integrators=methods)
+        plan = msgspec.structs.replace(self._suite.plan, studies=[study], integrators=methods)
         return replace(self._suite, plan=plan, cells={cell.key: cell for cell in cells})
 
     def _next(self) -> list[Cell]:
@@ -272,9 +239,9 @@ class Recommendation:
                         found[method.spec] = replace(c, method=method, cells={}, runs={})
         return [*found.values()]
 
-    def _demands_on(self, scene: SceneFacts, errors: Sequence[str], rule: str) -> list[Demand]:
-        """The demands on a scene; sentences on what it lacks become remarks."""
-        texts = list(errors or RULES[rule])
+    def _demands(self, errors: Sequence[str], rule: str) -> list[Demand]:
+        """The demands on the scene; sentences on what it lacks become remarks."""
+        scene, texts = self.scene, list(errors or RULES[rule])
         if not (errors or scene.points) and rule == "iftomm":
             texts = [text.replace(POINTS, ENERGY) for text in texts]
             self.remarks.append(f"{scene.spec} names no points: its change of energy is judged.")

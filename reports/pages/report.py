@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bench.results.demands import overviews
 from bench.results.quantities import TRUST, quantity
 from bench.results.records import NOT_TRIED
 from bench.results.store import Store
@@ -78,7 +77,7 @@ class Report:
         self.chapters = [chapter for chapter in chapters if chapter.sections]
 
     def _methods(self) -> Page:
-        """Claims and ratings of methods, and their cost against the size of a scene."""
+        """Claims of methods, and their cost against the size of a scene."""
         stored = self.stored
         charts = size_charts(self.runs, stored.scenes_by_key, self.styles)
         sizes = [
@@ -92,7 +91,6 @@ class Report:
         ]
         claims = integrators_table([*self.names], stored.facts)
         sections = [
-            Section("Rating", overviews(stored.plan, stored.records)),
             Section("Claims", [claims], "integrators"),
             Section("Over all scenes", sizes),
         ]
