@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from bench.results.quantities import COST, ERROR_NAMES, NORM, NORMS, parts, quantity
+from bench.results.quantities import COST, ERROR_NAMES, NORM, NORMS, quantity
 from bench.results.table import short_exponent
 from reports.names import scene_name
 
@@ -51,7 +51,7 @@ class Question:
     @property
     def text(self) -> str:
         """The accuracy in words, with quantity and norm."""
-        group = " and the ".join(ERROR_NAMES[part] for part in parts(self.group))
+        group = ERROR_NAMES[self.group]
         return f"a relative error in the {group} of at most {self.accuracy} ({NORMS[self.norm]})"
 
 

@@ -14,7 +14,7 @@ from itertools import product
 from operator import itemgetter
 from typing import NamedTuple
 
-from bench.results.quantities import ASKED, COSTS, NORM, RANKED_COSTS, TRUST, parts
+from bench.results.quantities import ASKED, COSTS, NORM, RANKED_COSTS, TRUST
 from bench.results.records import NOT_TRIED, Record
 from bench.results.timings import by_round, quotient
 from reports.questions import TARGETS, Question
@@ -146,13 +146,13 @@ def answers(
 ) -> dict[Question, Answer]:
     """The answers by each cost to all questions about groups that a scene has."""
     having = {k: {*groups_of(ok_runs(s), ASKED)} for k, s in scenes.items()}
-    asked = [g for g in groups if any(own.issuperset(parts(g)) for own in having.values())]
+    asked = [g for g in groups if any(g in own for own in having.values())]
     questions = (Question(*own) for own in product(asked, targets, RANKED_COSTS, norms))
     found = {question: Answer(question, {}, {}) for question in questions}
     for name, series in scenes.items():
         field = _Field(series)
         for question, own in found.items():
-            if not having[name].issuperset(parts(question.group)):
+            if question.group not in having[name]:
                 continue
             floor = field.floor(question.group, question.norm)
             if question.target < TRUST * floor:

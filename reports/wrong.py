@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-from bench.results.quantities import NORM, NORMS, WRONG, parts, quantity
+from bench.results.quantities import NORM, NORMS, WRONG, quantity
 from bench.results.records import Record, SceneRecord, counted
 from bench.results.studies import ExperimentResult
 from bench.results.table import Table
@@ -56,7 +56,7 @@ def explained(
     belong to constrained scenes. ``transient`` says whether the order is there after the start
     transient.
     """
-    felt = {"a", "lam"}.issuperset(parts(group))  # second derivatives of the motion
+    felt = group in ("a", "lam")  # second derivatives of the motion
     held = s.records[0].formulation != "unconstrained"
     steps, fastest = s.finest.work.get("steps"), ((scene and scene.rates) or {}).get("oscillation")
     # A step takes more than half a period of the scene's fastest vibration.
@@ -120,7 +120,7 @@ def wrong_on(name: str, s: Series, group: str, scene: SceneRecord | None, atlas:
     kind = "coarsest" if wrong == known[:1] else "some"
     kind, cause = "every" if len(wrong) == len(known) else kind if wrong else "", ""
     if kind == "every" and best:
-        motion = not {"a", "lam"}.issuperset(parts(group)) or best[1].wrong("q")
+        motion = group not in ("a", "lam") or best[1].wrong("q")
         if not motion or policy(scene) == "ignore":
             cause = explained(s, group, scene, atlas)
     return Wrong(name, s.label, len(known), silent, len(wrong) - silent, kind, best, cause)

@@ -193,6 +193,20 @@ def test_samples_are_paired_by_their_round_and_not_by_their_place(tmp_path):
     assert found == pytest.approx((3.0, 3.0, 3.0, 1.1))
 
 
+def test_times_are_compared_within_rounds_or_else_by_both_intervals():
+    busy, factors = [1.0, 2.0, 5.0, 3.0, 1.5, 1.2, 7.0], [1.0, 1.0, 1.0, 1.0, 1.0, 1.2, 0.9]
+    slower = [2 * f * s for f, s in zip(factors, busy, strict=True)]
+    one, two, later = (
+        {(invocation, k): s for k, s in enumerate(samples)}
+        for invocation, samples in ((1, busy), (1, slower), (2, slower))
+    )
+    found, apart = quotient(one, two), quotient(one, later)
+    assert found == pytest.approx((2.0, 1.8, 2.4, 1.1))
+    assert apart == pytest.approx((2.0, 2.0 / 7.0, 2 * 6.3 / 1.0, 1.1))
+    assert (found.differs, apart.differs) == (True, False)
+    assert quotient({(1, 0): 1e-3}, {(2, 0): 3e-3}) is None  # one short sample each says nothing
+
+
 def test_the_rounds_that_are_missing_are_taken_once(tmp_path):
     for taken in [(0, 1, 3), (0, 3, 4), (0, 2, 3, 4, 8)]:
         study = StudyFile(problems=["pendulum"], integrators=["newmark"], steps=[0.01])

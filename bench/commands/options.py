@@ -185,8 +185,6 @@ _ARGUMENTS = {
     "folder": _is(_FOLDER, default=RESULTS),
     "old": _is(_FOLDER),
     "new": _is(_FOLDER),
-    "first": _is(metavar="A"),
-    "second": _is(metavar="B"),
 }
 #: Options by the names of their values: how they are written, what they mean, what they take.
 _OPTIONS = {
@@ -238,8 +236,6 @@ _OPTIONS = {
     "errors": ("--error", "Largest error that is allowed, such as a:1e-3 (if not given), "
                "q:end:1e-6, energy:1e-4 or points:1e-3; repeatable where integrators are named.",
                _is(metavar="QUANTITY:LIMIT", multiple=True)),
-    "targets": ("--target", "Error at which costs are compared; repeatable; 1e-2, 1e-4 and 1e-6 if "
-                "not given.", _is(float, multiple=True)),
     "rule": ("--rule", "Errors if --error is not given; iftomm: 0.1 and 0.001 at the named points "
              "of the scene.", _is(click.Choice([*RULES]), default="work-precision")),
     "cost": ("--cost", "Cost to compare; if not given, seconds if they scatter little, else "

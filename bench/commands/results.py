@@ -1,4 +1,4 @@
-"""The commands for results: `report`, `compare`, `versus`; `judge` for other programs."""
+"""The commands for results: `report`, `compare`; `judge` for other programs."""
 
 from __future__ import annotations
 
@@ -91,32 +91,6 @@ def compare(o: Given) -> None:
         more = f"\n... and {len(worse) - _NAMED} more" if len(worse) > _NAMED else ""
         named = "\n".join(worse[:_NAMED])
         raise click.ClickException(f"{len(worse)} beyond the limits:\n{named}{more}")
-
-
-@options.command(
-    "versus", "first second folder error targets cost as_json",
-    error={"help": "Relative error to compare; a,lam:max asks for both at once.",
-           "default": f"a:{NORM}"},
-)  # fmt: skip
-def versus_(o: Given) -> None:
-    """Compare integrators A and B at equal error.
-
-    Costs at equal error are interpolated between the runs in FOLDER, scene by scene. The interval
-    of a ratio covers other starts of the motion and the scatter of times. The sign test over all
-    scenes tells whether one of the two is cheaper.
-
-    \b
-    Examples:
-      stepbench versus newmark ida
-      stepbench versus my_method "generalized_alpha[rho_inf=0.8]" --error a,lam:max --target 1e-4
-      stepbench versus my_method ida stepbench-results --cost seconds
-    """
-    from reports.versus import side_by_side
-
-    group, _, norm = o.error.partition(":")
-    asked = {"group": group, "targets": o.targets, "cost": o.cost, "norm": norm or NORM}
-    found = side_by_side(o.first, o.second, o.folder, **asked)
-    o.answer(found.plain, *found.sentences, found.table)
 
 
 @options.command(

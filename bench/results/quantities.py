@@ -28,20 +28,9 @@ def whole(group: str) -> str:
     return f"|{group}|"
 
 
-def parts(group: str) -> list[str]:
-    """The groups of a question; "a,lam" asks for the larger error of both."""
-    return group.split(",")
-
-
 def quantity(group: str) -> str:
-    """The groups of a question in words, without their letters: "acceleration and multiplier"."""
-    return " and ".join(ERROR_NAMES[part].rpartition(" ")[0] for part in parts(group))
-
-
-def checked_group(group: str) -> str:
-    """Return the groups of a question, as "a" or "a,lam"; raise SpecError if there is no such."""
-    names = (one_of(part.strip(), ASKED, "group") for part in parts(group))
-    return ",".join(dict.fromkeys(names))
+    """The group of a question in words, without its letter: "acceleration"."""
+    return ERROR_NAMES[group].rpartition(" ")[0]
 
 
 def error_note(group: str) -> str:

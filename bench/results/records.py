@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from bench.results.quantities import GROUPS, NORM, TRUST, WRONG, parts
+from bench.results.quantities import GROUPS, NORM, TRUST, WRONG
 from bench.results.table import short_exponent
 
 #: Version of the records below. A store of another version is refused with a hint.
@@ -177,21 +177,18 @@ class Record(msgspec.Struct, kw_only=True):
         return median(self.run_s)
 
     def error(self, group: str, norm: str, start: int = 0) -> float | None:
-        """Return a relative error, or None if the run has none; of "a,lam" the larger one.
+        """Return a relative error, or None if the run has none.
 
         ``start`` is the number of the later start, 0 for none. Those have errors in the norm `NORM`
         alone; a run without them has its own errors there.
         """
         if 0 < start <= len(self.later) and norm == NORM:
-            found = [self.later[start - 1].get(part) for part in parts(group)]
-        else:
-            found = [self.errors.get(part, {}).get(norm) for part in parts(group)]
-        known = [error for error in found if error is not None]
-        return max(known) if len(known) == len(found) else None
+            return self.later[start - 1].get(group)
+        return self.errors.get(group, {}).get(norm)
 
     def floor(self, group: str, norm: str) -> float:
         """Return the reference's own error."""
-        return max(self.reference_error.get(part, {}).get(norm, 0.0) for part in parts(group))
+        return self.reference_error.get(group, {}).get(norm, 0.0)
 
     def wrong(self, group: str) -> bool:
         """Whether it reached the end with nothing right in the group, as far as can be judged.

@@ -10,7 +10,7 @@ import math
 import operator
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bench.results.quantities import COST, COSTS, NORM
 from bench.results.records import TIMING_SECONDS, Environment, Record, median
@@ -24,7 +24,7 @@ LEAST_QUOTIENT, LEAST_OF_FEW = COSTS["seconds"].tie, 2.0
 #: Longest run in s that gets `FEWEST` samples where it may win.
 LONGEST = 1.0
 #: Timing samples in s by invocation and round.
-Samples = Mapping[Any, float]
+Samples = dict[tuple[int, int], float]
 #: Integrators are ranked by seconds if the median `interval_width` of their runs is at most this.
 REPEATABLE = 0.2
 
@@ -140,7 +140,7 @@ def quotient_of_medians(one: Sequence[float], two: Sequence[float]) -> Quotient 
     return Quotient(value, c / b, d / a, max(_least(one), _least(two)))
 
 
-def by_round(record: Record) -> dict[tuple[int, int], float]:
+def by_round(record: Record) -> Samples:
     """Samples in s by invocation and round; without rounds, those of the record's own."""
     rounds = record.rounds or [(record.environment, k) for k in range(len(record.run_s))]
     return dict(zip(rounds, record.run_s, strict=True))

@@ -21,7 +21,7 @@ from problems.base.text import clean
 RIGHT = {
     "list": "scenes", "check": "pendulum", "new": "integrator mine", "show": "pendulum",
     "solve": "pendulum newmark", "order": "pendulum newmark", "run": "quick", "report": "{store}",
-    "compare": "{store} {store}", "versus": "newmark ida {store}",
+    "compare": "{store} {store}",
     "stability": "newmark", "drift": "pendulum newmark", "atlas": "undamped_index3",
     "realtime": "pendulum newmark", "recommend": "pendulum",
     "recommend methods": "pendulum newmark", "judge": "pendulum {odd}/rows.csv",
