@@ -20,7 +20,6 @@ from click.core import ParameterSource
 from bench.commands.terminal import show
 from bench.plugins.registry import Sources
 from bench.results.folders import read_limits
-from bench.results.quantities import COSTS
 from bench.results.records import MethodFacts
 from bench.results.table import Table
 from bench.running.inventory import Inventory, SceneFacts
@@ -232,14 +231,11 @@ _OPTIONS = {
     "ratios": ("--ratios/--no-ratios", "Find the largest safe ratio of two alternating steps, in "
                "some seconds.", _is(default=True)),
     # of questions
-    "error": ("--error", "Relative error to compare.", _is(metavar="GROUP:NORM")),
     "errors": ("--error", "Largest error that is allowed, such as a:1e-3 (if not given), "
                "q:end:1e-6, energy:1e-4 or points:1e-3; repeatable where integrators are named.",
                _is(metavar="QUANTITY:LIMIT", multiple=True)),
     "rule": ("--rule", "Errors if --error is not given; iftomm: 0.1 and 0.001 at the named points "
              "of the scene.", _is(click.Choice([*RULES]), default="work-precision")),
-    "cost": ("--cost", "Cost to compare; if not given, seconds if they scatter little, else "
-             "operations.", _is(metavar="|".join(COSTS))),
     "ranked_by": ("--cost", "Cost by which integrators are ranked.",
                   _is(click.Choice([*PARTS]), default="seconds")),
     "limits": ("--fail-on", "Exit with 1 if an error, work or time is more than RATIO times the "

@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from bench.results.quantities import ASKED, ERROR_NAMES, NORMS, group_and_norm
+from bench.results.quantities import ASKED, ERROR_NAMES, NORM, NORMS
 from bench.results.records import Record
-from problems.base.spec import SpecError
+from problems.base.spec import SpecError, one_of, suggest
 
 #: What a rule may limit like an error of a group: the change of energy, and the error of the named
 #: points by the rule of the IFToMM library.
@@ -63,7 +63,10 @@ class Demand(NamedTuple):
 
 def demand(text: str) -> Demand:
     """Read a demand as a person writes it: "a:1e-3", "q:end:1e-6", "energy:1e-4", "points:1e-3";
-    raise SpecError if it is none of these."""
+    raise SpecError if it is none of these.
+
+    A group between bars means its 2-norm, without them its worst component.
+    """
     what, _, last = text.rpartition(":")
     try:
         limit = float(last)
@@ -77,6 +80,9 @@ def demand(text: str) -> Demand:
     if what in _OTHERS:
         title, error = _OTHERS[what]
         return Demand(text, title, limit, error)
-    group, norm = group_and_norm(what, ASKED)
+    group, _, norm = (part.strip() for part in what.partition(":"))
+    if group.strip("|") not in ASKED or group not in ERROR_NAMES:
+        raise SpecError(f"There is no error of {group!r}; {suggest(group, ASKED)}.")
+    norm = one_of(norm or NORM, NORMS, "norm")
     title = f"error in {ERROR_NAMES[group]} ({NORMS[norm]})"
     return Demand(text, title, limit, lambda record: record.error(group, norm))

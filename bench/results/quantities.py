@@ -1,14 +1,12 @@
 """Quantities that are measured of a run: groups, norms of errors, costs, and their titles.
 
-Every list of choices, every title and every parser of such names is made from these tables.
+Every list of choices and every title is made from these tables.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from typing import NamedTuple
 
-from problems.base.spec import SpecError, one_of, suggest
 from problems.variables import GROUPS as GROUPS
 
 #: Titles of the groups of variables in which errors are measured.
@@ -119,16 +117,3 @@ COST = "operations"
 WRONG = 0.1
 #: Below this many times the reference's own error, an error says nothing.
 TRUST = 100.0
-
-
-def group_and_norm(text: str, groups: Collection[str]) -> tuple[str, str]:
-    """Read an error as a person writes it, such as "a:max" or "|a|:end".
-
-    Without a norm, it is `NORM`. A group between bars means its 2-norm, without them its worst
-    component. SpecError is raised if the group is not among those that have errors, ``groups``, or
-    there is no such norm.
-    """
-    group, _, norm = (part.strip() for part in text.partition(":"))
-    if group.strip("|") not in groups or group not in ERROR_NAMES:
-        raise SpecError(f"There is no error of {group!r}; {suggest(group, groups)}.")
-    return group, one_of(norm or NORM, NORMS, "norm")
