@@ -192,7 +192,7 @@ class Integrator(ABC):
         return None
 
     def step_method(self, scene: MechatronicSystem) -> Any:
-        """Return the method with step functions for a scene; many runs side by side need it.
+        """Return the method with step functions for a scene.
 
         It is a `NativeMethod` of `integrators.native.step_method`; None if there is none.
         """

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -56,7 +55,7 @@ class Multistep:
         """Roots of sigma with multiplicities: growth per step at infinite frequency."""
         return multiple(np.roots(self.sigma), _ONE_ROOT)
 
-    @cached_property  # each member of an ensemble asks for it
+    @property
     def infinity_radius(self) -> float:
         """Growth per step at infinite frequency: the largest root of sigma."""
         if not self._full:

@@ -203,6 +203,6 @@ def without_processes(monkeypatch):
 
     monkeypatch.setattr(Runner, "run", run_here)
     monkeypatch.setattr(Runner, "time", lambda self, tasks, samples, have: iter(()))
-    monkeypatch.setattr(worker, "use_threads", lambda callers: None)
+    monkeypatch.setattr(worker, "use_one_thread", lambda: None)
     # In this process tests patch functions: what is made here must not be kept.
     monkeypatch.setattr(inventory, "keep_references", lambda file_of: None)

@@ -20,8 +20,7 @@ from integrators.adapters.scipy_ode import BDF
 from integrators.contract import Trajectory
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.base import runtime
-from problems.base.runtime import SPARE_THREADS, check_runtime
-from problems.base.usage import cores
+from problems.base.runtime import check_runtime
 from problems.equations import sparsity
 from problems.scenes.oscillators import Oscillator
 from problems.scenes.pendulums import Pendulum
@@ -158,40 +157,15 @@ def test_nothing_is_loaded_before_it_is_needed():
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_only_a_process_that_takes_times_has_one_thread_and_calls_no_more(monkeypatch):
-    usual = str(cores() + SPARE_THREADS)  # that `configure` sets
-    for own, callers, after in (
-        (usual, cores(), "1"), ("77", 77 - SPARE_THREADS, "77"), ("1", 1, "1"),
-    ):  # fmt: skip
-        monkeypatch.setenv("NPROC", own)
-        assert runtime.most_callers() == callers
-        runtime.use_threads(1)
-        assert os.environ["NPROC"] == after
-    monkeypatch.delenv("NPROC")  # JAX was imported before
-    assert runtime.most_callers() == max(1, cores() - SPARE_THREADS)
-
-
-@pytest.mark.long
-def test_programs_that_are_called_side_by_side_end():
-    """Factorisations of many matrices wait for XLA's threads on one of these (jaxlib 0.10)."""
-    code = """
-from concurrent.futures import ThreadPoolExecutor
-from problems.base.runtime import jax, jnp, most_callers
-
-def factors(a):
-    step = lambda k, a: jax.scipy.linalg.lu_factor(a + jnp.eye(80))[0] / 2
-    return jax.lax.fori_loop(0, 40, step, a)
-
-called = jax.jit(factors).lower(jnp.ones((64, 80, 80))).compile()
-with ThreadPoolExecutor(most_callers()) as pool:
-    ends = list(pool.map(called, [jnp.ones((64, 80, 80))] * 3 * most_callers()))
-print(len(ends))
-"""
-    given = os.environ | {"NPROC": "3"}
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=given, capture_output=True, text=True, timeout=200
-    )
-    assert done.stdout == f"{3 * (3 - SPARE_THREADS)}\n"
+def test_only_a_process_that_takes_times_has_one_thread_unless_a_user_says_otherwise(monkeypatch):
+    monkeypatch.setenv("NPROC", "77")
+    runtime.use_one_thread()
+    assert os.environ["NPROC"] == "77"
+    monkeypatch.delenv("NPROC")
+    runtime.configure()
+    assert "NPROC" not in os.environ
+    runtime.use_one_thread()
+    assert os.environ["NPROC"] == "1"
 
 
 @pytest.mark.parametrize(

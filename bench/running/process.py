@@ -56,8 +56,7 @@ STILL_SECONDS, _REST = 60.0, 100.0
 _LOOKS, _LONGEST = 0.2, 1.0
 #: Neither steps nor tolerances change the memory of a run.
 _LESS_MEMORY = (
-    "take a smaller scene or ensemble, a method with sparse tangents, or a suite with a larger "
-    "memory_gib"
+    "take a smaller scene, a method with sparse tangents, or a suite with a larger memory_gib"
 )
 
 
@@ -68,19 +67,18 @@ class Limits:
 
     ``budget_s`` is the processor time of a run in s; tracing and compiling, the reference of a
     scene, and the measurement of errors may each take five times as long, but at least
-    `LEAST_SECONDS`. ``memory_gib`` is resident memory. A run may keep so many ``processors`` busy:
-    as many times the budget is allowed. ``advice`` is a clause on how to stay within it.
+    `LEAST_SECONDS`. ``memory_gib`` is resident memory. ``advice`` is a clause on how to stay within
+    the budget.
     """
 
     budget_s: float = math.inf
     memory_gib: float = math.inf
-    processors: int = 1
     advice: str = ""
 
     def seconds(self, phase: str) -> float:
         """Return the processor time in s of a phase."""
         if phase == RUNNING:
-            return self.budget_s * self.processors
+            return self.budget_s
         return LOADING_SECONDS if phase == LOADING else max(LEAST_SECONDS, _MORE * self.budget_s)
 
 

@@ -92,7 +92,7 @@ class _WorkerProcess(GuardedProcess):
     labels of tasks that it has had."""
 
     def __init__(self, sources: Sources, limits: Limits, draft: bool) -> None:
-        super().__init__(start_worker, (sources, limits.processors, draft), limits)
+        super().__init__(start_worker, (sources, draft), limits)
         self.sources = sources
         self.group: deque[Task] = deque()
         self.task: Task | None = None

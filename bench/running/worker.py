@@ -33,7 +33,7 @@ from bench.running.process import MEASURING, PREPARING, REFERENCE, RUNNING, Noti
 from bench.running.scene_records import drawings, scene_record, uncontrolled
 from integrators import checks
 from integrators.contract import PreparedRun, Trajectory
-from problems.base.runtime import check_runtime, compile_sooner, jax, use_threads
+from problems.base.runtime import check_runtime, compile_sooner, jax, use_one_thread
 from problems.base.spec import SpecError
 from problems.base.text import said
 from problems.base.usage import computed_seconds, undisturbed
@@ -292,10 +292,10 @@ def memory_mappings() -> int:
         return 0
 
 
-def start_worker(notify: Notify, sources: Sources, threads: int = 1, draft: bool = False) -> Worker:
-    """Make the state of a worker process, in which so many threads call programs."""
+def start_worker(notify: Notify, sources: Sources, draft: bool = False) -> Worker:
+    """Make the state of a worker process; that of a ``draft`` compiles without optimisation."""
     gc.set_threshold(_GARBAGE)
-    use_threads(threads)
+    use_one_thread()
     if draft:
         compile_sooner()
     return Worker(load_registry(notify, sources), notify)

@@ -34,7 +34,6 @@ the highest power first.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -138,7 +137,6 @@ def smallest_safe_ratio(alpha_m: Scalar) -> Scalar:
     return alpha_m / (1 - alpha_m)
 
 
-@lru_cache(256)  # asked for each member of an ensemble
 def multistep_form(s: Scheme) -> MultistepForm:
     """Return the multistep formulas of a scheme with constant weights.
 

@@ -21,8 +21,6 @@ from typing import TYPE_CHECKING, Any
 
 import platformdirs
 
-from problems.base.usage import cores
-
 CACHE = Path(platformdirs.user_cache_dir("stepbench"))
 #: Every operation has one thread, so that methods are compared and not the use of cores. Loops over
 #: little data that call no library become one function each: for small scenes the calls from one
@@ -50,11 +48,8 @@ _SETTINGS = {
     # Reloading a cached program on a sibling CPU warns at length about instruction sets.
     "TF_CPP_MIN_LOG_LEVEL": "3",
 }
-#: Variable of XLA: its number of threads, else one for each core. A program runs on them, whoever
-#: calls it. LAPACK's functions of many matrices (jaxlib 0.10.0 to 0.11.0) share their work out to
-#: them once more, and wait on one of them: when all wait, nobody works. So one is spare there.
+#: Variable of XLA: its number of threads, else one for each core.
 _THREADS = "NPROC"
-SPARE_THREADS = int(version("jaxlib").startswith(("0.10.", "0.11.0")))
 #: Options of a program that is called a few times. Without optimisation it is compiled in a third
 #: of the time, and takes four times as long; numbers are the same but for rounding.
 FEW_CALLS = {"xla_backend_optimization_level": 0}
@@ -66,31 +61,18 @@ def configure() -> None:
     """Set the environment that JAX and linear algebra read at import; a user's settings win."""
     for name, value in _SETTINGS.items():
         os.environ.setdefault(name, value)
-    if "jax" in sys.modules:  # imported earlier, for example in a notebook: it may have threads
+    if "jax" in sys.modules:  # imported earlier, for example in a notebook
         sys.modules["jax"].config.update("jax_enable_x64", True)
-    else:
-        os.environ.setdefault(_THREADS, str(cores() + SPARE_THREADS))
 
 
-def use_threads(callers: int) -> None:
-    """Run all programs of this process on one thread, or on as many as call them, and a spare one.
+def use_one_thread() -> None:
+    """Run all programs of this process on one thread.
 
     It has to be called before JAX is used; a user's own setting wins. JAX shares the parts of a
     program out to its threads: for small parts this costs more than it gains, so that a process
     that measures times has one.
     """
-    usual = str(cores() + SPARE_THREADS)
-    if os.environ.get(_THREADS, usual) == usual:  # nobody's, or `configure`'s
-        os.environ[_THREADS] = "1" if callers == 1 else str(callers + SPARE_THREADS)
-
-
-def most_callers() -> int:
-    """Return how many threads may call programs at a time: at least one, and else no spare one.
-
-    Each program that runs may block one of XLA's threads; a single thread never blocks itself.
-    """
-    given = os.environ.get(_THREADS, "")
-    return max(1, (int(given) if given.isdecimal() else cores()) - SPARE_THREADS)
+    os.environ.setdefault(_THREADS, "1")
 
 
 def compile_sooner() -> None:

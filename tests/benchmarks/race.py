@@ -16,7 +16,7 @@ from scipy.stats import spearmanr
 
 from bench.plugins.registry import Registry
 from integrators import Steps, Tolerances
-from problems.base.runtime import use_threads
+from problems.base.runtime import use_one_thread
 from problems.scenes.heavy_top import HeavyTopR3SO3
 from problems.scenes.ivp_test_set import CarAxis
 from problems.scenes.oscillators import Duffing
@@ -169,5 +169,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    use_threads(1)
+    use_one_thread()
     main()

@@ -18,7 +18,7 @@ from frame import Row, alone, in_turn, options, spread, timed, write
 from integrators import Steps, Tolerances
 from integrators.adapters.ida import IDA
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from problems.base.runtime import use_threads
+from problems.base.runtime import use_one_thread
 from problems.equations.formulations import dae_layout
 from problems.scenes.pendulums import Chain
 
@@ -134,7 +134,7 @@ def main() -> None:
     given, cases = options(__doc__, 7, "stepbench-sizes.json"), {}
     cases = {"steps": (measure, SIZES, table), "ida": (against_ida, IDA_SIZES, ida_table)}
     if given.one:
-        use_threads(1)
+        use_one_thread()
         of, sizes, _ = cases[given.one[0]]
         print(json.dumps(of(*sizes[int(given.one[1])], given.rounds)))
         return
