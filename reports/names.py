@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from bench.results.records import Record
-from problems.base.spec import SpecError, split_spec, suggest
+from problems.base.spec import SpecError, split_spec
 
 
 class BuiltIn(NamedTuple):
@@ -163,25 +163,6 @@ def short_names(labels: Iterable[str]) -> dict[str, str]:
         counts = Counter(found.values())
         found = {k: name_of(k) if counts[v] > 1 else v for k, v in found.items()}
     return {label: found[label] for label in parts}
-
-
-def named_labels(text: str, labels: Iterable[str]) -> list[str]:
-    """The labels of the integrators that a person names.
-
-    A name is the printed or the short one, or one without options for all variants.
-
-    Raises
-    ------
-    SpecError
-        If there is no such integrator.
-    """
-    short, text, found = short_names(labels), text.strip(), []
-    for label, name in short.items():
-        spec = label.partition(" x ")[0]
-        found += [label] if text in (label, spec, spec.partition("[")[0], name) else []
-    if not found:
-        raise SpecError(f"There is no integrator {text!r} in the store; {suggest(text, short)}.")
-    return found
 
 
 def form_name(runs: Iterable[Record | None]) -> str:

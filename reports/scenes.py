@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 
 from bench.results.records import (
     Environment,
@@ -121,9 +120,3 @@ class StoredRuns:
             titles=titles,
             atlas=store.experiments(),
         )
-
-
-def stored_runs(folder: Path) -> StoredRuns:
-    """Read the runs of a run folder."""
-    with Store(folder) as store:
-        return StoredRuns.of(store)

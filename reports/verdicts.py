@@ -8,8 +8,9 @@ from statistics import median
 
 from bench.results.quantities import COSTS, NORM, NORMS
 from bench.results.records import NOT_TRIED, Record, counted
+from bench.results.store import Store
 from reports.formatting import cost_text, number, times
-from reports.names import form_name, named_labels
+from reports.names import form_name
 from reports.questions import (
     BOTH,
     Names,
@@ -23,7 +24,7 @@ from reports.questions import (
     scene_ref,
 )
 from reports.ranking import Answer, RankEntry, SceneAnswer, by_cost
-from reports.scenes import StoredRuns, stored_runs
+from reports.scenes import StoredRuns
 from reports.series import label_of
 from reports.wrong import wrong_runs, wrong_sentences
 
@@ -238,19 +239,15 @@ def _detail(place: str, entry: RankEntry, answer: SceneAnswer, names: Names) -> 
 def method_card(folder: Path, integrator: str) -> list[str]:
     """The card of an integrator in plain text, from the store of a run folder.
 
-    It is named as it is printed, or without options for all of its variants. Without a name it is
-    that of the run: its answer by both costs, and how many runs are wrong without warning.
-
-    Raises
-    ------
-    SpecError
-        If the store has no such integrator.
+    It is named as it is printed. Without a name the card is that of the run: its answer by both
+    costs, and how many runs are wrong without warning.
     """
-    stored = stored_runs(folder)
+    with Store(folder) as store:
+        stored = StoredRuns.of(store)
     names, first = stored.names, stored.first
     found = by_cost(stored.series, first)
     if integrator:
-        chosen = named_labels(integrator, names)
+        chosen = [label for label in names if label.partition(" x ")[0] == integrator]
         said = [sentence for k in chosen for sentence in stored_card(k, found[first], stored)]
     else:
         said = headlines(found, names, f" to {first.accuracy} in {first.quantity}")

@@ -11,7 +11,7 @@ from test_alpha_family import DIGITS
 from bench import order
 from bench.commands import results
 from bench.commands.main import main
-from bench.commands.runs import _end_values
+from bench.commands.results import _end_values
 from bench.results.records import Rows
 from bench.results.store import Store
 from bench.running.inventory import Inventory

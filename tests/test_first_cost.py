@@ -13,7 +13,6 @@ from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 from reports.pages.report import read_report
 from reports.questions import Question, plain
-from reports.scenes import stored_runs
 from reports.tables.measurement import times_sentence
 from reports.verdicts import headlines, method_card
 
@@ -95,7 +94,7 @@ def test_page_markdown_and_terminal_take_the_same_cost_first(folders, name):
     least = {"seconds": "Least time", "operations": "Fewest operations"}
     report = read_report(folder)
     found = report.answer
-    assert found.question == stored_runs(folder).first == Question("a", 1e-4, cost)
+    assert found.question == report.stored.first == Question("a", 1e-4, cost)
     beside = "operations" if cost == "seconds" else "seconds"
     data = page_data(folder)
     assert data["first"]["cost"] == cost

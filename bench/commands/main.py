@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from bench.commands import listing, results, runs, studies, suite
+from bench.commands import listing, results, studies, suite
 from bench.results.store import StoreError
 from problems.base.spec import SpecError, suggest
 from problems.base.text import shortened
@@ -109,7 +109,7 @@ def main(context: click.Context) -> None:
         click.echo(_FIRST)
 
 
-for module in (listing, runs, suite, results, studies):
+for module in (listing, suite, results, studies):
     for command in vars(module).values():
         if isinstance(command, click.Command):
             main.add_command(command)
