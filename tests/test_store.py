@@ -20,7 +20,7 @@ from bench.results.studies import LongRun
 from bench.running.inventory import Inventory
 from bench.running.plan import ProfileFile, StudyFile, Suite, make_suite
 from bench.running.process import NoAnswer
-from bench.running.session import missing_cells, missing_scenes, result_of
+from bench.running.session import missing, result_of
 
 NOT_A_DATABASE = "not a database, but long enough to have a header" * 50
 
@@ -263,10 +263,9 @@ def keep(store: Store, stopped: bool = True, **more: object) -> None:
     store.keep(msgspec.structs.replace(scene, **more))
 
 
-def missing(store: Store, **more: float) -> tuple[int, int]:
+def counts(store: Store, **more: float) -> tuple[int, int]:
     """Count the cells and scenes of a suite with these budgets that are missing."""
-    asked = suite(**more)
-    cells, scenes = missing_cells(asked, store), missing_scenes(asked, store)
+    cells, scenes = missing(suite(**more), store)
     return len(cells), len(scenes)
 
 
@@ -276,13 +275,13 @@ def test_what_a_budget_stopped_is_run_again_with_more_and_what_went_wrong_otherw
         ({}, 0), ({"budget_s": 5.0, "memory_gib": 2.0}, 0), ({"budget_s": 20.0}, 1),
         ({"memory_gib": 8.0}, 1),
     ):  # fmt: skip
-        assert missing(store, **more) == (count, count)
+        assert counts(store, **more) == (count, count)
     keep(store, stopped=False, budget_s=10.0, memory_gib=4.0)
-    assert missing(store, budget_s=20.0, memory_gib=8.0) == (0, 0)
+    assert counts(store, budget_s=20.0, memory_gib=8.0) == (0, 0)
 
 
 def test_a_scene_is_described_again_when_the_code_of_its_record_changes(store, monkeypatch):
     keep(store)
     monkeypatch.setattr("bench.running.inventory.fingerprint", lambda made: "other")
     monkeypatch.setattr(REGISTRY, "_known", {})
-    assert missing(store) == (1, 1)
+    assert counts(store) == (1, 1)

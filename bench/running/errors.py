@@ -56,7 +56,7 @@ def finite(value: float) -> float | None:
 
 def norms(
     t: Float[np.ndarray, " k"],
-) -> dict[str, Callable[[Float[np.ndarray, "*runs k"]], Float[np.ndarray, "*runs"]]]:
+) -> dict[str, Callable[[Float[np.ndarray, "*n k"]], Float[np.ndarray, "*n"]]]:
     """Return the norms over time, by name, for increasing times of k rows in s.
 
     They are functions of sizes of rows (not negative, the last axis is time): ``end`` takes the
@@ -85,20 +85,6 @@ def scales(reference: Reference, group: str) -> Scales:
     own = np.where(sizes >= _SMALL_PART * norm, sizes, norm)
     stated = (component.scale for component in reference.scene.components(group))
     return Scales(np.array([a or b for a, b in zip(stated, own, strict=True)]), norm)
-
-
-def component_errors(
-    difference: Float[np.ndarray, "*runs k n"], t: Float[np.ndarray, " k"], sizes: Scales, norm: str
-) -> Float[np.ndarray, "*runs n"]:
-    """Return the relative error of each component, from differences at k times t in s."""
-    return norms(t)[norm](np.abs(np.moveaxis(difference, -1, -2))) / sizes.components
-
-
-def whole_error(
-    difference: Float[np.ndarray, "*runs k n"], t: Float[np.ndarray, " k"], sizes: Scales, norm: str
-) -> Float[np.ndarray, "*runs"]:
-    """Return the relative error of a group in the Euclidean norm of its components."""
-    return norms(t)[norm](np.linalg.norm(difference, axis=-1)) / sizes.group
 
 
 def history_error(trajectory: Trajectory, reference: Reference) -> float | None:
@@ -134,7 +120,8 @@ def relative_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:
     `norms`) with the same scale (see `scales`), so that "max" is never smaller than "end",
     "settled" or "rms". Components that a partial run lacks have none, nor has a group without any.
     """
-    t, exact, table = trajectory.t, _exact(trajectory, reference), ErrorTable({}, {}, {}, {})
+    exact, over = _exact(trajectory, reference), norms(trajectory.t)
+    table = ErrorTable({}, {}, {}, {})
     for group in GROUPS:
         found = getattr(trajectory, group)
         # A run may know nothing of held values.
@@ -142,14 +129,12 @@ def relative_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:
             continue
         difference = found - exact[group]
         sizes, unsure = scales(reference, group), reference.error[group]
-        each = {name: component_errors(difference, t, sizes, name) for name in NORMS}
+        off, size = np.abs(difference), np.linalg.norm(difference, axis=1)
+        each = {name: over[name](off.T) / sizes.components for name in NORMS}
         table.components[group] = {name: [*map(finite, e)] for name, e in each.items()}
-        relative = np.abs(difference) / sizes.components
-        table.histories[error_note(group)] = relative[:, told].max(axis=1)
+        table.histories[error_note(group)] = (off / sizes.components)[:, told].max(axis=1)
         table.errors[group] = {name: finite(e[told].max()) for name, e in each.items()}
-        table.errors[whole(group)] = {
-            name: finite(float(whole_error(difference, t, sizes, name))) for name in NORMS
-        }
+        table.errors[whole(group)] = {n: finite(over[n](size) / sizes.group) for n in NORMS}
         own = float((unsure / sizes.components).max()), np.linalg.norm(unsure) / sizes.group
         for name, error in zip((group, whole(group)), own, strict=True):
             table.reference_errors[name] = dict.fromkeys(NORMS, float(error))
@@ -185,13 +170,14 @@ def constraint_errors(trajectory: Trajectory, reference: Reference) -> ErrorTabl
     `ROUNDING`: a method that holds a constraint exactly has its place there on a logarithmic axis.
     """
     scene, run, table = reference.scene, trajectory, ErrorTable({}, {}, {}, {})
+    over = norms(run.t)
     if not scene.sizes.nl:
         return table
     rows = compiled(scene).levels(scene.parameters(), run.q, run.v, run.a, run.t)
     for name, residuals, sizes in zip(VIOLATIONS, rows, constraint_sizes(reference), strict=False):
         if not residuals.shape[1]:
             continue
-        each = {n: component_errors(residuals, run.t, Scales(sizes, 1.0), n) for n in NORMS}
+        each = {n: over[n](np.abs(residuals).T) / sizes for n in NORMS}
         table.errors[name] = {n: finite(e.max(initial=ROUNDING)) for n, e in each.items()}
         table.reference_errors[name] = dict.fromkeys(NORMS, ROUNDING)
     return table

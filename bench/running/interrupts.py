@@ -30,7 +30,7 @@ def obey() -> None:
 
 def remark(sentence: str) -> None:
     """Set the sentence that is said when the program is ended from now on."""
-    _remark[:] = [sentence] if sentence else []
+    _remark[:] = [sentence]
 
 
 def _end(number: int, _frame: object) -> None:

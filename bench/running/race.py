@@ -223,8 +223,8 @@ class Candidate:
 #: Costs up to this quotient are a tie. So are operations while seconds are what counts: times per
 #: operation differ by it among methods.
 TIE, SPREAD = 1.1, 3.0
-#: Options whose other choices are tried for the best, with the words for these choices.
-FORMS = {"steps": "constant steps", "newton": "other Newton's methods"}
+#: Options whose other choices are tried for the best.
+FORMS = {"steps", "newton"}
 #: Most methods of which other forms are tried, and most that are timed.
 MOST_LEADING, MOST_TIMED = 3, 8
 
@@ -343,10 +343,10 @@ class Race:
         tried = f"Of {len(every)} methods and variants: {fates}; {runs} runs."
         if not self._named:
             specs = [c.method.spec for c in every if c.runs]
-            of_forms = [n for n, own in map(split_spec, specs) if not FORMS.keys().isdisjoint(own)]
-            where = f"for {', '.join(dict.fromkeys(of_forms))} alone" if of_forms else "for none"
-            forms = " and ".join(FORMS.values())
-            tried += f" {forms[0].upper()}{forms[1:]} were tried {where}; others were not tried."
+            of_forms = [n for n, own in map(split_spec, specs) if not FORMS.isdisjoint(own)]
+            where = f"{', '.join(dict.fromkeys(of_forms))} alone" if of_forms else "none"
+            tried += f" Constant steps and other Newton's methods were tried for {where}; others "
+            tried += "were not tried."
         return [said, tried]
 
     def table(self) -> Table:
@@ -376,24 +376,18 @@ class Race:
     def ratings(self) -> list[dict[str, Any]]:
         """Return a rating of each candidate of the table, and of those that are refused if methods
         are named, for a file that can be sent."""
-        return [self._rating(c) for c in (self.candidates if self._named else self.order)]
-
-    def _rating(self, candidate: Candidate) -> dict[str, Any]:
-        best = candidate.best
-        told = {
-            "problem": candidate.scene.spec,
-            "integrator": candidate.method.spec,
-            "demand": str(self.asked),
-            "met": best is not None,
-            "obstacle": "" if best else candidate.obstacle,
-            "runs": len(candidate.runs),
-        }
+        found: list[dict[str, Any]] = []
         same = "formulation", "resolution", "seconds", "run_s", "work", "energy_drift", "constraint"
-        if candidate.runs:
-            run = candidate.shown
-            told |= {"error": self.asked.error(run), "operations": run.cost("operations")}
-            told |= {name: getattr(run, name) for name in same}
-        return told
+        for c in self.candidates if self._named else self.order:
+            best = c.best
+            told = {"problem": c.scene.spec, "integrator": c.method.spec, "demand": str(self.asked)}
+            told |= {"met": best is not None, "obstacle": "" if best else c.obstacle}
+            found.append(told | {"runs": len(c.runs)})
+            if c.runs:
+                run = c.shown
+                found[-1] |= {"error": self.asked.error(run), "operations": run.cost("operations")}
+                found[-1] |= {name: getattr(run, name) for name in same}
+        return found
 
     def _by_error(self) -> list[Candidate]:
         """Candidates that were tried, the nearest to the demand first."""

@@ -136,18 +136,15 @@ class Recommendation:
             within = f", within {self.budget:g} s" if self.of_all else ""
             count, name = len(self.candidates), self.scene.spec
             progress.note(f"{count} methods and variants on {name}{within}:")
-            try:
-                runner.draft = True
-                self._race(store, runner)
-                runner.end_workers()
-                runner.draft, self._until = False, over
-                most = MOST_TIMED if self.of_all else None
-                best = {c.shown.key for race in self.races for c in race.order[:most]}
-                cells = (x for c in self.candidates for x in c.cells.values() if x.key in best)
-                time_suite(self._restricted(cells), store, runner)
-                self._take(store)
-            finally:  # the records that were found before an error stay
-                self._machines = store.environments()
+            runner.draft = True
+            self._race(store, runner)
+            runner.end_workers()
+            runner.draft, self._until = False, over
+            most = MOST_TIMED if self.of_all else None
+            best = {c.shown.key for race in self.races for c in race.order[:most]}
+            cells = (x for c in self.candidates for x in c.cells.values() if x.key in best)
+            time_suite(self._restricted(cells), store, runner)
+            self._take(store)
         if not self.runs:
             searched = self._ends[0] - self.began
             raise SpecError(
@@ -165,9 +162,10 @@ class Recommendation:
                 raise SpecError(answer)
         self._earlier = {*store.environments()}
         held, leaders = self._held(store), dict[int, Candidate]()
-        while self.of_all and (
-            forms := [c for c in self._forms(self.candidates) if held(c.next())]
-        ):
+        while self.of_all:
+            known = self._forms(self.candidates)
+            if not (forms := [c for c in known if (cell := c.next()) and held(cell)]):
+                break
             self.candidates[:0] = self.races[0].candidates[:0] = forms  # these may have others
 
         def further() -> list[Cell]:
@@ -185,20 +183,21 @@ class Recommendation:
         self._take(store)
 
     def _take(self, store: Store) -> None:
-        held = self._held(store)
+        """Count what the store has: an error later on loses none of it."""
+        held, self._machines = self._held(store), store.environments()
         for race in self.races:
             for c in race.candidates:
                 c.take(held)
 
-    def _held(self, store: Store) -> Callable[[Cell | None], Record | None]:
+    def _held(self, store: Store) -> Callable[[Cell], Record | None]:
         """A function that gives the run of a cell: of this invocation, or one that need not be made
         again."""
         records = store.records()
 
-        def held(cell: Cell | None) -> Record | None:
-            run = records.get(cell.key) if cell else None
+        def held(cell: Cell) -> Record | None:
+            run = records.get(cell.key)
             old = run and run.environment in self._earlier
-            return None if cell and old and is_due(self._suite, run, cell.fingerprint) else run
+            return None if old and is_due(self._suite, run, cell.fingerprint) else run
 
         return held
 
@@ -217,10 +216,9 @@ class Recommendation:
 
     def _next(self) -> list[Cell]:
         """Runs of the races; of all integrators also those of other forms of the best."""
-        cells = [cell for race in self.races for cell in race.next()]
+        race, cells = self.races[0], [cell for race in self.races for cell in race.next()]
         if cells or not self.of_all or time.monotonic() >= self._ends[1]:
             return cells
-        (race,) = self.races
         race.end = self._ends[1]
         forms = self._forms(race.leading if race.leader else ())
         self.candidates[:0] = race.candidates[:0] = forms

@@ -34,16 +34,12 @@ _TIMED = 100_000
 _SAMPLES = 7
 
 
-def missing_cells(suite: Suite, store: Store) -> list[Cell]:
-    """List the cells to be run (`is_due`)."""
-    stored, cells = store.records(), suite.cells.items()
-    return [cell for key, cell in cells if is_due(suite, stored.get(key), cell.fingerprint)]
-
-
-def missing_scenes(suite: Suite, store: Store) -> dict[tuple[str, float], SceneFacts]:
-    """Return the scenes to be described, by name and end time in s (`is_due`)."""
-    stored, scenes = store.scenes(), sorted(suite.scenes.items())
-    return {at: s for at, s in scenes if is_due(suite, stored.get(at), s.fingerprint)}
+def missing(suite: Suite, store: Store) -> tuple[list[Cell], dict[tuple[str, float], SceneFacts]]:
+    """Return the cells to be run, and the scenes to be described, by name and end time in s
+    (`is_due`)."""
+    runs, known, scenes = store.records(), store.scenes(), sorted(suite.scenes.items())
+    cells = [c for k, c in suite.cells.items() if is_due(suite, runs.get(k), c.fingerprint)]
+    return cells, {at: s for at, s in scenes if is_due(suite, known.get(at), s.fingerprint)}
 
 
 def is_due(suite: Suite, record: Record | SceneRecord | None, fingerprint: str) -> bool:
@@ -69,8 +65,7 @@ def measure_suite(
     ``further`` is called whenever a process is free, and gives all cells that are worth a run now,
     the best first.
     """
-    cells, scenes = missing_cells(suite, store), missing_scenes(suite, store)
-    records, before = store.records(), store.plan()
+    (cells, scenes), records, before = missing(suite, store), store.records(), store.plan()
     # Runs of an earlier plan are still shown, and so are the facts of their methods.
     kept = {record.integrator for record in records.values()}
     known = before.integrators if before else {}
@@ -95,14 +90,14 @@ def measure_suite(
     groups += grouped(cell_task(Worker.measure, cell) for cell in cells)  # after their scenes
     for task, answer in runner.run(groups, offers):
         found = _finished(task, answer, runner.progress)
-        record = found.record if isinstance(found, CellResult) else found
+        record, *rows = found if isinstance(found, CellResult) else (found,)
         if record:
             record.budget_s, record.memory_gib = suite.plan.budget_s, suite.memory_gib
-        if isinstance(found, CellResult):
-            found.record.environment = machine.number
-            store.save(*found)
-        elif found:
-            store.keep(found)
+        if rows:
+            record.environment = machine.number
+            store.save(record, *rows)
+        elif record:
+            store.keep(record)
         if task.job is counted:
             runner.progress.advance()
     return len(cells)
