@@ -25,7 +25,7 @@ from bench.stability.spectra import eigenvalues, radii
 from bench.stability.systems import Oscillator
 from integrators import Steps
 from integrators.methods.generalized_alpha import GeneralizedAlpha, Newmark
-from reports.pages.stability import radius_map
+from reports.charts.maps import radius_map
 
 #: Largest ratios of two steps in turns that do not grow: rho_inf, gamma fixed, gamma updated.
 SAFE = [

@@ -1,11 +1,11 @@
-"""Maps: tiles of states over two numbers, and an integrator's state on scenes at accuracies."""
+"""Maps: spectral radii over two numbers, and an integrator's state on scenes at accuracies."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from itertools import groupby
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from itertools import groupby, pairwise
+from typing import Any, NamedTuple
 
 from bench.results.quantities import NORM
 from reports.charts import vega_lite as vl
@@ -25,9 +25,18 @@ _LOOKS = {
     "failed": ("no run reaches the end", "#c0543c"),
     "wrong": ("runs wrong without a note", "#8e2a6b"),
 }
+#: Colours of maps up to these radii, and above: green ones are stable, red ones grow.
+_BORDERS = (0.25, 0.5, 0.75, 0.9, 0.99, 1 + 1e-9, 1.001, 1.1, 2.0)
+_COLORS = ("#0b3d2e", "#14603f", "#2b8a57", "#62b37d", "#a5d6ae", "#dcefe0", "#fde0d2",
+           "#f9a582", "#e5553f", "#8f1020")  # fmt: skip
+_STATES = [
+    f"to {_BORDERS[0]:g}",
+    *(f"{low:.4g} to {high:.4g}" for low, high in pairwise(_BORDERS)),
+    f"above {_BORDERS[-1]:g}",
+]
 
 
-class Side(NamedTuple):
+class _Side(NamedTuple):
     """A side of a map: its title, its values at equal distances, and whether in their logarithm."""
 
     name: str
@@ -47,21 +56,29 @@ class Side(NamedTuple):
         return vl.quantity(field, title=self.name, scale=scale, axis=axis)
 
 
-def tile_chart(
-    x: Side, y: Side, state: Callable[[int, int], str], looks: Mapping[str, str], title: str
-) -> vl.Spec:
-    """A tile for each stretch of one state, as few as neighbours of the same state allow.
+def radius_map(m: dict[str, Any], name: str) -> vl.Spec | None:
+    """Spectral radii over omega h and another number; None of a single row.
 
-    ``state(k, i)`` is that of the k-th value of y and the i-th of x, ``looks`` the colours of
-    states in the order of the legend, which ``title`` heads. A tile goes from the middle before its
+    A tile for each stretch of one colour, as few as neighbours allow: from the middle before its
     first point to that behind its last.
     """
+    values = [row["value"] for row in m["rows"]]
+    if len(values) < 2:
+        return None
+
+    def state(radius: float | None) -> str:
+        return _STATES[sum(radius > border for border in _BORDERS) if radius is not None else -1]
+
+    # Ratios are spaced evenly in their logarithm, options in themselves.
+    x, y = _Side(name, m["omega_h"], log=True), _Side(m["over"], values, m["over"] == "step ratio")
     rows = []
-    for k in range(len(y.values)):
-        for words, own in groupby(range(len(x.values)), lambda i, k=k: state(k, i)):
+    for k, row in enumerate(m["rows"]):
+        states = [*map(state, row["radii"])]
+        for words, own in groupby(range(len(states)), states.__getitem__):
             first, *more = own
             ends = {"left": x.edge(first, -1), "right": x.edge((more or [first])[-1], 1)}
             rows.append(ends | {"low": y.edge(k, -1), "high": y.edge(k, 1), "state": words})
+    looks = dict(zip(_STATES, _COLORS, strict=True))
     return vl.view(
         vl.Dataset("map", rows),
         mark={"type": "rect", "clip": True},
@@ -70,7 +87,7 @@ def tile_chart(
             "x2": {"field": "right"},
             "y": y.channel("low"),
             "y2": {"field": "high"},
-            "color": _colors(rows, looks, title=title, orient="right", columns=1),
+            "color": _colors(rows, looks, title="spectral radius", orient="right", columns=1),
         },
         width=410,
         height=250,

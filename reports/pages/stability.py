@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from bench.stability.tables import stability_tables, step_name
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import line_styles
-from reports.charts.maps import Side, tile_chart
+from reports.charts.maps import radius_map
 from reports.pages.page import Figure, Page, Section, write_page
 
 #: Quantities over omega h: field, title of the axis, whether the axis is logarithmic.
@@ -24,15 +23,6 @@ _CURVES = (
 )
 #: Radii above this are drawn at it.
 _TOP = 1.6
-#: Colours of maps up to these radii, and above: green ones are stable, red ones grow.
-_BORDERS = (0.25, 0.5, 0.75, 0.9, 0.99, 1 + 1e-9, 1.001, 1.1, 2.0)
-_COLORS = ("#0b3d2e", "#14603f", "#2b8a57", "#62b37d", "#a5d6ae", "#dcefe0", "#fde0d2",
-           "#f9a582", "#e5553f", "#8f1020")  # fmt: skip
-_STATES = [
-    f"to {_BORDERS[0]:g}",
-    *(f"{low:.4g} to {high:.4g}" for low, high in pairwise(_BORDERS)),
-    f"above {_BORDERS[-1]:g}",
-]
 
 
 def write_stability_page(found: Sequence[dict[str, Any]], folder: Path) -> Path:
@@ -101,20 +91,3 @@ def _curve(
     }
     behind = [one] if field == "radius" else []
     return vl.arrange([{"data": data.source, "layer": [*behind, line]}], [data], 2)
-
-
-def radius_map(m: dict[str, Any], name: str) -> vl.Spec | None:
-    """Spectral radii over omega h and another number, as tiles; None of a single row."""
-    values = [row["value"] for row in m["rows"]]
-    if len(values) < 2:
-        return None
-
-    def state(k: int, i: int) -> str:
-        radius = m["rows"][k]["radii"][i]
-        above = sum(radius > border for border in _BORDERS) if radius is not None else -1
-        return _STATES[above]
-
-    # Ratios are spaced evenly in their logarithm, options in themselves.
-    x, y = Side(name, m["omega_h"], log=True), Side(m["over"], values, m["over"] == "step ratio")
-    looks = dict(zip(_STATES, _COLORS, strict=True))
-    return tile_chart(x, y, state, looks, "spectral radius")
