@@ -15,11 +15,11 @@ from typing import Any
 from chromium import chromium
 
 from bench.plugins.registry import Registry
-from bench.results.demands import NOT_MET
 from bench.results.records import UNSUPPORTED
 from bench.results.store import Store
 from bench.results.table import NO_VALUE, Table, number
 from bench.running.plan import read_profile
+from bench.running.race import NOT_MET
 from bench.running.scene_records import GHOSTS, drawings
 from problems.truth.reference import Reference
 from reports.charts.mechanism import motion

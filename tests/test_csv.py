@@ -10,9 +10,7 @@ from planted import plant, planted
 from small_stores import a_record
 
 from bench.results.flat_rows import csv_text, flatten
-from bench.results.quantities import group_and_norm
 from bench.results.records import Digits, median
-from problems.base.spec import SpecError
 
 
 def test_numbers_line_breaks_and_empty_cells_are_read_unchanged():
@@ -67,17 +65,3 @@ def test_the_export_has_lists_names_and_published_digits_and_its_file_decides_th
     assert frame.environment[0] == row["environment"]
     wrong = "report", folder, "--json", "-o", tmp_path / "b.csv"
     assert "ends in .csv and --json was given" in refused(*wrong)
-
-
-def test_an_error_is_read_as_group_and_norm_or_named():
-    for text, expected in (
-        ("a:rms", ("a", "rms")), (" a : end ", ("a", "end")), ("a", ("a", "max")),
-        ("|q|", ("|q|", "max")),
-    ):  # fmt: skip
-        assert group_and_norm(text, ["q", "a"]) == expected
-    for text, words in (
-        ("x:max", "no error of 'x'; known: a, q"), ("|a:max", "no error of"),
-        ("a:mx", "no norm 'mx'; did you mean 'max'"),
-    ):  # fmt: skip
-        with pytest.raises(SpecError, match=words):
-            group_and_norm(text, ["q", "a"])

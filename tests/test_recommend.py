@@ -13,14 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planted import MACHINE, planted
 
-from bench.results.demands import bracket, demand
-from bench.results.quantities import NORMS
+from bench.results.quantities import ERROR_NAMES, NORMS
 from bench.results.records import UNSUPPORTED, Record, Rows
 from bench.results.store import Store
 from bench.running import inventory, recommend
 from bench.running.inventory import Inventory
-from bench.running.race import MOST_RUNS, RESOLVED, Candidate, Race, Sizes
-from bench.running.recommend import Recommendation
+from bench.running.race import MOST_RUNS, RESOLVED, Candidate, Race, Sizes, bracket
+from bench.running.recommend import Recommendation, demand
 from bench.running.runner import Runner
 from integrators.resolutions import Steps
 from problems.base.spec import SpecError
@@ -75,7 +74,7 @@ def test_sizes_that_fail_or_are_good_by_accident_spoil_no_bracket():
 
 def test_every_search_ends_at_allowed_sizes():
     tried = search(STEPS, lambda h: max(h**2, 1e-6), 1e-8)  # errors do not fall any more
-    assert bracket(tried, 1e-8).good is None
+    assert bracket(tried, 1e-8)[0] is None
     assert len(tried) <= 8
     assert len(search(STEPS, lambda h: math.inf, 1e-3)) <= 4
     wild = iter([10.0 ** ((-1) ** k * k) for k in range(100)])
@@ -99,6 +98,20 @@ def test_demands_are_read_and_judged():
     assert demand("q:1").of(run) == math.inf
     for text in ("a", "a:", "a:0", "a:-1", "a:nan", "a:inf", ":1", "z:1", "a:b:1"):
         with pytest.raises(SpecError):
+            demand(text)
+
+
+def test_a_demand_names_group_and_norm():
+    for text, group, norm in (
+        ("a:rms:1", "a", "rms"), (" a : end :1", "a", "end"), ("a:1", "a", "max"),
+        ("|q|:1", "|q|", "max"),
+    ):  # fmt: skip
+        assert demand(text).title == f"error in {ERROR_NAMES[group]} ({NORMS[norm]})"
+    for text, words in (
+        ("z:max:1", "no error of 'z'; known: a, constraint"), ("|a:max:1", "no error of"),
+        ("a:mx:1", "no norm 'mx'; did you mean 'max'"),
+    ):  # fmt: skip
+        with pytest.raises(SpecError, match=words):
             demand(text)
 
 

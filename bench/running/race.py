@@ -9,15 +9,52 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
-from bench.results.demands import NOT_MET, Demand, bracket
 from bench.results.records import UNSUPPORTED, MethodFacts, Record
 from bench.results.table import NO_VALUE, Table, number
 from bench.running.inventory import SceneFacts
 from bench.running.plan import Cell
 from integrators.resolutions import Steps, Tolerances
 from problems.base.spec import split_spec
+
+# ---- what is asked -----------------------------------------------------------------------
+#: Word in the place of a time.
+NOT_MET = "not met"
+
+
+def bracket(tried: Mapping[float, float], limit: float) -> tuple[float | None, float | None]:
+    """Return the coarsest size that is good, and the finest that is not, coarser than a good one.
+
+    ``tried`` has errors by sizes, infinite where a run failed. A size whose error is small by
+    accident, as a finer one has a larger error than the limit, is not good. A finer one that did
+    not reach the end, as near a singular position, says nothing.
+    """
+    wrong = min((s for s, e in tried.items() if limit < e < math.inf), default=math.inf)
+    good = max((s for s, e in tried.items() if e <= limit and s < wrong), default=None)
+    bad = (s for s, e in tried.items() if e > limit and (good is None or s > good))
+    return good, min(bad, default=None)
+
+
+class Demand(NamedTuple):
+    """A demand of a rule: an error, in words and as a function of a run, and its limit.
+
+    ``text`` is what a person writes for it.
+    """
+
+    text: str
+    title: str
+    limit: float
+    error: Callable[[Record], float | None]
+
+    def __str__(self) -> str:
+        return f"{self.title} <= {self.limit:g}"
+
+    def of(self, record: Record) -> float:
+        """Return the error of a run; a run that failed has an infinite one."""
+        found = self.error(record) if record.status == "ok" else None
+        return math.inf if found is None or math.isnan(found) else found
+
 
 # ---- the search of one method ------------------------------------------------------------
 #: Quotient of the finest size that fails and the coarsest that is good, at which a search ends.
@@ -168,7 +205,7 @@ class Candidate:
     @property
     def best(self) -> Record | None:
         """The run with the coarsest good size, if there is one."""
-        good = bracket(self.errors, self.asked.limit).good
+        good, _ = bracket(self.errors, self.asked.limit)
         return None if good is None else self.runs[good]
 
     @property
@@ -193,7 +230,7 @@ class Candidate:
     @property
     def least(self) -> float:
         """The least operations that a good run can take: those of the finest bad size."""
-        bad = bracket(self.errors, self.asked.limit).bad
+        _, bad = bracket(self.errors, self.asked.limit)
         run = None if bad is None else self.runs[bad]
         return (run.cost("operations") or 0.0) if run and run.status == "ok" else 0.0
 
