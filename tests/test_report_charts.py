@@ -204,7 +204,7 @@ def test_a_scene_s_page_shows_errors_over_time_where_they_are_stored(tmp_path):
 def test_a_study_chooses_what_is_drawn_over_time_or_over_another_component(styles):
     label, rows = next(iter(styles)), curves(1.0, {"q": 5, "x": 2})
     chosen = [[("q", 4)], [("x", 0)], [("q", 1), ("q", 0)]]
-    chart = trajectory_chart([(label, rows)], rows, ["q", "x"], styles, chosen=chosen)
+    chart = trajectory_chart([(label, rows)], rows, ["q", "x"], styles, {}, chosen)
     for panel, (x, y) in zip(
         chart["concat"], (("t", "q4"), ("t", "x0"), ("q0", "q1")), strict=True
     ):

@@ -21,7 +21,7 @@ from bench.plugins.registry import KINDS, SUFFIXES, Plugin
 from bench.results.flat_rows import csv_text
 from bench.results.table import Table
 from bench.running.inventory import Inventory
-from bench.running.plan import built_in_profiles, read_profile, suite_titles
+from bench.running.plan import built_in_profiles, read_profile
 from bench.running.scene_records import GHOSTS
 from bench.running.session import describe_scenes
 from bench.running.worker import Worker
@@ -103,8 +103,10 @@ def list_(o: Given) -> None:
         )
         return
     for kind in whole:
-        plugins = getattr(registry, kind, {}).values()
-        lines = {p.name: _reason(p) or p.paragraphs[0] for p in plugins} or suite_titles()
+        if kind == "suites":
+            lines = {name: read_profile(name)[1].title or name for name in every[kind]}
+        else:
+            lines = {p.name: _reason(p) or p.paragraphs[0] for p in every[kind].values()}
         longest = min(_LONGEST_NAME, max(map(len, lines), default=0))
         say((f"{WORDS[kind]}s", "bold"))
         for name, text in lines.items():

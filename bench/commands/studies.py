@@ -73,18 +73,13 @@ def realtime(o: Given) -> None:
       stepbench realtime quarter_car bdf2 --rate 500 --iterations 2
       stepbench realtime pendulum half_explicit_euler stormer_verlet --rate 1000 --duration 1 --json
     """
-    from bench.running.constant_steps import (
-        realtime_job,
-        realtime_sentence,
-        realtime_tables,
-        steps_of,
-    )
+    from bench.running import constant_steps as job
 
-    task = o.rate, steps_of(o.asked_scene, o.rate, o.duration), o.iterations
-    runs = [run for runs in o.measured(realtime_job, *task) for run in runs]
+    task = o.rate, job.steps_of(o.asked_scene, o.rate, o.duration), o.iterations
+    runs = [run for runs in o.measured(job.realtime_job, *task) for run in runs]
     if runs:
-        summary = realtime_sentence(runs)
-        o.answer({"runs": runs, "summary": summary}, *realtime_tables(runs), summary)
+        summary = job.realtime_sentence(runs)
+        o.answer({"runs": runs, "summary": summary}, *job.realtime_tables(runs), summary)
     o.faults += [f"{run.name}: {run.status}: {run.message}" for run in runs if run.status != "ok"]
 
 
@@ -152,11 +147,10 @@ def atlas(o: Given) -> None:
     from reports.pages.studies import write_atlas_page
 
     experiments = read_experiments(o.experiments)
-    registry = o.registry
-    added = [registry.integrator(name).spec for name in o.integrators]
+    added = [o.registry.integrator(name).spec for name in o.integrators]
     with Store(o.out, create=True, fresh=o.fresh) as store, RunProgress() as progress:
         remark("Finished experiments are stored; the same command goes on.")
-        task = experiments, added, store, registry, o.jobs, progress, o.budget
+        task = experiments, added, store, o.registry, o.jobs, progress, o.budget
         results = complete_experiments(*task)
     if o.as_json:
         o.answer(results)

@@ -96,11 +96,6 @@ def built_in_profiles() -> dict[str, Path]:
     return {file.stem: file for file in sorted(folder.glob("*.toml"))}
 
 
-def suite_titles() -> dict[str, str]:
-    """Return the titles of the suites that ship with the tool, by name."""
-    return {n: str(_read_toml(f).get("title", n)) for n, f in built_in_profiles().items()}
-
-
 def read_profile(name: str) -> tuple[str, ProfileFile]:
     """Read a built-in profile by name or any TOML file by path; return its name and contents.
 

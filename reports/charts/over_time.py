@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import Any
 
 from bench.results.quantities import GROUP_NAMES, error_note
@@ -40,7 +39,7 @@ def trajectory_chart(
     reference: Rows | None,
     groups: Sequence[str],
     styles: Mapping[str, LineStyle],
-    names: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    names: Mapping[str, Sequence[str]],
     chosen: Sequence[Sequence[Component]] = (),
 ) -> vl.Spec | None:
     """Components of the groups over time, the reference as a broad grey line behind.
