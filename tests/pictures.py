@@ -19,8 +19,8 @@ from bench.results.records import UNSUPPORTED
 from bench.results.store import Store
 from bench.results.table import NO_VALUE, Table, number
 from bench.running.plan import read_profile
-from bench.running.race import NOT_MET
 from bench.running.scene_records import GHOSTS, drawings
+from bench.running.search import NOT_MET
 from problems.truth.reference import Reference
 from reports.charts.mechanism import motion
 from reports.pages.templating import markdown_table
@@ -94,13 +94,14 @@ def times() -> None:
 
     Methods that meet it most often come first, and of these the fastest.
     """
-    folder, columns = Path(MEASURED[1]), dict[str, dict[str, Any]]()
+    folder, columns, asked_for = Path(MEASURED[1]), dict[str, dict[str, Any]](), ""
     for study in read_profile("iftomm")[1].study:
         for scene in study.problems:
             asked = "recommend", scene, *study.integrators, "--rule", "iftomm", "--out", folder
             told = json.loads(stepbench(*asked, "--json", stdout=subprocess.PIPE).stdout)
             # Later ones are at high precision.
             columns[scene] = {rating["integrator"]: rating for rating in told["ratings"]}
+            asked_for = told["ratings"][-1]["demand"]
 
     def seconds(method: str, scene: str) -> float:
         rating = columns[scene].get(method, {"met": False})
@@ -120,7 +121,7 @@ def times() -> None:
     fastest = [min(order, key=lambda m: seconds(m, scene)) for scene in columns]
     rows = [[method, *(cell(method, scene) for scene in columns)] for method in order]
     best = {(order.index(method), j) for j, method in enumerate(fastest, 1)}
-    title = f"Time [s] of the coarsest run with {told['ratings'][-1]['demand']}"
+    title = f"Time [s] of the coarsest run with {asked_for}"
     table = Table(title, ["integrator", *columns], rows, best, note=NOTHING)
     with Store(folder) as store:
         made = dict.fromkeys(

@@ -18,9 +18,10 @@ from bench.results.records import UNSUPPORTED, Record, Rows
 from bench.results.store import Store
 from bench.running import inventory, recommend
 from bench.running.inventory import Inventory
-from bench.running.race import MOST_RUNS, RESOLVED, Candidate, Race, Sizes, bracket
-from bench.running.recommend import Recommendation, demand
+from bench.running.race import Race
+from bench.running.recommend import Recommendation
 from bench.running.runner import Runner
+from bench.running.search import MOST_RUNS, RESOLVED, Candidate, Sizes, bracket, demand
 from integrators.resolutions import Steps
 from problems.base.spec import SpecError
 from problems.scenes.iftomm import IFToMMPendulum

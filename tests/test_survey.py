@@ -10,11 +10,11 @@ from helpers import cell_of
 
 from bench.plugins.registry import Registry
 from bench.results.quantities import WRONG
-from bench.running.plan import resolution_of
 from bench.running.process import Limits
 from bench.running.runner import Runner, cell_task
 from bench.running.session import result_of
 from bench.running.worker import Worker
+from integrators.resolutions import Steps, Tolerances
 
 INTEGRATORS = sorted(entry.name for entry in entry_points(group="stepbench.integrators"))
 #: Kinds of scenes by what goes wrong there; of those that fit, the first counts.
@@ -69,7 +69,8 @@ def test_no_default_run_ends_well_and_is_wrong_without_a_note(runner, scenes, na
     scene = taken[INTEGRATORS.index(name) % len(taken)]
     t0, t_end = scene.interval
     end = min(t_end, t0 + STEPS * scene.nominal_step)
-    cell = cell_of(Registry(), scene.spec, method.spec, end, resolution_of(scene, method))
+    resolution = Steps(scene.nominal_step) if method.controls == "step" else Tolerances()
+    cell = cell_of(Registry(), scene.spec, method.spec, end, resolution)
     ((_, answer),) = runner.run([[cell_task(Worker.measure, cell)]])
     record = result_of(cell, answer).record
     if record.status != "ok":

@@ -23,12 +23,10 @@ import msgspec
 from bench.plugins.registry import Unavailable
 from bench.results.records import MethodFacts, Plan, Record, Study
 from bench.running.inventory import Inventory, SceneFacts
-from integrators.contract import Integrator
 from integrators.resolutions import Steps, Tolerances, check_end
 from problems.base import spec
 from problems.base.checks import tidy
 from problems.base.spec import SpecError
-from problems.system import MechatronicSystem
 
 Facts = TypeVar("Facts")
 #: Steps (halvings of the nominal step) and tolerances of a scene if a profile gives none.
@@ -371,30 +369,3 @@ def _expand(
         cells=list(cells),
     )
     return study, cells
-
-
-def resolution_of(
-    scene: SceneFacts | MechatronicSystem,
-    method: MethodFacts | Integrator,
-    step: float | None = None,
-    pattern: tuple[float, ...] | None = None,
-    rtol: float | None = None,
-    atol: float | None = None,
-) -> Steps | Tolerances:
-    """Return the steps or tolerances of a run.
-
-    Raises
-    ------
-    SpecError
-        If options of the other kind are given: steps to a method that chooses its own, or
-        tolerances to a method with fixed steps.
-    """
-    fixed = method.controls == "step"
-    takes = "fixed steps; give --step" if fixed else "steps of its own; give --rtol"
-    others = {"rtol": rtol, "atol": atol} if fixed else {"step": step, "pattern": pattern}
-    for option, value in others.items():
-        if value is not None:
-            raise SpecError(f"{method.spec} takes {takes} instead of --{option}.")
-    if fixed:
-        return Steps(scene.nominal_step if step is None else step, pattern or (1.0,))
-    return Tolerances(atol=atol) if rtol is None else Tolerances(rtol, atol)

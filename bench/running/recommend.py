@@ -12,27 +12,19 @@ from typing import Any
 
 import msgspec
 
-from bench.results.quantities import ASKED, ERROR_NAMES, NORM, NORMS
 from bench.results.records import Record, Study
 from bench.results.store import Store
 from bench.running.interrupts import remark
 from bench.running.inventory import Inventory, SceneFacts
 from bench.running.plan import FIGURES, Cell, ProfileFile, StudyFile, Suite, make_suite
 from bench.running.process import Limits
-from bench.running.race import FORMS, MOST_TIMED, SPREAD, TIE, Candidate, Demand, Race
+from bench.running.race import FORMS, MOST_TIMED, SPREAD, TIE, Race
 from bench.running.runner import Progress, Runner, Task
+from bench.running.search import ENERGY, POINTS, Candidate, Demand, demand
 from bench.running.session import is_due, measure_suite, time_suite
 from bench.running.worker import Worker
-from problems.base.spec import SpecError, join_spec, one_of, split_spec, suggest
+from problems.base.spec import SpecError, join_spec, split_spec
 
-#: What a rule may limit like an error of a group: the change of energy, and the error of the named
-#: points by the rule of the IFToMM library.
-ENERGY, POINTS = "energy", "points"
-#: Errors of a run by these words, with their titles.
-_OTHERS: dict[str, tuple[str, Callable[[Record], float | None]]] = {
-    ENERGY: ("change of energy", lambda record: record.energy_drift),
-    POINTS: ("error of the named points", lambda record: record.history_error),
-}
 #: Demands of the rules by name; those of "work-precision" are asked for. "iftomm" has the low and
 #: the high precision of the library's specifications.
 RULES = {"work-precision": ("a:1e-3",), "iftomm": (f"{POINTS}:1e-1", f"{POINTS}:1e-3")}
@@ -42,41 +34,15 @@ PARTS = {"seconds": (0.5, 0.65, 0.9), "operations": (0.65, 0.85, 0.9)}
 _STORED = "Finished runs are stored; the same command goes on."
 
 
-def demand(text: str) -> Demand:
-    """Read a demand as a person writes it: "a:1e-3", "q:end:1e-6", "energy:1e-4", "points:1e-3";
-    raise SpecError if it is none of these.
-
-    A group between bars means its 2-norm, without them its worst component.
-    """
-    what, _, last = text.rpartition(":")
-    try:
-        limit = float(last)
-    except ValueError:
-        limit = math.nan
-    if not (what and 0 < limit < math.inf):
-        raise SpecError(
-            f"{text!r} is no demand; give a quantity and its largest error, such as a:1e-3, "
-            f"q:end:1e-6, {ENERGY}:1e-4 or {POINTS}:1e-3."
-        )
-    if what in _OTHERS:
-        title, error = _OTHERS[what]
-        return Demand(text, title, limit, error)
-    group, _, norm = (part.strip() for part in what.partition(":"))
-    if group.strip("|") not in ASKED or group not in ERROR_NAMES:
-        raise SpecError(f"There is no error of {group!r}; {suggest(group, ASKED)}.")
-    norm = one_of(norm or NORM, NORMS, "norm")
-    title = f"error in {ERROR_NAMES[group]} ({NORMS[norm]})"
-    return Demand(text, title, limit, lambda record: record.error(group, norm))
-
-
 class Recommendation:
     """A race of all methods that take a scene; or a search for each method that is named.
 
     All methods have ``budget`` seconds together, and so are dropped as soon as they cannot win; of
     named ones it is the processor time in s after which a run is stopped. ``remarks`` are sentences
     on what the scene lacks, ``races`` those of each demand. The run ends at ``t_end`` in s, or at
-    the scene's own end. ``errors`` are demands, as `demand` reads them; without any those of a
-    ``rule`` of `RULES`. ``cost`` is that of the ranking, "seconds" or "operations".
+    the scene's own end. ``errors`` are demands, as `bench.running.search.demand` reads them;
+    without any those of a ``rule`` of `RULES`. ``cost`` is that of the ranking, "seconds" or
+    "operations".
 
     Raises
     ------
@@ -310,8 +276,8 @@ def _in_turns(candidates: Sequence[Candidate]) -> list[Candidate]:
         return max(c.method.orders.values(), default=2 if c.method.controls == "step" else 5)
 
     turns: Counter[str] = Counter()
-    ranked = []
+    turn: dict[Candidate, int] = {}
     for c in sorted(candidates, key=order, reverse=True):
-        ranked.append((turns[c.method.family], c))
+        turn[c] = turns[c.method.family]
         turns[c.method.family] += 1
-    return [c for _, c in sorted(ranked, key=lambda turn: turn[0])]
+    return sorted(turn, key=turn.__getitem__)

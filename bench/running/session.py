@@ -20,11 +20,11 @@ from bench.results.records import INTERRUPTED, TIMING_SECONDS, Record, Rows, Sce
 from bench.results.store import Store
 from bench.results.timings import FEWEST, contenders
 from bench.running.inventory import SceneFacts
-from bench.running.plan import Cell, Suite, resolution_of
+from bench.running.plan import Cell, Suite
 from bench.running.process import PREPARING, Limits, NoAnswer
 from bench.running.runner import Progress, Runner, Task, cell_task, scene_task
 from bench.running.worker import CellResult, Worker
-from integrators.resolutions import Steps, check_end
+from integrators.resolutions import Steps, Tolerances, check_end
 from problems.base.spec import SpecError
 
 #: Constant steps from which on a well compiled program saves the time that it takes to compile;
@@ -207,7 +207,7 @@ def solve(
 ) -> tuple[CellResult, dict[str, list[str]]]:
     """Do a run; return its result, and the names of the components of each group of the scene.
 
-    Names may have options; ``parameters`` are of the scene, ``sizes`` those of `resolution_of`,
+    Names may have options; ``parameters`` are of the scene, ``sizes`` those of `plan_run`,
     ``t_end`` is in s; None stands for the scene's or the method's own. The run is timed so many
     times as there are ``samples``; None: not, unless it is long.
 
@@ -256,14 +256,26 @@ def plan_run(
     sizes: Mapping[str, Any],
 ) -> tuple[Cell, dict[str, list[str]]]:
     """Do a job of a worker: plan a run with the plugins that its process has loaded, in a budget
-    beside that of the run; return its cell and the names of components."""
+    beside that of the run; return its cell and the names of components.
+
+    SpecError is raised if ``sizes`` (step, pattern, rtol, atol; None: not given) are of the other
+    kind: steps of a method that chooses its own, or tolerances of one with fixed steps.
+    """
     worker.notify(PREPARING, "planning")
     registry = worker.inventory
     registry.require_files()
     scene = registry.problem(problem, **parameters)
     method = registry.integrator_on(registry.integrator(integrator), scene)
     end = check_end(scene.interval[0], scene.interval[1] if t_end is None else t_end)
-    resolution = resolution_of(scene, method, **sizes)
-    if isinstance(resolution, Steps):
+    given = {name: size for name, size in sizes.items() if size is not None}
+    fixed = method.controls == "step"
+    takes = "fixed steps; give --step" if fixed else "steps of its own; give --rtol"
+    for option in given:
+        if option in (("rtol", "atol") if fixed else ("step", "pattern")):
+            raise SpecError(f"{method.spec} takes {takes} instead of --{option}.")
+    if fixed:
+        resolution = Steps(given.get("step", scene.nominal_step), given.get("pattern", (1.0,)))
         resolution.count(scene.interval[0], end)  # refuses a step that does not fit the interval
+    else:
+        resolution = Tolerances(**given)
     return Cell(scene, method, end, resolution), registry.components(scene.spec)
