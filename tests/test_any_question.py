@@ -267,7 +267,11 @@ def test_a_scene_tells_whom_to_avoid(browser, folder):
     for scene, cost, said in (
         ("free", "residuals", "Costly: two (∞ \N{MULTIPLICATION SIGN})."),
         ("won", "operations", "Not reached by far."),
-        ("broken", "operations", "Failed: 1 of 2 runs: two (1) newton failed (reasons)."),
+        (
+            "broken",
+            "operations",
+            "Failed: 1 of 2 runs: two (1) failed in Newton's method (reasons).",
+        ),
         ("near", "operations", ""),
     ):
         fragment = f"#group=a&target=1e-4&cost={cost}"

@@ -53,7 +53,11 @@ _LEAST = 1e-40
 #: Signs of an integrator that has no cost, before all letters.
 _SIGNS = {"unknown": "?", "far": "-", "failed": "!"}
 #: Ends of runs that failed, in words; others are called as records have them.
-_ENDS = {"budget_exceeded": "used up their calls, steps or time"}
+_ENDS = {
+    "budget_exceeded": "used up calls, steps or time",
+    "newton_failed": "failed in Newton's method",
+    "step_too_small": "came to too small a step",
+}
 
 
 def site_data(report: Report) -> dict[str, Any] | None:
@@ -278,15 +282,15 @@ def _failed(scene: str, report: Report) -> list[Sentence]:
     ends: dict[str, Counter[str]] = {}
     for r in failed:
         ends.setdefault(r.status, Counter())[label_of(r)] += 1
-    how: list[Sentence] = []
+    how: Sentence = []
     for end, whose in sorted(ends.items(), key=lambda item: -item[1].total()):
         who = ([method_ref(label, report.names), f" ({n})"] for label, n in whose.most_common())
         words = _ENDS.get(end) or end.replace("_", " ")
-        how.append([*listed(who, len(whose)), f" {words}"])
+        how += ["; " if how else "", *listed(who, len(whose)), f" {words}"]
     hard = report.stored.scenes[scene].difficulties[:1] if scene in report.stored.scenes else []
     lead = f"Failed: {len(failed)} of {counted(len(runs), 'run')}: "
     why = [f". Hard here: {hard[0]}."] if hard else ["."]
-    return [[lead, *listed(how, len(how)), " (", Ref("failed", scene, "reasons"), ")", *why]]
+    return [[lead, *how, " (", Ref("failed", scene, "reasons"), ")", *why]]
 
 
 def _wrong(report: Report, group: str, chosen: Filters) -> dict[str, Any]:

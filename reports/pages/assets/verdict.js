@@ -48,7 +48,7 @@
     const how = ([m]) => columnOf(runsOf(scene, m), question.group).some((error) => error > Number(question.target)) ? "in fine runs alone" : "in every run";
     const dear = of(([ratio]) => ratio >= 10).sort(([, [one]], [, [two]]) => two - one).map(([m, [ratio]]) => [methodRef(m), ` (${multiple(ratio)} ×)`]);
     const far = of((state) => state === "far" || state === "failed").map(([m]) => [methodRef(m)]);
-    if (stepbench.violation(question)) return [`${question.target} (relative) is held `, ...listed(Object.entries(Object.groupBy(of(stepbench.reaches), how)).map(([said, own]) => [`${said} by `, ...listed(own.map(([m]) => [methodRef(m)]), 99)])), "."];
+    if (stepbench.violation(question)) return [`${question.target} (relative) is held `, ...Object.entries(Object.groupBy(of(stepbench.reaches), how)).flatMap(([said, own], k) => [`${k ? "; " : ""}${said} by `, ...listed(own.map(([m]) => [methodRef(m)]), 99)]), "."];
     return second !== null ? [...(dear.length ? ["Costly: ", ...listed(dear), ". "] : []), ...(far.length ? ["Not reached by ", ...listed(far), "."] : [])] : [];
   };
   // The median of values with its interval, and the quotient of the times of two runs, as bench/results/timings.py has them.
