@@ -134,7 +134,7 @@ def relative_errors(trajectory: Trajectory, reference: Reference) -> ErrorTable:
         table.components[group] = {name: [*map(finite, e)] for name, e in each.items()}
         table.histories[error_note(group)] = (off / sizes.components)[:, told].max(axis=1)
         table.errors[group] = {name: finite(e[told].max()) for name, e in each.items()}
-        table.errors[whole(group)] = {n: finite(over[n](size) / sizes.group) for n in NORMS}
+        table.errors[whole(group)] = {n: finite(float(over[n](size) / sizes.group)) for n in NORMS}
         own = float((unsure / sizes.components).max()), np.linalg.norm(unsure) / sizes.group
         for name, error in zip((group, whole(group)), own, strict=True):
             table.reference_errors[name] = dict.fromkeys(NORMS, float(error))
