@@ -24,7 +24,7 @@ def milliseconds(seconds: float | None) -> str:
 
 def cost_text(value: float | None, cost: str) -> str:
     """A cost with its unit, in three digits."""
-    if COSTS[cost].is_time:
+    if cost == "seconds":
         long = value is not None and value >= 1
         return f"{number(value)} s" if long else f"{milliseconds(value)} ms"
     for size, word in ((1e9, "billion"), (1e6, "million")):
@@ -35,10 +35,10 @@ def cost_text(value: float | None, cost: str) -> str:
 
 def tie_text(cost: str) -> str:
     """The costs that cannot be told apart."""
-    tie, is_time = COSTS[cost].tie, COSTS[cost].is_time
+    tie = COSTS[cost].tie
     if tie == 1.0:
         return "equal counts"
-    if is_time:
+    if cost == "seconds":
         within = f"within a factor of {tie:g} of 1, or whose {100 * LEVEL:.3g} % interval holds 1"
         return f"times whose median quotient in rounds of samples is {within}"
     return f"counts that differ by at most {100 * (tie - 1):.3g} %"

@@ -14,7 +14,7 @@ from itertools import product
 from operator import itemgetter
 from typing import NamedTuple
 
-from bench.results.quantities import ASKED, COSTS, NORM, RANKED_COSTS, TRUST
+from bench.results.quantities import ASKED, COSTS, NORM, TRUST
 from bench.results.records import NOT_TRIED, Record
 from bench.results.timings import by_round, quotient
 from reports.questions import TARGETS, Question
@@ -147,7 +147,7 @@ def answers(
     """The answers by each cost to all questions about groups that a scene has."""
     having = {k: {*groups_of(ok_runs(s), ASKED)} for k, s in scenes.items()}
     asked = [g for g in groups if any(g in own for own in having.values())]
-    questions = (Question(*own) for own in product(asked, targets, RANKED_COSTS, norms))
+    questions = (Question(*own) for own in product(asked, targets, COSTS, norms))
     found = {question: Answer(question, {}, {}) for question in questions}
     for name, series in scenes.items():
         field = _Field(series)
@@ -162,15 +162,10 @@ def answers(
     return found
 
 
-def answer(scenes: Mapping[str, Sequence[Series]], question: Question) -> Answer:
-    """The answer to one question; it is empty if no scene has the group."""
-    return by_cost(scenes, question)[question]
-
-
 def by_cost(scenes: Mapping[str, Sequence[Series]], first: Question) -> dict[Question, Answer]:
     """The answers to one question by each cost, its own first."""
     found = answers(scenes, [first.group], [first.target], [first.norm])
-    costs = dict.fromkeys((first.cost, *RANKED_COSTS))
+    costs = dict.fromkeys((first.cost, *COSTS))
     asked = [replace(first, cost=cost) for cost in costs]
     return {question: found.get(question, Answer(question, {}, {})) for question in asked}
 
@@ -252,7 +247,7 @@ def told_apart(one: Record, two: Record, cost: str) -> bool:
 
     Times by their quotient within rounds (`bench.results.timings`), others by `Cost.tie`.
     """
-    if COSTS[cost].is_time:
+    if cost == "seconds":
         found = quotient(by_round(one), by_round(two))
         return found is not None and found.differs
     values = [v for r in (one, two) if (v := r.cost(cost)) is not None]

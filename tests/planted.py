@@ -6,7 +6,7 @@ import json
 import math
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,9 @@ from urllib.parse import unquote
 from bench.results.quantities import NORMS
 from bench.results.records import Environment, Plan, Record, Rows, SceneRecord, Study
 from bench.results.store import Store
+from reports.questions import Question
+from reports.ranking import Answer, by_cost
+from reports.series import Series
 
 STEPS = [0.1 / 2**k for k in range(6)]
 MACHINE = Environment(
@@ -204,6 +207,11 @@ def whole_markdown(folder: Path) -> str:
     files = dict.fromkeys(re.findall(r"\]\((report/scene-[^)#]+\.md)\)", index))
     parts = [(folder / unquote(file)).read_text(encoding="utf-8") for file in files]
     return index + "".join(part.replace("](../", "](") for part in parts)
+
+
+def answer(scenes: Mapping[str, Sequence[Series]], question: Question) -> Answer:
+    """The answer to one question; it is empty if no scene has the group."""
+    return by_cost(scenes, question)[question]
 
 
 def chart_rows(chart: dict[str, Any], name: str) -> list[dict[str, str]]:

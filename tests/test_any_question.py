@@ -5,9 +5,9 @@ from bisect import bisect_right
 
 import pytest
 from chromium import each, visit
-from planted import planted
+from planted import answer, planted
 
-from bench.results.quantities import NORMS, RANKED_COSTS
+from bench.results.quantities import COSTS, NORMS
 from bench.results.records import INTERRUPTED, UNSUPPORTED, Plan, Rows, Study
 from bench.results.store import Store
 from bench.results.timings import LEAST_OF_FEW, by_round, quotient
@@ -15,7 +15,7 @@ from reports.formatting import number
 from reports.pages.html_report import write_html_report
 from reports.pages.report import read_report
 from reports.questions import GRID, TARGETS, Question, plain
-from reports.ranking import Answer, answer, answers
+from reports.ranking import Answer, answers
 from reports.series import series_of
 from reports.verdicts import headline
 
@@ -133,7 +133,7 @@ def test_the_table_of_the_page_and_python_agree(browser, folder):
     groups, ids = list(data["group_names"]), [s["id"] for s in data["scenes"]]
     assert list(map(float, data["targets"])) == list(GRID)
     counted = answers(report.series, groups, GRID, tuple(NORMS))
-    assert len(counted) == len(groups) * len(GRID) * len(RANKED_COSTS) * len(NORMS)
+    assert len(counted) == len(groups) * len(GRID) * len(COSTS) * len(NORMS)
     asked = {
         key: browser.execute_script(ASK, *key)
         for key in dict.fromkeys((q.group, q.norm) for q in counted)
@@ -175,7 +175,7 @@ def test_the_table_of_the_page_and_python_agree(browser, folder):
             ), where
     assert told >= {"1.0", "2.5", "far", "failed", "unknown"}
     for (group, norm), shown in asked.items():
-        for cost in RANKED_COSTS:
+        for cost in COSTS:
             over = [counted[Question(group, t, cost, norm)] for t in TARGETS]
             for chosen in data["filters"]:
                 pairs, ratios = profile_of(over, {ids[k] for k in chosen["scenes"]})

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from chromium import each, visit
 from helpers import reference, toy
-from planted import plant, planted
+from planted import answer, plant, planted
 
-from bench.results.quantities import NORMS, RANKED_COSTS, VIOLATIONS
+from bench.results.quantities import COSTS, NORMS, VIOLATIONS
 from bench.running.errors import ROUNDING, constraint_errors, constraint_sizes, relative_errors
 from bench.running.measure import constraint_unit
 from integrators.contract import Trajectory, Work
@@ -19,7 +19,7 @@ from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven
 from problems.truth.reference import Reference
 from reports.pages.html_report import write_html_report
 from reports.questions import FIRST, Question, plain
-from reports.ranking import answer, answers
+from reports.ranking import answers
 from reports.scenes import StoredRuns
 from reports.series import series_of
 from reports.tables.ranking_tables import targets_table, winners_table
@@ -176,7 +176,7 @@ def test_the_unit_of_constraints_follows_from_their_multipliers():
 def test_tables_of_winners_have_a_column_of_violations_for_each_cost():
     series = series_of([won("s"), won("s", "two", cost=300)])
     free = series_of([won("f", **FREE), won("f", "two", cost=300, **FREE)])
-    asked = [replace(FIRST, cost=cost) for cost in RANKED_COSTS]
+    asked = [replace(FIRST, cost=cost) for cost in COSTS]
     found = answers({"s": series, "f": free}, [FIRST.group], [FIRST.target])
     table = winners_table({q: found[q] for q in asked}, {})
     assert table.head[-1] == "|Φ| of the winners, largest over time"

@@ -7,11 +7,11 @@ import re
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from planted import everything, planted
+from planted import answer, everything, planted
 
 from bench.results.records import UNSUPPORTED, MethodFacts
 from reports.questions import ALL, FIRST, TABLE_TARGETS, Question, filters, kind_of, plain
-from reports.ranking import answer, answers, by_cost, told_apart
+from reports.ranking import answers, by_cost, told_apart
 from reports.series import series_of
 from reports.tables.ranking_tables import integrators_table, targets_table, winners_table
 from reports.verdicts import LATER, WRONG_A, differing_costs, headline, headlines, verdict

@@ -137,7 +137,8 @@ def test_error_against_cost_has_a_panel_for_each_scene_with_several_integrators(
             (r.integrator, r.work["residuals"], near(r.errors["a"]["end"])) for r in ok
         }
     assert "<svg" in vl_convert.vegalite_to_svg(chart)
-    assert error_against_cost({"alone": series["alone"]}, styles, Question("a", 1, "steps")) is None
+    alone = {"alone": series["alone"]}
+    assert error_against_cost(alone, styles, Question("a", 1, "residuals")) is None
 
 
 def guides(chart):

@@ -16,7 +16,7 @@ from small_stores import atlas_with
 from bench.results.records import endings
 from bench.results.store import Store
 from bench.running.inventory import Inventory
-from bench.running.plan import make_suite, read_profile, suite_titles
+from bench.running.plan import built_in_profiles, make_suite, read_profile
 from reports.formatting import symbols
 from reports.names import BUILT_IN, short_name, short_names
 from reports.pages.method_page import atlas_table
@@ -85,11 +85,10 @@ def test_the_list_has_a_line_for_each_and_details_of_one(stepbench, monkeypatch)
     monkeypatch.setenv("COLUMNS", "100")
     registry = Inventory()
     lines = stepbench("list").stdout.splitlines()
-    for name in (*registry.problems, *registry.integrators, *suite_titles()):
+    names = [*registry.problems, *registry.integrators, *built_in_profiles()]
+    for name in names:
         assert sum(line.split()[:1] == [name] for line in lines) == 1, name
-    assert (
-        len(lines) == sum(map(len, (registry.problems, registry.integrators, suite_titles()))) + 4
-    )
+    assert len(lines) == len(names) + 4
     only = stepbench("list", "scenes").stdout
     assert "pendulum" in only
     assert "newmark" not in only

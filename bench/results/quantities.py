@@ -68,47 +68,33 @@ LEVELS = ("position", "velocity", "acceleration")
 
 
 class Cost(NamedTuple):
-    """A cost of a run: its name in records, and the words by which pages speak of it.
+    """The words by which pages speak of a cost of a run.
 
-    The ``title`` stands in charts and menus, the ``words`` in sentences. ``tie`` is the quotient up
-    to which two costs are equal; times have intervals of their own, too.
+    The ``title`` stands in charts and menus, ``words`` and the ``least`` of them in sentences, the
+    ``unit`` behind numbers. ``tie`` is the quotient up to which two costs are equal; times have
+    intervals of their own, too.
     """
 
-    name: str
     title: str
     words: str
+    least: str
+    unit: str
     tie: float = 1.0
 
-    @property
-    def is_time(self) -> bool:
-        """Whether it is measured in s; all others are counts."""
-        return self.name == "seconds"
 
-    @property
-    def unit(self) -> str:
-        """The shortest name of its unit."""
-        return "s" if self.is_time else self.words.split()[-1]
-
-    @property
-    def least(self) -> str:
-        """The least of it in words: "fewest operations"."""
-        return f"least {self.words}" if self.is_time else f"fewest {self.words}"
-
-
-#: Costs of a run by name: operations of its bill, the time in s, and counts of
-#: `integrators.contract.Work`.
+#: Costs of a run by name, by each of which integrators are ranked: operations of its bill, the time
+#: in s, and a count of `integrators.contract.Work`.
 COSTS = {
     # The model of operations is no more exact than 10 %. One program takes several per cent
     # more or less time in another process, because its memory lies elsewhere.
-    "operations": Cost("operations", "floating-point operations", "operations", 1.1),
-    "seconds": Cost("seconds", "median seconds per run", "time", 1.1),
+    "operations": Cost(
+        "floating-point operations", "operations", "fewest operations", "operations", 1.1
+    ),
+    "seconds": Cost("median seconds per run", "time", "least time", "s", 1.1),
+    "residuals": Cost(
+        "residual evaluations", "residual evaluations", "fewest residual evaluations", "evaluations"
+    ),
 }
-_COUNTS = {"residuals": "residual evaluations", "jacobians": "Jacobian evaluations",
-           "factorisations": "factorisations", "newton": "Newton iterations", "steps": "steps",
-           "solves": "linear solves", "rejected": "rejected steps"}  # fmt: skip
-COSTS |= {name: Cost(name, words, words) for name, words in _COUNTS.items()}
-#: Names of the costs by which integrators are ranked.
-RANKED_COSTS = ("operations", "seconds", "residuals")
 #: Parts of a run's bill of operations; see `integrators.program_costs.bill`.
 PARTS = ("residuals", "Jacobians", "inner solves", "factorisations", "solves", "method")
 #: Cost by which runs are compared unless another is asked for.

@@ -220,7 +220,7 @@ class Record(msgspec.Struct, kw_only=True):
         return [*filter(None, [self.message]), *([judged] if wrong else [])]
 
     def cost(self, name: str) -> float | None:
-        """Return a cost by its name in `bench.results.quantities.COSTS`, or None if unknown."""
+        """Return a cost by its name in `COSTS`, or of its work; None if it is not known."""
         if name == "seconds":
             return self.seconds
         if name == "operations":

@@ -11,7 +11,7 @@ from dataclasses import replace
 from itertools import product
 from typing import Any
 
-from bench.results.quantities import ASKED, COSTS, ERROR_NAMES, NORM, NORMS, RANKED_COSTS, TRUST
+from bench.results.quantities import ASKED, COSTS, ERROR_NAMES, NORM, NORMS, TRUST
 from bench.results.records import (
     NOT_TRIED,
     TIMING_SECONDS,
@@ -74,23 +74,23 @@ def site_data(report: Report) -> dict[str, Any] | None:
     if not (groups := groups_of(ok_runs(series), ASKED)):
         return None
     norms = [f"{g}|{norm}" for norm in NORMS if norm != NORM for g in groups]
-    columns = [*groups, *RANKED_COSTS, *norms]  # errors and costs of a run: "a", "a|rms"
+    columns = [*groups, *COSTS, *norms]  # errors and costs of a run: "a", "a|rms"
     return {
         "norms": NORMS,
         "trust": TRUST,
         "not_tried": sorted(NOT_TRIED),
         "group_names": {g: ERROR_NAMES[g] for g in groups},
-        "cost_names": {c: COSTS[c].title for c in RANKED_COSTS},
-        "cost_words": {c: COSTS[c].words for c in RANKED_COSTS},
-        "least": {c: COSTS[c].least.capitalize() for c in RANKED_COSTS},
+        "cost_names": {c: cost.title for c, cost in COSTS.items()},
+        "cost_words": {c: cost.words for c, cost in COSTS.items()},
+        "least": {c: cost.least.capitalize() for c, cost in COSTS.items()},
         "both": BOTH,
         "headlines": HEADLINES,
         "later": LATER,
         "wrong_a": WRONG_A,
-        "units": {c: COSTS[c].unit for c in RANKED_COSTS},
-        "apart": {c: COSTS[c].tie for c in RANKED_COSTS},
+        "units": {c: cost.unit for c, cost in COSTS.items()},
+        "apart": {c: cost.tie for c, cost in COSTS.items()},
         **_timing_rules([r for s in series for r in s.records]),
-        "ties": {cost: tie_text(cost) for cost in RANKED_COSTS},
+        "ties": {cost: tie_text(cost) for cost in COSTS},
         "targets": [replace(first, target=t).accuracy for t in GRID],
         "first": {
             "group": first.group,
@@ -201,7 +201,7 @@ def _timing_rules(records: Sequence[Record]) -> dict[str, Any]:
 def _value(record: Record, name: str) -> float | None:
     """A cost, or an error of a run that reached the end; None for none that an axis can show."""
     digits = 5
-    if name in RANKED_COSTS:
+    if name in COSTS:
         value, digits = record.cost(name), 7  # of which a script shows quotients
     else:
         group, _, norm = name.partition("|")
@@ -254,7 +254,7 @@ def _answers(
         return kept(verdicts, [kept(details, part) for part in parts]) if own else -1
 
     listed = {}
-    for group, norm, cost in product(groups, NORMS, RANKED_COSTS):
+    for group, norm, cost in product(groups, NORMS, COSTS):
         over = [found[Question(group, t, cost, norm)] for t in GRID]
         listed[f"{group}|{norm}|{cost}"] = [verdict(name, over) for name in measured]
     return {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from bench.results.quantities import COST, COSTS, NORM, NORMS, RANKED_COSTS
+from bench.results.quantities import COST, COSTS, NORM, NORMS
 from bench.results.records import MethodFacts
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, tie_text
@@ -16,7 +16,7 @@ from reports.verdicts import unjudged, verdict, violation_text
 
 #: When costs tie.
 _TIES = (
-    "".join(f"Ties in {COSTS[cost].words}: {tie_text(cost)}. " for cost in RANKED_COSTS)
+    "".join(f"Ties in {cost.words}: {tie_text(name)}. " for name, cost in COSTS.items())
     + "One that is among the cheapest from a later start on the same motion ties, too."
 )
 
@@ -55,7 +55,7 @@ def targets_table(series: Sequence[Series], names: Names) -> Table | None:
     if not asked:
         return None
     rows = {
-        f"{q.group} to {q.accuracy}": ("", [found[replace(q, cost=c)] for c in RANKED_COSTS])
+        f"{q.group} to {q.accuracy}": ("", [found[replace(q, cost=c)] for c in COSTS])
         for q in asked
     }
     (_, *head), *cells = _verdicts(rows, names)
