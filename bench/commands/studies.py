@@ -147,10 +147,11 @@ def atlas(o: Given) -> None:
     from reports.pages.studies import write_atlas_page
 
     experiments = read_experiments(o.experiments)
-    added = [o.registry.integrator(name).spec for name in o.integrators]
+    registry = o.registry  # before there is a folder
+    added = [registry.integrator(name).spec for name in o.integrators]
     with Store(o.out, create=True, fresh=o.fresh) as store, RunProgress() as progress:
         remark("Finished experiments are stored; the same command goes on.")
-        task = experiments, added, store, o.registry, o.jobs, progress, o.budget
+        task = experiments, added, store, registry, o.jobs, progress, o.budget
         results = complete_experiments(*task)
     if o.as_json:
         o.answer(results)
