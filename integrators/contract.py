@@ -191,13 +191,6 @@ class Integrator(ABC):
         """Return the linear multistep formulas of the method for its stability; None if unknown."""
         return None
 
-    def step_method(self, scene: MechatronicSystem) -> Any:
-        """Return the method with step functions for a scene.
-
-        It is a `NativeMethod` of `integrators.native.step_method`; None if there is none.
-        """
-        return None
-
     def why_not(self, scene: MechatronicSystem) -> str | None:
         """Return None if the integrator takes the scene, else the reason in one sentence.
 

@@ -7,14 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import forget_programs, long
-from test_lowering import many
 from test_sparse import assert_agree
 
 from integrators import Steps
-from integrators.lowering.graph import NotLowered, side_by_side
-from integrators.lowering.to_graph import lowered
+from integrators.lowering.graph import NotLowered
 from integrators.methods.generalized_alpha import GeneralizedAlpha
-from integrators.native.algebra import fixed_elimination, linear_solvers, small_matrices
+from integrators.native.algebra import linear_solvers, small_matrices
 from integrators.native.algebra.fixed_elimination import EliminationPlan, planned
 from integrators.native.algebra.jaxpr_tools import tangent_along, tangent_pattern
 from integrators.native.step.step_work import EquationsFinder
@@ -192,88 +190,6 @@ def test_runs_agree_with_those_by_pivots(scene, fallbacks, monkeypatch):
     assert_agree(fixed, by_pivots, 40, h)
 
 
-# ---- many runs side by side --------------------------------------------------------------
-def of_pivot(pivot):
-    """Residual whose tangent is the bordered matrix, linear so that one update solves it."""
-    return lambda u: jnp.stack(
-        [pivot * u[0] + u[2] - 1.0, 3 * u[1] + u[2] - 2.0, u[0] + 2 * u[1] - 3.0]
-    )
-
-
-def wanted(residual_of, u, p):
-    """The same of each run by itself."""
-    parts = jax.jit(lambda u, p: (jax.jacfwd(residual_of(p))(u), residual_of(p)(u)))
-    return [np.linalg.solve(*parts(*run)) for run in zip(u, p, strict=True)]
-
-
-def updates(residual_of, u, p):
-    """Updates of runs side by side, with unknowns and a parameter each."""
-    program = jax.jit(jax.vmap(lambda u, p: linear_solvers.DENSE.once(residual_of(p), u).update))
-    return np.asarray(program(u, p))
-
-
-def switched(p):
-    """Functions, a switch by the parameter, a vector and numbers that are no floats."""
-    signs = jnp.asarray([1, -1, 1])
-    return lambda u: jnp.where(p > 1, jnp.exp(u / 4), u * u * p) + signs * u[::-1] * p + u**3
-
-
-def test_updates_of_many_are_those_of_each():
-    random = np.random.default_rng(1)
-    for residual_of in (of_pivot, switched):
-        u, p = random.uniform(0.5, 1.5, (9, 3)), random.uniform(0.5, 1.5, 9)
-        expected = np.array(wanted(residual_of, u, p))
-        assert updates(residual_of, u, p) == pytest.approx(expected, rel=1e-12)
-        program = jax.make_jaxpr(switched(jnp.asarray(1.0)))(jnp.ones(3))
-        order = linear_solvers._order(program, 3)
-        assert order is not None
-        assert linear_solvers._side_by_side(program, order) is not None
-
-
-def test_a_pivot_that_vanishes_in_one_run_changes_no_other(fallbacks, monkeypatch):
-    u, p = np.zeros((6, 3)), np.array([2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
-    before = updates(of_pivot, u, p)
-    jax.effects_barrier()
-    assert not fallbacks
-    p[[1, 4]] = 1e-9, np.nan
-    after = updates(of_pivot, u, p)
-    jax.effects_barrier()
-    assert len(fallbacks) == 1  # a run without numbers waits
-    assert (after[[0, 2, 3, 5]] == before[[0, 2, 3, 5]]).all()
-    exact = np.linalg.solve(bordered(1e-9), B)
-    assert -after[1] == pytest.approx(exact, rel=1e-14)
-    assert np.isnan(after[4]).any()
-    with monkeypatch.context() as at:  # a GPU solves all with pivots if one needs them
-        at.setattr(fixed_elimination, "on_gpu", lambda: True)
-        found = updates(of_pivot, u, p)
-        assert found[[0, 1, 2, 3, 5]] == pytest.approx(after[[0, 1, 2, 3, 5]], rel=1e-13)
-        assert np.isnan(found[4]).any()
-    # Without the test of a solution it would be wrong.
-    monkeypatch.setattr(EliminationPlan, "_all_solved", lambda *_: jnp.asarray(True))
-    assert -updates(of_pivot, u[:2], p[[1, 0]])[0] != pytest.approx(exact, rel=1e-14)
-
-
-def test_many_runs_of_a_program_that_cannot_be_followed_are_solved_by_pivots(fallbacks):
-    def looped(p):
-        # As many turns as a number of the run asks for.
-        def turns(u):
-            return jax.lax.while_loop(lambda x: x[0] < p, lambda x: (x[0] + 1, x[1] * u), (-1.0, u))
-
-        return lambda u: turns(u)[1] + p * u - 1
-
-    u, p = np.linspace(0.5, 1.5, 8).reshape(4, 2), np.arange(1.0, 5.0)
-    assert updates(looped, u, p) == pytest.approx(np.array(wanted(looped, u, p)), rel=1e-12)
-    jax.effects_barrier()
-    assert fallbacks
-
-
-def test_a_graph_of_every_operator_is_computed_side_by_side():
-    x = np.random.default_rng(0).normal(size=(12, 7))
-    found = np.array(jax.jit(side_by_side(lowered(many, np.zeros(12))))(*x))
-    wanted = np.asarray(jax.jit(jax.vmap(many, 1, 1))(x))
-    assert found == pytest.approx(wanted, rel=1e-14, nan_ok=True)
-
-
 # ---- small matrices ----------------------------------------------------------------------
 def test_inverses_and_solutions_are_those_of_lapack_where_they_exist():
     zeros_on_the_diagonal = np.eye(5)[[3, 0, 4, 1, 2]] * np.array([1.0, -2, 3, -4, 5])
@@ -292,22 +208,6 @@ def test_the_product_with_a_vector():
     for rows, n in [(3, 1), (4, 13), (2, small_matrices.MOST + 1)]:
         a, b = RANDOM.normal(size=(rows, n)), RANDOM.normal(size=n)
         assert np.allclose(jax.jit(small_matrices.product)(a, b), a @ b, rtol=1e-13, atol=1e-14)
-
-
-def test_many_systems_side_by_side_have_pivots_of_their_own_and_do_not_disturb_each_other():
-    for n in (1, 4, 7):
-        a = np.stack([np.eye(n)[RANDOM.permutation(n)] for _ in range(9)])
-        a += 1e-3 * RANDOM.normal(size=a.shape)
-        b = RANDOM.normal(size=(9, n))
-        together, wanted = jax.jit(jax.vmap(small_matrices.solve)), np.linalg.inv(a)
-        assert np.allclose(jax.jit(jax.vmap(small_matrices.inverse))(a), wanted)
-        assert np.allclose(together(a, b), (wanted @ b[:, :, None])[:, :, 0])
-        shared = jax.jit(jax.vmap(small_matrices.solve, in_axes=(0, None)))(a, b[0])
-        assert np.allclose(shared, wanted @ b[0])
-        a[0, 0, 0], a[1] = np.nan, 0.0
-        found = together(a, b)
-        assert np.allclose(found[2:], (wanted[2:] @ b[2:, :, None])[:, :, 0])
-        assert not np.isfinite(found[:2]).all(axis=1).any()
 
 
 def test_sums_give_what_products_gave_also_in_loops_branches_and_calls():
@@ -331,18 +231,3 @@ def test_sums_give_what_products_gave_also_in_loops_branches_and_calls():
         assert "dot_general" not in str(jax.make_jaxpr(rewritten)(a, b))
         ours, theirs = jax.jit(rewritten)(a, b), jax.jit(product)(a, b)
         assert np.allclose(ours, theirs, rtol=1e-13, atol=1e-13)
-
-
-def test_a_way_for_many_runs_side_by_side_is_kept():
-    """Eliminations of many runs at once have their own program, without branches."""
-    twice = jax.custom_batching.custom_vmap(lambda a: a @ a)
-    twice.def_vmap(lambda size, batched, a: (10 * a, True))
-    once = small_matrices.without_products(twice)
-    looped = small_matrices.without_products(
-        lambda a: jax.lax.fori_loop(0, 1, lambda k, x: twice(x), a)
-    )
-    many = RANDOM.normal(size=(4, 3, 3))
-    for rewritten in (once, looped):
-        assert np.allclose(rewritten(many[0]), many[0] @ many[0], rtol=1e-14)
-        assert "dot_general" not in str(jax.make_jaxpr(rewritten)(many[0]))
-        assert np.array_equal(jax.vmap(rewritten)(many), 10 * many)

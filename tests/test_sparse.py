@@ -6,6 +6,8 @@ from helpers import long, nothing_compiled, run_of, toy
 from scipy.sparse import csc_matrix
 
 from bench.plugins.registry import Registry
+from bench.stability.matrices import matrices
+from bench.stability.systems import Oscillator
 from integrators import Steps, Tolerances
 from integrators.adapters import equations
 from integrators.adapters.ida import IDA
@@ -224,7 +226,6 @@ def test_a_start_with_redundant_constraints_shares_the_force_among_them(monkeypa
 # ---- the choice ------------------------------------------------------------------------
 def test_size_and_fill_choose_the_solver(monkeypatch):
     assert sparsity.prefers_sparse(Chain(links=50))
-    assert not GeneralizedAlpha().program(Chain(links=50), sparse=False)[0].patterns
     monkeypatch.setattr(sparsity, "DENSE_LIMIT", 50)
     large, small, full = Chain(links=20), Chain(links=5), SpringMass()
     for method in (HHT(newton="modified"), GeneralizedAlphaAdaptive(), IDA()):
@@ -234,7 +235,7 @@ def test_size_and_fill_choose_the_solver(monkeypatch):
         assert not is_sparse(cls(**DENSE), large)
         assert is_sparse(cls(**SPARSE), small)
     with pytest.raises(SpecError, match="linear_solver=dense"):
-        GeneralizedAlpha(**SPARSE).program(small, sparse=False)
+        matrices(GeneralizedAlpha(**SPARSE), Oscillator(), [1.0])
     with pytest.raises(SpecError, match="auto, dense, sparse"):
         Registry().integrator("ida[linear_solver=klu]")
     monkeypatch.setattr(sparsity, "DENSE_LIMIT", 1)

@@ -12,7 +12,7 @@ from bench.running.worker import Worker
 from integrators import Steps
 from problems import State, jnp, parameter
 from problems.base.spec import SpecError
-from problems.equations.initial_values import consistent_start, consistent_starts
+from problems.equations.initial_values import consistent_start
 from problems.models.mjcf import from_mjcf
 from problems.truth.reference import Reference
 
@@ -53,9 +53,6 @@ def test_constraints_complete_a_start_and_the_closed_form_is_another_motion():
     ]
     assert energy[0] == pytest.approx(energy[1], rel=1e-12)
     assert Reference(scene, t_end).method != Reference(own, t_end).method == "closed form"
-    starts, refused = consistent_starts([scene, scene.with_parameters({"m": 2.0})])
-    assert not refused
-    assert starts.z.q.tolist() == [z.q.tolist()] * 2
 
 
 def test_a_start_belongs_to_the_printed_name_and_compiles_nothing():

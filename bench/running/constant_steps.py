@@ -316,14 +316,13 @@ def stepping(method: Integrator, scene: MechatronicSystem) -> NativeMethod:
             f"can follow; take a scene without, such as quarter_car."
         )
     constant = method.at_constant_steps()
-    native = constant.step_method(scene) if isinstance(constant, NativeMethod) else None
-    if native is None:
+    if not isinstance(constant, NativeMethod):
         lacks = "it chooses its own steps" if constant is None else "a library holds its time loop"
         raise SpecError(
             f"{method.spec} has no step of constant size that can be called alone: "
             f"{lacks}{advice(scene, 'linearly_implicit_euler', 'generalized_alpha', 'ali3p')}."
         )
-    return native
+    return constant
 
 
 def timed(step: SingleStep, steps: int) -> tuple[Float[np.ndarray, " k"], list[Array]]:

@@ -109,7 +109,12 @@ def matrices(
 def _by_stepping(
     method: NativeMethod, system: LinearSystem, steps: np.ndarray, pattern: tuple[float, ...]
 ) -> Matrices:
-    step_program, numbers = method.program(system, sparse=False)
+    step_program, numbers = method.program(system)
+    if step_program.patterns:
+        raise SpecError(
+            f"{method.spec} has sparse tangents, of which the step's matrix cannot be found; take "
+            f"linear_solver=dense."
+        )
     program = _program(step_program, system.template())
     slots = np.zeros(_SLOTS)
     slots[: len(pattern)] = pattern

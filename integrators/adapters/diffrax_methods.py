@@ -252,7 +252,6 @@ class DiffraxStep(NativeMethod, StepFunctions):
     one kind has numbers ``p`` in the place of the scene."""
 
     formulation: ClassVar[str] = "ode"
-    states_only: ClassVar[bool] = True
     takes: ClassVar[tuple[str, ...]] = tuple(WIDER)  # `DiffraxSolver` has refused others
 
     scheme: DiffraxScheme
@@ -377,9 +376,6 @@ class DiffraxSolver(ODEMethod):
 
     def at_constant_steps(self) -> Integrator | None:
         return replace(self, steps="constant")
-
-    def step_method(self, scene: MechatronicSystem) -> NativeMethod | None:
-        return self._on(scene) if self.controls == "step" else None
 
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Any) -> PreparedRun:
         method = self._on(scene)

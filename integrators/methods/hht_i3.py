@@ -140,9 +140,6 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
             "take mixed=accelerations."
         )
 
-    def step_method(self, scene: MechatronicSystem) -> HHTI3 | None:
-        return None if self._chooses_by_newton else self
-
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Steps | Tolerances
     ) -> PreparedRun:

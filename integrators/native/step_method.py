@@ -54,8 +54,6 @@ class NativeMethod(Integrator):
 
     #: Names of the notes of a `Reading`, if they do not depend on the scene.
     noted: ClassVar[tuple[str, ...]] = ()
-    #: True if steps give q, v and x alone and count nothing; the equations then give the rest.
-    states_only: ClassVar[bool] = False
 
     @abstractmethod
     def functions(self) -> StepFunctions:
@@ -82,42 +80,28 @@ class NativeMethod(Integrator):
         """Most steps of an adaptive run, rejected ones included."""
         return 0
 
-    def program(self, scene: MechatronicSystem, sparse: bool = True) -> tuple[StepProgram, Numbers]:
+    def program(self, scene: MechatronicSystem) -> tuple[StepProgram, Numbers]:
         """Return the program of the method on a scene for a time loop, and its numbers.
-
-        Parameters
-        ----------
-        sparse
-            True if tangents may be sparse; many runs side by side need dense ones.
 
         Raises
         ------
         problems.base.spec.SpecError
             If the user demands sparse tangents and they are impossible.
         """
-        # Many runs side by side renew their tangents at different times, which costs all of them.
-        method = self.keeping_tangents() if sparse and scene.dear_tangents else self
+        method = self.keeping_tangents() if scene.dear_tangents else self
         settings, numbers, functions = method.newton_settings, self.numbers(), self.functions()
-        if not sparse and settings.linear_solver == "sparse":
-            raise SpecError(
-                f"{self.spec} cannot have sparse tangents in many runs side by side; take "
-                f"linear_solver=dense."
-            )
         tangents = partial(sparse_tangents, functions, numbers, scene.template())
 
         def fullest() -> Pattern:
             return max(tangents()[0], key=lambda pattern: pattern.fill)
 
-        taken = sparse and uses_sparse(settings.linear_solver, scene, fullest)
-        patterns, analyses = tangents() if taken else ((), ())
+        sparse = uses_sparse(settings.linear_solver, scene, fullest)
+        patterns, analyses = tangents() if sparse else ((), ())
         explicit = not settings.most
         program = StepProgram(
             functions, settings.modified, patterns, explicit, settings.to_rounding
         )
         return program, Numbers(numbers, settings.tolerance, settings.most, analyses)
-
-    def step_method(self, scene: MechatronicSystem) -> NativeMethod | None:
-        return self
 
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Steps | Tolerances

@@ -40,8 +40,6 @@ class Compiled:
     ``linearised(p, q, v, x, t)``
         `formulations.linearised` at one time: a start, and the Jacobian of the ODE form by
         s = [q, v, x] ``(n, n)``, of scenes with more than `MOST_STATES` states ``(n, 0)``
-    ``starts(p, q, v, x, t)``
-        the start alone at k times, as ``complete`` below
     ``ode(p, t, s)``
         `formulations.ode_rate` of s = [q, v, x]
     ``rates(values, t, s)``
@@ -99,7 +97,6 @@ class Compiled:
             return jax.jvp(values, (t, s), (jnp.ones_like(t), ode_rate(scene, t, s)))
 
         self.linearised = jax.jit(start, compiler_options=FEW_CALLS)
-        self.starts = _over_rows(lambda p, *state: linearised(at(p), *state)[0])
         self.ode = jax.jit(lambda p, t, s: ode_rate(at(p), t, s))
         self.rates = jax.jit(jax.vmap(rate, (None, 0, 0)))
         self.pulled = jax.jit(jax.vmap(rate, (None, 0, 0, None)))

@@ -1,4 +1,4 @@
-"""Consistent initial values of a scene, or of many at once, checked and completed.
+"""Consistent initial values of a scene, checked and completed.
 
 Compiled equations give them. Where constraints depend on each other multipliers are not unique, and
 the least ones are taken; large scenes take sparse factors, outside of JAX.
@@ -7,13 +7,12 @@ the least ones are taken; large scenes take sparse factors, outside of JAX.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
 
 import numpy as np
 
-from problems.base import checks
 from problems.base.runtime import Array, Float, jax, jnp
 from problems.equations import sparsity
 from problems.equations.compiled import compiled
@@ -279,46 +278,3 @@ def rests(scene: MechatronicSystem, t: Float[np.ndarray, " k"]) -> bool:
     size = changes[np.isfinite(changes)].max(initial=0.0)
     rests = np.linalg.norm(a[: len(t)], axis=1) <= STILL * size
     return bool(rests.all() and (drifts <= STILL * np.maximum(1.0, np.abs(x))).all())
-
-
-# ---- many scenes of one kind ------------------------------------------------------------
-def consistent_starts(scenes: Sequence[MechatronicSystem]) -> tuple[Start, dict[int, str]]:
-    """Compute `consistent_start` of k scenes that differ in float parameters alone.
-
-    One compiled call serves all of them; separate calls would take milliseconds each. A scene
-    whose residual is not small, or whose values are not finite, is computed again alone, so that
-    the decision and the message are those of a single run.
-
-    Returns
-    -------
-    Start
-        NumPy arrays with an axis of length k in front; NaN where there is no start.
-        ``constrained_jerk`` is None.
-    dict
-        Indices of the scenes that have no consistent start, each with the reason.
-    """
-    count, functions = len(scenes), compiled(scenes[0])
-    given = [(scene.parameters(), *scene.start()) for scene in scenes]
-    p, q, v, x = jax.tree.map(lambda *rows: np.array(rows, dtype=float), *given)
-    t = np.full(count, float(scenes[0].interval[0]))
-    start = functions.starts(p, q, v, x, t)
-    violation = np.zeros(count)
-    if scenes[0].sizes.nl:
-        levels = functions.levels(p, q, v, np.zeros_like(v), t)
-        for residual, of in zip(levels, (q, v), strict=False):
-            scale = np.maximum(1.0, np.abs(of).max(axis=1))
-            largest = np.abs(residual).max(axis=1, initial=0.0)
-            violation = np.maximum(violation, largest / scale)
-    numbers = np.column_stack([part.reshape(count, -1) for part in jax.tree.leaves(start)])
-    # Another program rounds differently: scenes near the limit are computed alone, too.
-    good = np.isfinite(numbers).all(axis=1) & (violation <= 0.5 * CONSISTENCY_TOLERANCE)
-    refused: dict[int, str] = {}
-    for k in np.flatnonzero(~good).tolist():
-        try:
-            alone = consistent_start(scenes[k])._replace(constrained_jerk=None)
-        except (InconsistentStart, NoConsistentStart, checks.FalseAnswer) as error:
-            refused[k] = str(error)
-            continue
-        for table, row in zip(jax.tree.leaves(start), jax.tree.leaves(alone), strict=True):
-            table[k] = row
-    return start, refused

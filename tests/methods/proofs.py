@@ -12,6 +12,7 @@ from helpers import errors_at, toy
 from bench.stability.matrices import matrices
 from bench.stability.systems import LinearSystem, Oscillator
 from integrators import Integrator, Trajectory
+from integrators.native.step_method import NativeMethod
 from problems import MechatronicSystem, jax, jnp
 from problems.equations.formulations import linearised
 from problems.equations.initial_values import consistent_start
@@ -132,12 +133,12 @@ def damping_and_period(method: Integrator) -> tuple[float, float]:
     return -math.log(abs(principal)) / phase, omega_h / phase - 1
 
 
-def step_of(method: Integrator, scene: MechatronicSystem, h: float) -> Callable:
+def step_of(method: NativeMethod, scene: MechatronicSystem, h: float) -> Callable:
     """Compile one step from any q and v to q and v at its end: ``step(q, v) -> (q, v)``.
 
     It begins with the other values that the equations give at q and v.
     """
-    program, numbers = method.step_method(scene).program(scene, sparse=False)
+    program, numbers = method.program(scene)
     start = jax.tree.map(jnp.asarray, consistent_start(scene))
 
     @jax.jit

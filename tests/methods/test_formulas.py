@@ -63,7 +63,7 @@ def test_positions_are_corrected_in_the_directions_of_the_constraints_before_the
 def test_steps_of_bdf_are_those_of_polynomials_through_the_last_values():
     steps = np.array([0.02, 0.03, 0.025, 0.02, 0.03, 0.04, 0.03, 0.02, 0.03, 0.025])
     scene = ForcedOscillator()
-    program, numbers = BDFAdaptive().program(scene, sparse=False)
+    program, numbers = BDFAdaptive().program(scene)
     start = jax.tree.map(jnp.asarray, consistent_start(scene))
     step = jax.jit(lambda state, t, h: program.step(scene, numbers, state, t, h)[0])
     t, carried = start.z.t, [program.begin(scene, numbers, start, jnp.asarray(steps[0]))]

@@ -24,7 +24,7 @@ import numpy as np
 
 from integrators.native.algebra import small_matrices
 from integrators.native.algebra.step_records import PIVOTS
-from problems.base.runtime import Array, Bool, Float, Int, jax, jnp, on_gpu
+from problems.base.runtime import Array, Bool, Float, Int, jax, jnp
 from problems.equations.programs import part, turns
 
 #: Entries of a matrix, by row and column.
@@ -128,55 +128,11 @@ class EliminationPlan:
         with part("solves"):
             return small_matrices.unfused(self._solved, a, b, x)
 
-    def solve_many(
-        self, products: Sequence[Sequence[Float[Array, " k"]]], b: Sequence[Float[Array, " k"]]
-    ) -> Float[Array, "n k"]:
-        """Solve a x = b for k matrices side by side, given number by number; what one of them needs
-        changes no other."""
-        triangle, reliable = small_matrices.unfused(self._eliminated, products)
-        x = small_matrices.unfused(self._substituted, triangle, b)
-        solved = reliable & small_matrices.unfused(self._all_solved, products, b, x)
-        # Members that have failed have no numbers, and wait for the others.
-        a = self._numbers(products)
-        pivots = ~solved & jnp.isfinite(reduce(add, [*a.values(), *b]))
-
-        def again(a: _Numbers, b: Sequence[Array], x: Array) -> Array:
-            zero = jnp.zeros_like(b[0])
-            full = jnp.array([[a.get((i, j), zero) for j in range(len(b))] for i in range(len(b))])
-            sides = jnp.stack(b)
-            if on_gpu():
-                found = jnp.linalg.solve(jnp.moveaxis(full, 2, 0), sides.T[:, :, None])
-                return jnp.where(pivots, found[:, :, 0].T, x)
-
-            def one(k: Array, x: Array) -> Array:
-                def by_pivots(x: Array) -> Array:
-                    return x.at[:, k].set(small_matrices.solve(full[:, :, k], sides[:, k]))
-
-                return jax.lax.cond(pivots[k], by_pivots, lambda x: x, x)
-
-            # Seldom, and one by one: so the program of all members stays small.
-            return jax.lax.fori_loop(0, len(zero), one, x)
-
-        return jax.lax.cond(pivots.any(), again, lambda a, b, x: x, a, b, jnp.stack(x))
-
-    def _numbers(self, products: Sequence[Any]) -> _Numbers:
-        return {(i, j): products[self.colours[j]][i] for i, j in np.argwhere(self.entries).tolist()}
-
-    def _all_solved(
-        self, products: Sequence[Sequence[Array]], b: Sequence[Array], x: Sequence[Array]
-    ) -> Array:
-        """`_solved` of many, number by number."""
-        a, solved = self._numbers(products), jnp.asarray(True)
-        for i, row in enumerate(self.entries):
-            terms = [a[i, j] * x[j] for j in np.flatnonzero(row).tolist()]
-            gap, size = reduce(sub, terms, b[i]), reduce(add, map(jnp.abs, terms), jnp.abs(b[i]))
-            solved &= jnp.abs(gap) <= _BACKWARD * size
-        return solved
-
     def _eliminated(self, products: Sequence[Any]) -> tuple[_Numbers, Array]:
         """Rows of the triangle with inverted pivots, factors in the place of what they eliminate,
         and whether each pivot is more than rounding of the terms that it is the sum of."""
-        w, reliable = self._numbers(products), []
+        places, reliable = np.argwhere(self.entries).tolist(), []
+        w = {(i, j): products[self.colours[j]][i] for i, j in places}
         terms: dict[tuple[int, int], list[Array]] = {
             (one.row, one.column): [] for one in self.pivots
         }

@@ -7,7 +7,7 @@ that has no rule depend on all that goes into it, so a tangent has no entry that
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +24,6 @@ def evaluated(
     program: Any,
     given: Sequence[Any],
     rule: Callable[[Any, list[Any]], Sequence[Any]],
-    whole: Collection[str] = (),
 ) -> list[Any]:
     """Return the results of a program; functions that it calls are evaluated likewise.
 
@@ -34,8 +33,6 @@ def evaluated(
         As `jax.make_jaxpr` makes it.
     rule
         Function of an equation and its arguments that gives its results.
-    whole
-        Names of operations that ``rule`` takes as they are, though they call a program.
     """
     from jax.extend.core import Literal
 
@@ -46,13 +43,12 @@ def evaluated(
         return atom.val if isinstance(atom, Literal) else values[atom]
 
     for equation in jaxpr.eqns:
-        inner, taken = _called(equation, whole), [value(atom) for atom in equation.invars]
+        inner, taken = _called(equation), [value(atom) for atom in equation.invars]
         # Operations are counted by names, also by those of functions that are called here.
         called = equation.params.get("name", "") if inner is not None else ""
         with jax.named_scope(f"{equation.source_info.name_stack}/{called}"):
-            again = partial(evaluated, inner, rule=rule, whole=whole)
-            results = rule(equation, taken) if inner is None else again(taken)
-        values.update(zip(equation.outvars, results, strict=True))
+            found = rule(equation, taken) if inner is None else evaluated(inner, taken, rule)
+        values.update(zip(equation.outvars, found, strict=True))
     return [value(atom) for atom in jaxpr.outvars]
 
 
@@ -67,10 +63,10 @@ def bound(equation: Any, given: Sequence[Any], **changed: Any) -> list[Any]:
     return results if equation.primitive.multiple_results else [results]
 
 
-def _called(equation: Any, whole: Collection[str]) -> Any | None:
+def _called(equation: Any) -> Any | None:
     """The program that an equation calls once: the only one that it has, if it is no loop."""
     programs = [value for value in equation.params.values() if is_program(value)]
-    if len(programs) != 1 or "length" in equation.params or equation.primitive.name in whole:
+    if len(programs) != 1 or "length" in equation.params:
         return None
     jaxpr = getattr(programs[0], "jaxpr", programs[0])
     return programs[0] if len(jaxpr.invars) == len(equation.invars) else None
@@ -89,11 +85,16 @@ def tangent_pattern(program: ClosedJaxpr, n: int) -> Bool[np.ndarray, "m n"]:
     NotLowered
         If the program is too large to be followed.
     """
-    differs, shapes = traced_constants(program)
+    from jax.core import Tracer
 
-    def tangent(u: Array, change: Array, *constants: Array) -> Array:
-        residual = partial(with_constants, program, replaced(program, differs, constants))
-        return jax.jvp(residual, (u,), (change,))[1]
+    traced = {k: x for k, x in enumerate(program.consts) if isinstance(x, Tracer)}
+    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in traced.values()]
+
+    def tangent(u: Array, change: Array, *others: Array) -> Array:
+        constants = [*program.consts]
+        for k, other in zip(traced, others, strict=True):
+            constants[k] = other
+        return jax.jvp(partial(with_constants, program, constants), (u,), (change,))[1]
 
     graph, results = lowered(tangent, np.zeros(n), np.zeros(n), *shapes)
     return graph.dependence(results.ravel().tolist(), [*map(graph.input, range(n, 2 * n))])
@@ -153,24 +154,3 @@ def with_constants(program: ClosedJaxpr, constants: Sequence[Array], *u: Array) 
     from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
     return jaxpr_as_fun(ClosedJaxpr(program.jaxpr, constants))(*u)[0]
-
-
-def traced_constants(
-    program: ClosedJaxpr,
-) -> tuple[list[bool], list[jax.ShapeDtypeStruct]]:
-    """Whether JAX traces each constant of a program; shapes and types of those that it does."""
-    from jax.core import Tracer
-
-    differs = [isinstance(x, Tracer) for x in program.consts]
-    return differs, shapes_of(x for x in program.consts if isinstance(x, Tracer))
-
-
-def shapes_of(arrays: Iterable[Any]) -> list[jax.ShapeDtypeStruct]:
-    """Shapes and types of arrays."""
-    return [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in arrays]
-
-
-def replaced(program: ClosedJaxpr, differs: list[bool], others: Sequence[Any]) -> list[Any]:
-    """The constants of a program with others in the place of some."""
-    left = iter(others)
-    return [next(left) if one else x for x, one in zip(program.consts, differs, strict=True)]

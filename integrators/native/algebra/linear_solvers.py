@@ -15,18 +15,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from integrators.lowering.graph import NotLowered, side_by_side
-from integrators.lowering.to_graph import lowered
+from integrators.lowering.graph import NotLowered
 from integrators.native.algebra import klu, small_matrices
 from integrators.native.algebra.fixed_elimination import EliminationPlan, Factors, planned
-from integrators.native.algebra.jaxpr_tools import (
-    replaced,
-    shapes_of,
-    tangent_along,
-    tangent_pattern,
-    traced_constants,
-    with_constants,
-)
+from integrators.native.algebra.jaxpr_tools import tangent_along, tangent_pattern, with_constants
 from problems.base import runtime
 from problems.base.runtime import Array, Bool, Float, jax, jnp
 from problems.equations.programs import part
@@ -93,45 +85,26 @@ class DenseSolver(LinearSolver):
     """Small and full matrices; modified Newton keeps the inverse, at first a matrix of NaN.
 
     Full Newton reads the tangent's entries from the residual's program, takes them by a few
-    products, and eliminates in an order that is fixed. In many runs side by side each number is an
-    array of the runs; full matrices are eliminated where a program cannot be followed so.
+    products, and eliminates in an order that is fixed; full matrices are eliminated where a program
+    cannot be followed.
     """
 
     def once(self, residual: Residual, u: Float[Array, " n"]) -> Once:
         program = jax.make_jaxpr(residual)(u)
         order = _order(program, len(u))
 
-        def by_pivots(u: Array, *constants: Array) -> Once:
-            residual = partial(with_constants, program, constants)
-            with part("Jacobians"):
-                tangent = jax.jacfwd(residual)(u)
-            with part("residuals"):
-                r = residual(u)
-            return Once(small_matrices.solve(tangent, r))
-
-        def in_order(order: EliminationPlan, u: Array, *constants: Array) -> Once:
+        def in_order(u: Array, *constants: Array) -> Once:
             r, products = _linearised(partial(with_constants, program, constants), u, order.seeds)
             return Once(*order.solve(products, r))
 
-        if order is None:
-            return by_pivots(u, *program.consts)
-        rewritten = small_matrices.without_products
-        alone = jax.custom_batching.custom_vmap(rewritten(partial(in_order, order)))
-
-        @alone.def_vmap
-        def _(size: int, batched: list[bool], *args: Array) -> tuple[Once, Once]:
-            many = _side_by_side(program, order)
-            if many is None:
-                axes = [0 if one else None for one in batched]
-                return jax.vmap(rewritten(by_pivots), in_axes=axes)(*args), Once(True, True)
-            # Runs are along the last axis, so that the processor works with several at once.
-            each = (
-                jnp.moveaxis(x if one else jnp.broadcast_to(x, (size, *jnp.shape(x))), 0, -1)
-                for x, one in zip(args, batched, strict=True)
-            )
-            return Once(jnp.moveaxis(many(*each), -1, 0)), Once(True, False)
-
-        return alone(u, *program.consts)
+        if order is not None:
+            return small_matrices.without_products(in_order)(u, *program.consts)
+        residual = partial(with_constants, program, program.consts)
+        with part("Jacobians"):
+            tangent = jax.jacfwd(residual)(u)
+        with part("residuals"):
+            r = residual(u)
+        return Once(small_matrices.solve(tangent, r))
 
     def factorised(
         self, residual: Residual, u: Float[Array, " n"], kept: Array
@@ -204,40 +177,6 @@ def full_tangent(residual: Residual, u: Float[Array, " n"]) -> Float[Array, "m n
 def _is_dear(program: ClosedJaxpr, products: int) -> bool:
     """Whether products with the tangent of a program are too many to be written out."""
     return products * small_matrices.size(program) > _MOST_WRITTEN_OUT
-
-
-def _side_by_side(program: ClosedJaxpr, order: EliminationPlan) -> Callable[..., Array] | None:
-    """`DenseSolver.once` of many runs, whose arguments have the runs along their last axis; None if
-    the residual's program cannot be followed number by number."""
-    differs, others = traced_constants(program)
-    linear: list[ClosedJaxpr] = []
-
-    def coefficients(u: Array, *constants: Array) -> Array:
-        residual = partial(with_constants, program, replaced(program, differs, constants))
-        r, product = jax.linearize(residual, u)
-        linear.append(jax.make_jaxpr(product)(u))
-        return jnp.concatenate([r, *(jnp.ravel(x).astype(float) for x in linear[-1].consts)])
-
-    def products(*constants: Array) -> Array:
-        product = partial(with_constants, linear[-1], constants)
-        return jnp.stack([product(jnp.asarray(seed)) for seed in order.seeds])
-
-    try:
-        first = lowered(coefficients, *shapes_of(program.in_avals), *others)
-        n = len(order.entries)
-        second = lowered(products, *shapes_of(linear[-1].consts))
-        steps = side_by_side(first), side_by_side(second)
-    except NotLowered:
-        return None
-
-    def many(u: Array, *constants: Array) -> Array:
-        given = [u, *(x for x, differ in zip(constants, differs, strict=True) if differ)]
-        numbers = [number for x in given for number in x.reshape(-1, x.shape[-1])]
-        found = small_matrices.unfused(steps[0], *numbers)
-        entries = small_matrices.unfused(steps[1], *found[n:])
-        return order.solve_many(entries, found[:n])
-
-    return many
 
 
 @dataclass(frozen=True)

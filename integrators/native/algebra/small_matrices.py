@@ -28,14 +28,8 @@ def inverse(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
     if len(a) > MOST:
         with part("factorisations"):
             return jnp.linalg.inv(a)
-    alone = jax.custom_batching.custom_vmap(_by_elimination)
-
-    @alone.def_vmap
-    def _(size: int, batched: list[bool], a: Array) -> tuple[Array, bool]:
-        return jnp.linalg.inv(a), True
-
     with part("factorisations"):
-        return alone(a)
+        return _by_elimination(a)
 
 
 def solve(a: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -49,16 +43,9 @@ def solve(a: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
         with part("solves"):
             return product(inverted, b)
 
-    alone = jax.custom_batching.custom_vmap(by_inverse)
-
-    @alone.def_vmap
-    def _(size: int, batched: list[bool], *parts: Array) -> tuple[Array, bool]:
-        a, b = (x if o else jnp.stack([x] * size) for x, o in zip(parts, batched, strict=True))
-        return jnp.linalg.solve(a, b[:, :, None])[:, :, 0], True
-
     # An elimination has no derivative in reverse; a linear system has.
     return jax.lax.custom_linear_solve(
-        partial(product, a), b, lambda _, b: alone(a, b), lambda _, b: alone(a.T, b)
+        partial(product, a), b, lambda _, b: by_inverse(a, b), lambda _, b: by_inverse(a.T, b)
     )
 
 
@@ -154,7 +141,7 @@ def without_products(function: Callable) -> Callable:
 
     def rewritten(*args: Any) -> Any:
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
-        out = _evaluated(closed, jax.tree.leaves(args))
+        out = evaluated(closed, jax.tree.leaves(args), _as_sums)
         return jax.tree.unflatten(jax.tree.structure(shape), out)
 
     return rewritten
@@ -175,11 +162,7 @@ def _rewritten(parameter: Any) -> Any:
         return tuple(map(_rewritten, parameter))
     if not is_program(parameter) or not hasattr(parameter, "consts"):
         return parameter
-    return jax.make_jaxpr(lambda *given: _evaluated(parameter, given))(*parameter.in_avals)
-
-
-#: Functions that know a better way for many arguments side by side keep it.
-_evaluated = partial(evaluated, rule=_as_sums, whole={"custom_vmap_call"})
+    return jax.make_jaxpr(lambda *given: evaluated(parameter, given, _as_sums))(*parameter.in_avals)
 
 
 def _is_small_product(a: Array, b: Array, numbers: tuple) -> bool:

@@ -194,14 +194,13 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
 
     It returns rows and the last row, each ``[step, t, q, v, a, lam, x, xdot, y, notes]`` (step 0:
     no row), and ``[ending, t, steps, rejected, newton, ...]``. The rows are those of `is_row` with
-    as many ``times``, and of these the ``wanted`` ones: numbers in a row, from 1. With None the
-    program has no memory for them: many runs side by side would copy it in every step.
+    as many ``times``, and of these the ``wanted`` ones: numbers in a row, from 1.
     """
     named, control = with_named_blocks(template), StepControl(program.functions)
     step = rewritten_step(program, named)
 
     def loop(
-        p: dict, numbers: Numbers, start: Start, span: Span, wanted: Array | None, times: Array
+        p: dict, numbers: Numbers, start: Start, span: Span, wanted: Array, times: Array
     ) -> tuple[Array, ...]:
         scene, method = named.with_parameters(p), program.method(numbers)
         smallest = 16 * np.finfo(float).eps * jnp.maximum(jnp.abs(span.t0), jnp.abs(span.t_end))
@@ -239,34 +238,28 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
             left = span.t_end - m.t
             # The step is changed a little so that the last one is not tiny.
             h = jnp.where(left <= m.h * 1.001, left, jnp.where(left < 2 * m.h, left / 2, m.h))
-            # Among many runs an ended run still takes steps, whose results are dropped. With a NaN
-            # step Newton's method ends at once.
-            h = jnp.where(goes_on(m), h, jnp.nan)
             t = jnp.where(h == left, span.t_end, m.t + h)
             state, report = step(p, numbers, m.state, t, h)
             now = program.read(scene, state)
             accepted, h_next, error, ending = judged(m, h, state, now, report.converged)
             counts = (accepted, ~accepted, *report.counts)
             counts = tuple(c + more for c, more in zip(m.counts, counts, strict=True))
-            table, number = m.table, m.number
-            if wanted is not None:
-                row = jnp.concatenate([jnp.stack([1.0 * counts[0], t]), flat_row(now)])
-                before, part = ((at - span.t0) / (span.t_end - span.t0) for at in (m.t, t))
-                kept, first = accepted & is_row(counts[0], before, part, times), wanted[0]
-                number = number + kept
-                place = jnp.where(kept & (number >= first), number - first, len(table))
-                table = table.at[place].set(row, mode="drop")
+            row = jnp.concatenate([jnp.stack([1.0 * counts[0], t]), flat_row(now)])
+            before, part = ((at - span.t0) / (span.t_end - span.t0) for at in (m.t, t))
+            kept, first = accepted & is_row(counts[0], before, part, times), wanted[0]
+            number = m.number + kept
+            place = jnp.where(kept & (number >= first), number - first, len(m.table))
+            table = m.table.at[place].set(row, mode="drop")
             t, error = jnp.where(accepted, t, m.t), jnp.where(accepted, error, m.error)
             short = (counts[0] + counts[1] >= span.max_steps) & (t < span.t_end)
             ending = jnp.where((ending == _OK) & short, _MOST_STEPS, ending)
             state = program.chosen(accepted, state, m.state)
             return _Progress(t, state, h_next, error, ending, counts, table, number)
 
-        width, slots = 2 + flat_row(first).size, 0 if wanted is None else wanted.size
-        counts = no_counts(2, step, p, numbers, begun)
+        counts, width = no_counts(2, step, p, numbers, begun), 2 + flat_row(first).size
         m = _Progress(
             span.t0, begun, h0, jnp.asarray(1.0), jnp.asarray(_OK), counts,
-            jnp.zeros((slots, width)), jnp.asarray(0),
+            jnp.zeros((wanted.size, width)), jnp.asarray(0),
         )  # fmt: skip
         with turns(STEPS):
             m = jax.lax.while_loop(goes_on, one_step, m)

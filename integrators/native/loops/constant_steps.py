@@ -138,20 +138,16 @@ def _one_step(
     named: MechatronicSystem,
     sane: Callable[[Reading], Array],
 ) -> Callable[..., tuple]:
-    """The n-th step (from zero) of a loop, from its state and its ending so far.
+    """The n-th step (from zero) of a loop, from its state.
 
     It gives the end in s, the state and ending after it, the values there, and the report. A step
     that is not solved is no failure with ``goes_on``.
     """
 
     def take(
-        p: dict, numbers: Numbers, clock: Clock, n: Array, state: Carried, ending: Array,
-        goes_on: bool = False,
-    ) -> tuple:  # fmt: skip
+        p: dict, numbers: Numbers, clock: Clock, n: Array, state: Carried, goes_on: bool = False
+    ) -> tuple:
         t, h = step_times(clock, n)
-        # Among many runs a failed run still takes steps, whose results are dropped. With a NaN
-        # step Newton's method ends at once.
-        h = jnp.where(ending == _OK, h, jnp.nan)
         state, report = step(p, numbers, state, t, h)
         now = program.read(named.with_parameters(p), state)
         failed = jnp.where(report.solved, _REFUSED, _OK if goes_on else _NEWTON_FAILED)
@@ -185,8 +181,8 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
         take = _one_step(program, step, named, bounded(first))
 
         def one_step(progress: tuple) -> tuple:
-            n, state, ending, counts, _ = progress
-            t, state, ending, _, report = take(p, numbers, clock, n, state, ending)
+            n, state, _, counts, _ = progress
+            t, state, ending, _, report = take(p, numbers, clock, n, state)
             counts = tuple(c + r for c, r in zip(counts, (1, *report.counts), strict=True))
             return n + 1, state, ending, counts, t
 
@@ -286,7 +282,7 @@ class SingleStep:
             sane = bounded(Reading.of(start.z, start.xdot))
             take = _one_step(program, step, named, sane)
             t, state, ending, values, report = take(
-                p, numbers, clock, n.astype(int), state, jnp.asarray(_OK), most is not None
+                p, numbers, clock, n.astype(int), state, most is not None
             )
             self.iterates = any(name.startswith("newton") for name in report.turns)
             row = _row(1.0 * ending, t, values._replace(notes=()))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from enum import IntEnum
-from functools import cached_property, partial
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -155,14 +155,6 @@ class Kernel:
 
     def __call__(self, packed: Float[Array, " n"], *wanted: Any) -> Any:
         return self.run(packed, *wanted)
-
-    @cached_property
-    def _many(self) -> Callable:
-        return jax.jit(jax.vmap(self.run))
-
-    def batched(self, packed: Float[np.ndarray, "k n"], *wanted: Any) -> Any:
-        """Run many runs in one program: every argument has one more axis in front."""
-        return self._many(packed, *wanted)
 
 
 #: A run whose q and v, or x, have grown by this factor is called diverged.

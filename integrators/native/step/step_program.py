@@ -1,8 +1,8 @@
 """A one-step method as pure functions of a state, and with the linear algebra of its equations.
 
 `StepFunctions` are the contract between a method and its time loop: `constant_steps`,
-`adaptive_steps`, ensembles and the stability analysis use them. None of these knows a method, and
-no method knows its time loop.
+`adaptive_steps` and the stability analysis use them. None of these knows a method, and no method
+knows its time loop.
 """
 
 from __future__ import annotations
