@@ -21,16 +21,17 @@ from integrators.adapters.equations import (
     trajectory_from_states,
 )
 from integrators.adapters.library_runs import ODEMethod, early_end_message
-from integrators.contract import WIDER, Integrator, PreparedRun, Trajectory, Work, option
+from integrators.contract import Integrator, PreparedRun, Trajectory, Work, option
 from integrators.native.algebra.step_records import Reading
-from integrators.native.step.step_program import StepFunctions
-from integrators.native.step_method import NativeMethod
+from integrators.native.loops.constant_steps import ConstantStepsRun
+from integrators.native.loops.kernel import OnScene
+from integrators.native.step.step_program import Numbers, StepFunctions, StepProgram
 from integrators.output_rows import RowKeeper
 from integrators.program_costs import OWN, Cost, bill, dense, of_calls
 from integrators.resolutions import Steps, Tolerances
 from problems.base.runtime import jax, jnp
 from problems.equations.compiled import compiled
-from problems.equations.formulations import Baumgarte, Start
+from problems.equations.formulations import Start
 from problems.equations.initial_values import consistent_start
 from problems.system import MechatronicSystem
 from problems.variables import VARIABLES, state_layout
@@ -109,10 +110,12 @@ def _projecting(kind: type, template: MechatronicSystem) -> type:
 
 
 class DiffraxRun(PreparedRun):
-    """A run of a diffrax solver on the explicit ODE."""
+    """A run of a diffrax solver on the explicit ODE; p as `packed_parameters` gives it."""
 
-    def __init__(self, scheme: DiffraxScheme, scene: MechatronicSystem, t_end: float) -> None:
-        self._scheme, self._scene, self._t_end = scheme, scene, float(t_end)
+    def __init__(
+        self, scheme: DiffraxScheme, scene: MechatronicSystem, p: np.ndarray, t_end: float
+    ) -> None:
+        self._scheme, self._scene, self._p, self._t_end = scheme, scene, p, float(t_end)
 
     def _finished(
         self, run: Trajectory, status: str, message: str, steps: tuple[int, int], counts: Counts
@@ -173,17 +176,14 @@ def _adaptive(scheme: DiffraxScheme, max_steps: int) -> Callable:
 class DiffraxAdaptiveRun(DiffraxRun):
     """A solve by ``diffrax.diffeqsolve`` under its step-size control."""
 
-    def __init__(
-        self, method: DiffraxStep, t_end: float, resolution: Tolerances, max_steps: int
-    ) -> None:
-        scene = method.scene
-        super().__init__(method.scheme, scene, t_end)
-        self._max_steps, self._t0 = max_steps, scene.interval[0]
-        self._timed = _adaptive(method.scheme, max_steps)
-        z = consistent_start(scene).z
+    def __init__(self, *run: Any, resolution: Tolerances, max_steps: int) -> None:
+        super().__init__(*run)
+        self._max_steps, self._t0 = max_steps, self._scene.interval[0]
+        self._timed = _adaptive(self._scheme, max_steps)
+        z = consistent_start(self._scene).z
         self._s0 = np.concatenate([z.q, z.v, z.x])
         rtol, atol = resolution.rtol, resolution.atol
-        arguments = method.numbers(), self._s0, self._t0, self._t_end, rtol, atol
+        arguments = self._p, self._s0, self._t0, self._t_end, rtol, atol
         self._arguments = tuple(map(jnp.asarray, arguments))
         # A solve over no time compiles the program and costs nothing else.
         p, s0, t0, _, *tolerances = self._arguments
@@ -247,23 +247,12 @@ class DiffraxState(NamedTuple):
 
 
 @dataclass(frozen=True)
-class DiffraxStep(NativeMethod, StepFunctions):
-    """A diffrax method on one scene as our time loop takes it; the step of its solver on scenes of
-    one kind has numbers ``p`` in the place of the scene."""
-
-    formulation: ClassVar[str] = "ode"
-    takes: ClassVar[tuple[str, ...]] = tuple(WIDER)  # `DiffraxSolver` has refused others
+class DiffraxStep(StepFunctions):
+    """The step of a solver on scenes of one kind as our time loop takes it; numbers ``p`` are in
+    the place of the scene."""
 
     scheme: DiffraxScheme
-    scene: Any = None
-    baumgarte: Baumgarte | None = None
     p: Any = None
-
-    def functions(self) -> StepFunctions:
-        return DiffraxStep(self.scheme)
-
-    def numbers(self) -> np.ndarray:
-        return packed_parameters(self.scene, self.baumgarte)
 
     def with_numbers(self, numbers: Any) -> DiffraxStep:
         return replace(self, p=numbers)
@@ -312,18 +301,22 @@ class DiffraxConstantRun(DiffraxRun):
     Neither another number of steps nor another pattern compiles anything.
     """
 
-    def __init__(self, method: DiffraxStep, t_end: float, resolution: Steps) -> None:
-        super().__init__(method.scheme, method.scene, t_end)
-        self._method, self._resolution = method, resolution
-        self._timed = method.prepare(method.scene, t_end, resolution)
+    def __init__(self, *run: Any, resolution: Steps) -> None:
+        super().__init__(*run)
+        self._resolution = resolution
+        self._timed = self._in_our_loop(self._scheme)
+
+    def _in_our_loop(self, scheme: DiffraxScheme) -> ConstantStepsRun:
+        program = StepProgram(DiffraxStep(scheme), explicit=True)
+        method = OnScene(self._scene, program, Numbers(self._p, 0.0, 0))
+        return ConstantStepsRun(method, self._t_end, self._resolution)
 
     def execute(self) -> Any:
         return self._timed.execute()
 
     def measure(self) -> Trajectory:
         run = self._timed.measure()  # the warm-up, too
-        counted = replace(self._method, scheme=replace(self._scheme, counted=True))
-        counted = counted.prepare(self._scene, self._t_end, self._resolution)
+        counted = self._in_our_loop(replace(self._scheme, counted=True))
         _, counts = run_counted(counted.execute)  # once: rows take more passes
         completed = trajectory_from_states(self._scene, run.t, run.q, run.v, run.x)
         steps = run.work.steps or 0, 0
@@ -378,15 +371,12 @@ class DiffraxSolver(ODEMethod):
         return replace(self, steps="constant")
 
     def prepare(self, scene: MechatronicSystem, t_end: float, resolution: Any) -> PreparedRun:
-        method = self._on(scene)
-        if self.controls == "step":
-            return DiffraxConstantRun(method, t_end, resolution)
-        return DiffraxAdaptiveRun(method, t_end, resolution, self.max_steps)
-
-    def _on(self, scene: MechatronicSystem) -> DiffraxStep:
         baumgarte, projects = self.baumgarte(scene), self.projects(scene)
         key = self.library_class, scene.template(), projects, baumgarte is not None
-        return DiffraxStep(DiffraxScheme(*key), scene, baumgarte)
+        run = DiffraxScheme(*key), scene, packed_parameters(scene, baumgarte), t_end
+        if self.controls == "step":
+            return DiffraxConstantRun(*run, resolution=resolution)
+        return DiffraxAdaptiveRun(*run, resolution=resolution, max_steps=self.max_steps)
 
 
 def _method(name: str, library_class: str, order: int, source: str, text: str) -> Any:
