@@ -164,9 +164,9 @@ def solve(
     asked = problem, integrator, plugins, budget_of(budget), OnStandardError()
     (record, rows), names = run_one(*asked, parameters=parameters, samples=samples, **sizes)
     same = "problem", "integrator", "resolution", "status", "errors", "work", "seconds"
+    told: dict[str, Any] = {name: getattr(record, name) for name in same}
     return Solution(
-        **{name: getattr(record, name) for name in same},
-        **{group: _array(rows, group) for group in GROUPS},
+        **told | {group: _array(rows, group) for group in GROUPS},
         message=" ".join(record.notes) or record.message,
         t=np.array(rows.t),
         components=names,
