@@ -165,8 +165,9 @@ def solve(
     (record, rows), names = run_one(*asked, parameters=parameters, samples=samples, **sizes)
     same = "problem", "integrator", "resolution", "status", "errors", "work", "seconds"
     told: dict[str, Any] = {name: getattr(record, name) for name in same}
+    told |= {group: _array(rows, group) for group in GROUPS}
     return Solution(
-        **told | {group: _array(rows, group) for group in GROUPS},
+        **told,
         message=" ".join(record.notes) or record.message,
         t=np.array(rows.t),
         components=names,
