@@ -114,10 +114,17 @@ def read_profile(name: str) -> tuple[str, ProfileFile]:
                 f"There is no suite {name!r}; {spec.suggest(name, known)}, or give a .toml file."
             )
         try:
-            profile = msgspec.convert(_read_toml(path), ProfileFile)
+            if path.exists() and not path.is_file():  # a pipe or a device might never end
+                raise OSError(0, "it is not a file")
+            table = tomllib.loads(path.read_text(encoding="utf-8"))
+            return path, msgspec.convert(table, ProfileFile)
         except msgspec.ValidationError as error:
             raise SpecError(f"The suite {path} is not as expected: {error}.") from None
-        return path, profile
+        except OSError as error:
+            raise SpecError(f"The suite {path} cannot be read: {error.strerror}.") from None
+        # Of TOML, of UTF-8, of a null byte in the path, of a huge number.
+        except (ValueError, RecursionError) as error:
+            raise SpecError(f"The suite {path} is not valid TOML: {error}.") from None
 
     path, profile = read(name)
     studies = [*profile.study]
@@ -127,18 +134,6 @@ def read_profile(name: str) -> tuple[str, ProfileFile]:
             raise SpecError(f"{path} includes {other}, which includes others; name them all there.")
         studies += included.study
     return path.stem, msgspec.structs.replace(profile, study=[*map(_varied, studies)], include=[])
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        if path.exists() and not path.is_file():  # a pipe or a device might never end
-            raise SpecError(f"The suite {path} is not a file.")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SpecError(f"The suite {path} cannot be read: {error.strerror}.") from None
-    # Of TOML, of UTF-8, of a null byte in the path, of a huge number.
-    except (ValueError, RecursionError) as error:
-        raise SpecError(f"The suite {path} is not valid TOML: {error}.") from None
 
 
 def _varied(study: StudyFile) -> StudyFile:
