@@ -210,7 +210,7 @@ def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_viol
 
     (verdict,), rows = asked("pendulum", "#group=constraint&target=1e-3&cost=operations")
     held, cheapest = verdict.split("\n")[::2]
-    assert held == "1e-3 (relative) is held in every run by two."
+    assert held == "1e-3 (relative) is held in all runs by two."
     assert cheapest.startswith(
         "To 1e-3 (relative) in constraints Φ: two (3000 operations at h=0.01; violation of Φ"
     )

@@ -45,7 +45,7 @@
   // Whom to avoid on a scene: those that cost ten times the least or more, and those that do not reach the accuracy.
   const avoided = (scene, { first, second, states }, question) => {
     const of = (is) => [...states.entries()].filter(([, state]) => state !== null && is(state)), { listed, methodRef, multiple } = stepbench;
-    const how = ([m]) => columnOf(runsOf(scene, m), question.group).some((error) => error > Number(question.target)) ? "in fine runs alone" : "in every run";
+    const how = ([m]) => columnOf(runsOf(scene, m), question.group).some((error) => error > Number(question.target)) ? "in some runs" : "in all runs";
     const dear = of(([ratio]) => ratio >= 10).sort(([, [one]], [, [two]]) => two - one).map(([m, [ratio]]) => [methodRef(m), ` (${multiple(ratio)} ×)`]);
     const far = of((state) => state === "far" || state === "failed").map(([m]) => [methodRef(m)]);
     if (stepbench.violation(question)) return [`${question.target} (relative) is held `, ...Object.entries(Object.groupBy(of(stepbench.reaches), how)).flatMap(([said, own], k) => [`${k ? "; " : ""}${said} by `, ...listed(own.map(([m]) => [methodRef(m)]), 99)]), "."];
@@ -64,10 +64,10 @@
   // The cost of a run over that of another one; of times with the interval of their quotient, and whether it is significant.
   const against = (runs, k, other, j, cost, tied) => {
     const ratio = columnOf(runs, cost)[k] / columnOf(other, cost)[j], sizes = `${stepbench.multiple(ratio)} ×`, beyond = (value, least) => Math.max(value, 1 / value) > least;
-    if (cost !== "seconds") return `${sizes}, ${tied ? "a tie" : beyond(ratio, data.apart[cost]) ? "told apart" : "not told apart"}`;
+    if (cost !== "seconds") return `${sizes}, ${tied || (beyond(ratio, data.apart[cost]) ? "told apart" : "not told apart")}`;
     const found = quotient(other.samples[j], runs.samples[k]), ends = found ? [...new Set([found.low, found.high].map(number))] : [];
     const differs = found && beyond(found.value, found.few ? data.few : data.apart.seconds) && (found.low > 1 || found.high < 1);
-    return `${sizes}${ends.length > 1 ? ` (${ends.join(" to ")})` : ""}, ${tied ? "a tie" : differs ? "significant" : "not significant"}${found?.few === false ? "" : ", of few times"}`;
+    return `${sizes}${ends.length > 1 ? ` (${ends.join(" to ")})` : ""}, ${tied || (differs ? "significant" : "not significant")}${found?.few === false ? "" : ", of few times"}`;
   };
   const placeOf = (label) => data.methods.findIndex((method) => method.label === label);
   const best = (scene) => reaching(scene, stepbench.answer()[scene].states.findIndex((own) => own?.[0] === 1));
@@ -78,7 +78,7 @@
     if (!runs || own.first.slice(0, 3).includes(m)) return [];
     const mine = reaching(scene, m), first = best(scene), near = nearest([runs], question), next = near && data.targets.findLast((target) => Number(target) >= near.error);
     if (mine) return [[stepbench.methodRef(m), `: ${stepbench.costWithUnit(own.states[m][2], question.cost)} at ${runs.resolutions[mine.k]}, `,
-      `${against(runs, mine.k, runsOf(scene, first.index), first.k, question.cost, own.first.includes(m))}, beside `, stepbench.methodRef(first.index), "; ",
+      `${against(runs, mine.k, runsOf(scene, first.index), first.k, question.cost, own.first.includes(m) && "a tie")}, beside `, stepbench.methodRef(first.index), "; ",
       button("compare with all", () => document.querySelector("[data-methods]").scrollIntoView({ block: "center" })), "."].map(part)];
     const ask = button(`ask for ${next}`, () => stepbench.ask({ target: next }));
     return [[part(stepbench.methodRef(m)), " does not reach it", ...(near ? [`: its least error is ${number(near.error)}`] : []), ...(next ? ["; ", ask] : []), "."]];
@@ -119,8 +119,8 @@
       return html("tr", { class: "out" }, ...lead, html("td", { colspan: 3 + 2 * held + Boolean(mine) }, text));
     }
     const [multiple, k, cost] = state, off = held ? columnOf(runs, "constraint")[k] : NaN;
-    const { first } = stepbench.answer()[scene], over = (other) => other?.k === undefined || index === other.index ? ""
-      : against(runs, k, runsOf(scene, other.index), other.k, question.cost, first.includes(index) && first.includes(other.index));
+    const { first, later } = stepbench.answer()[scene], over = (other) => other?.k === undefined || index === other.index ? ""
+      : against(runs, k, runsOf(scene, other.index), other.k, question.cost, first.includes(index) && first.includes(other.index) && (later.includes(index) || later.includes(other.index) ? "a tie from a later start" : "a tie"));
     // Without a method to compare with, the best has its interval.
     const cells = [[stepbench.costText(cost, question.cost)], [!mine && multiple > 1 ? over(best(scene)) : `${stepbench.multiple(multiple)} ×`], ...(mine ? [[over(mine)]] : []),
       [number(columnOf(runs, question.group)[k])], ...(held ? [[runs.phi[k]], [number(off), times(off, question)]] : [])];
