@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from bench.results.quantities import COSTS
 from bench.results.table import NO_VALUE as NO_VALUE
@@ -54,12 +54,6 @@ def times(ratio: float | None) -> str:
 def symbols(text: str) -> str:
     """A text with λ for the group lam; inputs such as lam=... stay as they are."""
     return re.sub(r"\blam\b(?![=:])", "λ", text)
-
-
-def words(items: Iterable[str]) -> str:
-    """'a', 'a and b', 'a, b and c'."""
-    *head, last = items
-    return f"{', '.join(head)} and {last}" if head else last
 
 
 def file_name(text: str) -> str:

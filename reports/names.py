@@ -123,7 +123,7 @@ _VALUES = {
     "steps": {"constant": "constant steps"},
     "values": {"equations": "a, λ of the equations"},
     "multiplier": {"one_sided": "one-sided λ"},
-    "method": {"trapezoidal_index2": "trapezoidal", "adams": "Adams"},
+    "method": {"adams": "Adams"},
     "integrator": {"euler": "Euler", "rk4": "RK4"},
 }
 _GREEK = {

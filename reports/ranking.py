@@ -163,7 +163,7 @@ def answers(
 
 
 def by_cost(scenes: Mapping[str, Sequence[Series]], first: Question) -> dict[Question, Answer]:
-    """The answers to one question by each cost, its own first."""
+    """The answers to one question by each cost, its own first; empty if no scene has the group."""
     found = answers(scenes, [first.group], [first.target], [first.norm])
     costs = dict.fromkeys((first.cost, *COSTS))
     asked = [replace(first, cost=cost) for cost in costs]

@@ -27,6 +27,10 @@ from reports.series import Series, series_of
 _FIGURES = ("trajectory", "convergence", "work_precision")
 #: A scene's specification and the end of its interval in s.
 Key = tuple[str, float]
+#: Stand for a plan, a scene and statements of an integrator that a store does not hold.
+NO_PLAN = Plan(name="", title="Results", samples=0, budget_s=0.0, studies=[])
+NO_SCENE = SceneRecord(problem="", t_end=0.0, t0=0.0)
+NO_FACTS = MethodFacts(title="")
 
 
 @dataclass(frozen=True)
@@ -41,15 +45,10 @@ class StoredRuns:
     series: dict[str, list[Series]]
     scenes: dict[str, SceneRecord]
     environments: Mapping[int, Environment]
-    plan: Plan | None = None
+    plan: Plan = NO_PLAN
     records: Mapping[str, Record] = field(default_factory=dict)
     titles: Mapping[Key, str] = field(default_factory=dict)
     atlas: Mapping[str, ExperimentResult] = field(default_factory=dict)
-
-    @property
-    def scenes_by_key(self) -> dict[Key, SceneRecord]:
-        """The scenes that the store describes."""
-        return {k: self.scenes[title] for k, title in self.titles.items() if title in self.scenes}
 
     @cached_property
     def names(self) -> Names:
@@ -57,20 +56,14 @@ class StoredRuns:
         return short_names(s.label for own in self.series.values() for s in own)
 
     @property
-    def facts(self) -> Mapping[str, MethodFacts]:
-        """Facts of the integrators by name."""
-        return self.plan.integrators if self.plan else {}
-
-    @property
     def mine(self) -> str:
         """The label of the person's own integrator (`--mine`), if it was run."""
-        mine = self.plan.mine if self.plan else ""
-        return mine if mine in self.names else ""
+        return self.plan.mine if self.plan.mine in self.names else ""
 
     @property
     def planned(self) -> set[str]:
         """The keys of the runs that were planned."""
-        return {key for study in (self.plan.studies if self.plan else ()) for key in study.cells}
+        return {key for study in self.plan.studies for key in study.cells}
 
     @property
     def state(self) -> str:
@@ -82,8 +75,7 @@ class StoredRuns:
 
     def studies(self, title: str) -> list[Study]:
         """The studies of a scene; all of its runs as one if the plan has none of it."""
-        planned = self.plan.studies if self.plan else ()
-        own = [s for s in planned if self.titles.get((s.problem, s.t_end)) == title]
+        own = [s for s in self.plan.studies if self.titles.get((s.problem, s.t_end)) == title]
         runs = [r for s in self.series[title] for r in s.records]
         if own or not runs:
             return own
@@ -103,12 +95,12 @@ class StoredRuns:
     @classmethod
     def of(cls, store: Store) -> StoredRuns:
         """The runs of an open store."""
-        plan, described, records = store.plan(), store.scenes(), store.records()
+        plan, described, records = store.plan() or NO_PLAN, store.scenes(), store.records()
         runs = list(records.values())
-        planned = [(s.problem, s.t_end) for s in (plan.studies if plan else ())]
+        planned = [(s.problem, s.t_end) for s in plan.studies]
         titles = scene_titles([*planned, *((r.problem, r.t_end) for r in runs), *described])
         return cls(
-            title=plan.heading(runs) if plan else "Results",
+            title=plan.heading(runs),
             series={
                 title: series_of(r for r in runs if (r.problem, r.t_end) == key)
                 for key, title in titles.items()

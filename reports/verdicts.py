@@ -121,20 +121,23 @@ def unjudged(found: Answer, scene: str) -> str:
     return f"the reference's own error there is {error}, {than}"
 
 
+def violation_size(record: Record) -> str:
+    """The largest |Φ| with its unit; nothing of a run without constraints."""
+    size = record.constraint.get("position")
+    return "" if size is None else f"{number(size)} {record.constraint_unit}".rstrip()
+
+
 def violation_text(runs: Iterable[Record | None], target: float) -> str:
     """The largest |Phi| of runs, absolute and relative, told to be too large if it is.
 
     '0.0022 m, relative 0.0073: 73 times the accuracy'; nothing without constraints.
     """
     held = [
-        (r.error("constraint", NORM) or 0.0, x, r.constraint_unit)
+        (r.error("constraint", NORM) or 0.0, r.constraint.get("position") or 0.0, shown)
         for r in runs
-        if r and (x := r.constraint.get("position")) is not None
+        if r and (shown := violation_size(r))
     ]
-    if not held:
-        return ""
-    worst, size, unit = max(held)
-    shown = f"{number(size)} {unit}".rstrip()
+    worst, _, shown = max(held, default=(0.0, 0.0, ""))
     off = f": {worst / target:.3g} times the accuracy" if worst > target else ""
     return f"{shown}, relative {number(worst)}{off}" if worst else shown
 

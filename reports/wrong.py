@@ -16,7 +16,7 @@ from bench.results.table import Table
 from reports.formatting import NO_VALUE, number
 from reports.names import label_parts
 from reports.questions import Names, Ref, Sentence, listed, method_ref, scene_ref
-from reports.scenes import StoredRuns
+from reports.scenes import NO_SCENE, StoredRuns
 from reports.series import Series
 
 #: Names of experiments.
@@ -40,15 +40,14 @@ _KINDS = {
 }
 
 
-def policy(scene: SceneRecord | None) -> str:
+def policy(scene: SceneRecord) -> str:
     """The policy of a scene's runs at samples; nothing if no controller is sampled."""
-    own = scene.parameters if scene else ()
-    found = next((p["value"] for p in own if p["name"] == "sampling"), "")
+    found = next((p["value"] for p in scene.parameters if p["name"] == "sampling"), "")
     return found if found in POLICIES else ""
 
 
 def explained(
-    s: Series, group: str, scene: SceneRecord | None, atlas: Atlas, transient: bool = False
+    s: Series, group: str, scene: SceneRecord, atlas: Atlas, transient: bool = False
 ) -> str:
     """The experiment with the same symptom on a scene of this kind that hit this method, or "".
 
@@ -58,7 +57,7 @@ def explained(
     """
     felt = group in ("a", "lam")  # second derivatives of the motion
     held = s.records[0].formulation != "unconstrained"
-    steps, fastest = s.finest.work.get("steps"), ((scene and scene.rates) or {}).get("oscillation")
+    steps, fastest = s.finest.work.get("steps"), (scene.rates or {}).get("oscillation")
     # A step takes more than half a period of the scene's fastest vibration.
     long = steps and fastest and fastest * (s.finest.t_end - s.finest.t0) / steps > math.pi
     found = POLICIES.get(policy(scene), "")
@@ -112,7 +111,7 @@ class Wrong(NamedTuple):
     cause: str
 
 
-def wrong_on(name: str, s: Series, group: str, scene: SceneRecord | None, atlas: Atlas) -> Wrong:
+def wrong_on(name: str, s: Series, group: str, scene: SceneRecord, atlas: Atlas) -> Wrong:
     """The wrong runs of an integrator on a scene."""
     known = [r for r in s.ok if r.error(group, NORM) is not None]
     wrong = [r for r in known if r.wrong(group)]
@@ -129,7 +128,7 @@ def wrong_on(name: str, s: Series, group: str, scene: SceneRecord | None, atlas:
 def wrong_runs(stored: StoredRuns, group: str, label: str = "") -> list[Wrong]:
     """The wrong runs in a group on all scenes, of one integrator or of all."""
     return [
-        wrong_on(name, s, group, stored.scenes.get(name), stored.atlas)
+        wrong_on(name, s, group, stored.scenes.get(name, NO_SCENE), stored.atlas)
         for name, own in stored.series.items()
         for s in own
         if label in ("", s.label)
@@ -173,7 +172,7 @@ def silent_tables(
         rows, links, silent = [], {}, 0
         for w in found:
             if w.kind == kind and w.silent and w.best:
-                hard = scenes[w.scene].difficulties if w.scene in scenes else []
+                hard = scenes.get(w.scene, NO_SCENE).difficulties
                 if w.cause:
                     links[len(rows), 4] = [f"atlas-{w.cause}"]
                 why = w.cause.replace("_", " ") or next((f"hard here: {x}" for x in hard), NO_VALUE)

@@ -8,7 +8,7 @@ from bench.results.records import SceneRecord
 from reports.pages.report import read_report
 from reports.pages.studies import jumps_page, policies_table
 from reports.questions import plain
-from reports.scenes import StoredRuns
+from reports.scenes import NO_SCENE, StoredRuns
 from reports.series import series_of
 from reports.tables.run_tables import events_table
 from reports.wrong import IGNORED, OVER, policy, wrong_on, wrong_sentences
@@ -111,7 +111,7 @@ def test_ignored_samples_are_the_cause_of_an_error_even_in_positions(stored):
 
 def test_a_parameter_of_another_meaning_is_no_policy():
     assert policy(scene("s", "often")) == ""
-    assert policy(None) == ""
+    assert policy(NO_SCENE) == ""
     assert policy(scene("s", "interpolate")) == "interpolate"
 
 

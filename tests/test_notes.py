@@ -23,6 +23,7 @@ from problems.scenes.slider_crank import SliderCrank, SliderCrankMinimal
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 from reports.questions import plain
+from reports.scenes import NO_SCENE
 from reports.series import series_of
 from reports.tables.run_tables import notes_table
 from reports.verdicts import method_card
@@ -175,7 +176,7 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
     scenes = {"s": SceneRecord(problem="s", t_end=1.0, t0=0.0, difficulties=["It is stiff."])}
 
     def found(group="a"):
-        return [wrong_on("s", s, group, None, {}) for s in series]
+        return [wrong_on("s", s, group, NO_SCENE, {}) for s in series]
 
     def said(group="a"):
         other = [w._replace(scene="t", silent=0, warned=0, judged=0) for w in found(group)]
@@ -213,10 +214,10 @@ def test_a_cause_is_named_where_its_experiment_hit_the_method_on_such_a_scene():
         ("a", 9.0, {"work": {"steps": 31}}, FAST, STIFF),
         ("v", 9.0, {}, FAST, ""),
         ("lam", 9.0, {}, FAST, STIFF),
-        ("a", 9.0, {}, None, ""),  # it has no constraints
-        ("a", 9.0, {"formulation": "index3"}, None, UNDAMPED),
-        ("a", 9.0, tolerance, None, ""),
-        ("a", 9.0, {"pattern": (0.3, 0.7)}, None, "variable_steps"),
+        ("a", 9.0, {}, NO_SCENE, ""),  # it has no constraints
+        ("a", 9.0, {"formulation": "index3"}, NO_SCENE, UNDAMPED),
+        ("a", 9.0, tolerance, NO_SCENE, ""),
+        ("a", 9.0, {"pattern": (0.3, 0.7)}, NO_SCENE, "variable_steps"),
     ]:
         name = "m[rho_inf=1,newton=modified]"
         made = [planted("s", name, {}, h=h, **{"work": {"steps": 10}, **changes}) for h in STEPS]

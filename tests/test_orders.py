@@ -162,7 +162,7 @@ def test_lost_orders_are_listed_beside_the_claims_with_what_explains_them():
     assert lost(loose) == [["lam", "none", "none: error 9.27 at rtol=0.001, 9.27 at rtol=1e-6", ""]]
     assert [row[0] for row in lost(ringing("m", formulation="index3"))] == ["lam"]
     good = [planted("s", "m", SECOND, h=h, claims=claims) for h in OF_RUNS]
-    assert lost_orders_table({"s": series_of(good)}) is None
+    assert lost_orders_table({"s": series_of(good)}, {}, {}) is None
 
 
 def test_the_experiments_that_explain_losses_exist():

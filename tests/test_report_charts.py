@@ -22,7 +22,14 @@ from problems.scenes.pendulums import Chain
 from problems.truth.reference import Reference, ReferenceFailed
 from reports.charts.errors import convergence_chart, error_against_cost, error_charts
 from reports.charts.line_styles import line_styles
-from reports.charts.over_time import ERRORS, MOST_ROWS, histories, thinned, trajectory_chart
+from reports.charts.over_time import (
+    ERRORS,
+    HISTORIES,
+    MOST_ROWS,
+    histories,
+    thinned,
+    trajectory_chart,
+)
 from reports.charts.work import MOST_BARS, bills, size_charts
 from reports.pages.page import Page
 from reports.pages.report import read_report
@@ -173,7 +180,7 @@ def test_only_what_varies_is_drawn_over_time_errors_logarithmically(styles):
         "position": [0.0, *(1e-12 * k for k in range(1, count))],
         "error_a": [0.0, *(10.0**-k for k in range(count - 1))],
     }
-    chart = histories([(label, rows)], styles)
+    chart = histories([(label, rows)], styles, tuple(HISTORIES))
     axes = [panel["layer"][0]["encoding"]["y"] for panel in chart["concat"]]
     assert [axis["field"] for axis in axes] == ["error_a", "h", "position"]
     assert axes[0]["title"] == "error in acceleration a"
@@ -273,8 +280,9 @@ def test_a_bar_shows_the_parts_of_its_run_and_of_many_the_finest_is_drawn():
 
 
 def test_tables_and_flat_rows_have_the_sum_and_every_part():
-    for made_by in (runs_table, summary_table):
-        made = made_by(series_of([counted("one", 0.01)]))
+    one = counted("one", 0.01)
+    series = series_of([one])
+    for made in (runs_table(series, {one.key: "run-1"}, {}), summary_table(series)):
         assert dict(zip(made.head, made.rows[0], strict=True))["operations"] == "100000"
     row = flatten(counted("one", 0.01), {})
     parts = {part: row["operations_" + part.replace(" ", "_")] for part in PARTS}
@@ -296,14 +304,13 @@ def run(links, method, steps, seconds, t_end=2.0, **changes):
     )  # fmt: skip
 
 
-SCENES = {
-    (f"chain[links={n}]", 2.0): scene(f"chain[links={n}]", 2.0, 2 * n, n) for n in (10, 100, 1000)
-}
+SCENES = {f"chain[links={n}]": scene(f"chain[links={n}]", 2.0, 2 * n, n) for n in (10, 100, 1000)}
 
 
 def drawn(records, scenes=SCENES):
     styles = line_styles(r.integrator for r in records)
-    return size_charts(records, scenes, styles)
+    series = {r.problem: series_of(x for x in records if x.problem == r.problem) for r in records}
+    return size_charts(series, scenes, styles)
 
 
 def test_the_run_with_the_most_steps_is_drawn_at_its_number_of_unknowns():

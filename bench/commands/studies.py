@@ -43,7 +43,8 @@ def drift(o: Given) -> None:
     if o.step is not None:
         check_end(scene.interval[0], scene.interval[0] + o.count * Steps(o.step).h)
     from bench.running.constant_steps import drift_job
-    from reports.pages.studies import write_drift_page
+    from reports.pages.page import write_page
+    from reports.pages.studies import drift_page
 
     results = []
     with Store(o.out, create=True) as store:
@@ -54,7 +55,8 @@ def drift(o: Given) -> None:
                 o.faults.append(f"{run.integrator}: {run.status}: {run.message}")
         if results:
             o.answer(results, f"{scene.spec}, h={results[0].h:g} s", drift_table(results))
-            click.echo(f"Page: {write_drift_page(store.values(LongRun), o.out)}", err=o.as_json)
+            page = write_page(drift_page(store.values(LongRun)), o.out)
+            click.echo(f"Page: {page}", err=o.as_json)
 
 
 @options.command(
@@ -144,7 +146,8 @@ def atlas(o: Given) -> None:
     """
     from bench.atlas.experiments import read_experiments
     from bench.atlas.runs import complete_experiments
-    from reports.pages.studies import write_atlas_page
+    from reports.pages.page import write_page
+    from reports.pages.studies import atlas_page
 
     experiments = read_experiments(o.experiments)
     registry = o.registry  # before there is a folder
@@ -158,7 +161,7 @@ def atlas(o: Given) -> None:
     else:
         for r in results:
             show(f"{r.number}. {r.title}: {r.verdict}", *map(part_table, r.parts))
-        click.echo(f"Page: {write_atlas_page(results, o.out)}")
+        click.echo(f"Page: {write_page(atlas_page(results), o.out)}")
     differ = [f"{result.name} ({result.verdict})" for result in results if not result.as_predicted]
     if differ:
         raise click.ClickException(f"Not all is as predicted: {', '.join(differ)}.")

@@ -16,7 +16,7 @@ from reports.series import groups_of, ok_runs, series_of
 def solution_chart(label: str, rows: Rows, names: Mapping[str, Sequence[str]]) -> str | None:
     """Return the first components of each group of a run over time; None if there is no chart."""
     groups = [group for group in GROUPS if rows.values.get(group) and rows.values[group][0]]
-    chart = trajectory_chart([(label, rows)], None, groups, line_styles([label]), names)
+    chart = trajectory_chart([(label, rows)], Rows(t=[]), groups, line_styles([label]), names)
     return picture(chart).svg if chart else None
 
 

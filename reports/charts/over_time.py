@@ -36,7 +36,7 @@ Component = tuple[str, int]
 
 def trajectory_chart(
     runs: Sequence[tuple[str, Rows]],
-    reference: Rows | None,
+    reference: Rows,
     groups: Sequence[str],
     styles: Mapping[str, LineStyle],
     names: Mapping[str, Sequence[str]],
@@ -78,9 +78,7 @@ def trajectory_chart(
 
 
 def histories(
-    runs: Sequence[tuple[str, Rows]],
-    styles: Mapping[str, LineStyle],
-    notes: Sequence[str] = tuple(HISTORIES),
+    runs: Sequence[tuple[str, Rows]], styles: Mapping[str, LineStyle], notes: Sequence[str]
 ) -> vl.Spec | None:
     """Notes of runs over time, such as step sizes, a panel each; constant ones are left out."""
     lines = vl.Lines({label: styles[label] for label, _ in runs})
@@ -129,13 +127,10 @@ def _places(field: str, title: str, over: tuple[str, str]) -> vl.Spec:
 
 # ---- rows of a run that a chart shows ----------------------------------------------------
 def time_rows(
-    rows: Rows | None,
-    label: str,
-    components: Sequence[Component] = (),
-    notes: Sequence[str] = (),
+    rows: Rows, label: str, components: Sequence[Component] = (), notes: Sequence[str] = ()
 ) -> list[dict[str, Any]]:
     """A row per time with these components and notes, as far as the run has them."""
-    table, rows = [], rows or Rows(t=[], values={})
+    table = []
     for k, t in enumerate(rows.t):
         row: dict[str, Any] = {"t": vl.short(t), "series": label}
         for group, i in components:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
 from bench.results.quantities import PARTS
@@ -11,7 +12,8 @@ from bench.results.records import Record, SceneRecord
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
 from reports.formatting import number
-from reports.series import Series, label_of
+from reports.scenes import NO_SCENE
+from reports.series import Series, label_of, ok_runs
 
 #: Of more runs than this the finest one of each integrator is drawn.
 MOST_BARS = 24
@@ -70,26 +72,26 @@ def bills(series: Sequence[Series], styles: Mapping[str, LineStyle]) -> vl.Spec 
 
 
 def size_charts(
-    records: Iterable[Record],
-    scenes: Mapping[tuple[str, float], SceneRecord],
+    series: Mapping[str, Sequence[Series]],
+    scenes: Mapping[str, SceneRecord],
     styles: Mapping[str, LineStyle],
 ) -> dict[str, vl.Spec]:
     """A chart for every kind of scene with runs in several sizes, by the name of the kind.
 
     Of every method and size it has the run with the most steps.
     """
-    best: dict[tuple[str, int, str], Record] = {}
-    for record in records:
-        scene, steps = scenes.get((record.problem, record.t_end)), record.work.get("steps")
-        sizes = sum(n for of, n in scene.sizes.items() if of != "nv") if scene else 0
-        if record.status == "ok" and sizes and steps and record.seconds:
-            key = record.problem.split("[")[0], sizes, label_of(record)
-            if key not in best or steps > (best[key].work["steps"] or 0):
-                best[key] = record
+    best: dict[tuple[str, int, str], tuple[int, Record]] = {}
+    for name, own in series.items():
+        sizes = scenes.get(name, NO_SCENE).sizes
+        unknowns = sum(n for of, n in sizes.items() if of != "nv")
+        for r in ok_runs(own) if unknowns else ():
+            if r.seconds and (steps := r.work.get("steps")):
+                key = r.problem.split("[")[0], unknowns, label_of(r)
+                best[key] = max(best.get(key, (0, r)), (steps, r), key=itemgetter(0))
     rows = defaultdict(list)
-    for (kind, unknowns, label), record in sorted(best.items(), key=lambda item: item[0]):
-        seconds, steps = record.seconds or 0.0, record.work["steps"] or 1
-        costs = seconds / (record.t_end - record.t0), seconds / steps, seconds / steps / unknowns
+    for (kind, unknowns, label), (steps, r) in sorted(best.items(), key=itemgetter(0)):
+        seconds = r.seconds or 0.0
+        costs = seconds / (r.t_end - r.t0), seconds / steps, seconds / steps / unknowns
         row = {"series": label, "unknowns": unknowns}
         rows[kind].append(row | dict(zip(_PANELS, map(vl.short, costs), strict=True)))
     charts = {}

@@ -18,24 +18,20 @@ from reports.tables.scene_tables import parameters_table, scene_facts
 T = TypeVar("T")
 
 
-class NoPicture(SpecError):
-    """The scene has nothing to draw, or the format is not known."""
-
-
 def write_picture(title: str, drawings: Sequence[Mapping[str, Any]], path: Path) -> Path:
     """Write a picture of a scene at several times; the suffix says SVG or PNG.
 
     Raises
     ------
-    NoPicture
+    SpecError
         If the scene draws nothing, or the suffix is not one of these.
     """
     if path.suffix not in (".svg", ".png"):
-        raise NoPicture(f"{path.name} is not a picture; give a name that ends in .svg or .png.")
+        raise SpecError(f"{path.name} is not a picture; give a name that ends in .svg or .png.")
     chart = _shown(title, mechanism(drawings))
     drawn = picture(chart) if path.suffix == ".svg" else picture(chart, "png", scale=2)
     if drawn.sentence:
-        raise NoPicture(f"{title}: {drawn.sentence}")
+        raise SpecError(f"{title}: {drawn.sentence}")
     path.write_bytes(drawn.content)
     return path
 
@@ -45,18 +41,18 @@ def write_animation(title: str, drawings: Sequence[Mapping[str, Any]], path: Pat
 
     Raises
     ------
-    NoPicture
+    SpecError
         If the scene draws nothing, or the suffix is not .html.
     """
     if path.suffix != ".html":
-        raise NoPicture(f"{path.name} is not a page; give a name that ends in .html.")
+        raise SpecError(f"{path.name} is not a page; give a name that ends in .html.")
     page = Page(path.name, title, sections=[Section(title, [_shown(title, motion(drawings))])])
     return write_page(page, path.parent, programs=["motion.js"])
 
 
 def _shown(title: str, drawn: T | None) -> T:
     if drawn is None:
-        raise NoPicture(f"{title} has no picture: it does not define draw(q).")
+        raise SpecError(f"{title} has no picture: it does not define draw(q).")
     return drawn
 
 

@@ -16,7 +16,7 @@ from reports.formatting import file_name
 from reports.names import form_name
 from reports.pages.page import Figure, Page, Section, Text, page_file
 from reports.ranking import Answer
-from reports.scenes import StoredRuns
+from reports.scenes import NO_FACTS, StoredRuns
 from reports.series import Series, groups_of
 from reports.tables.order_table import order_table
 from reports.tables.ranking_tables import claims_text
@@ -31,9 +31,9 @@ from reports.verdicts import failings
 from reports.wrong import silent_tables, wrong_runs
 
 
-def plugin_option(facts: MethodFacts | None) -> str:
+def plugin_option(facts: MethodFacts) -> str:
     """The option that a command needs to know an integrator."""
-    files = sorted(Path(file).name for file in facts.sources) if facts else []
+    files = sorted(Path(file).name for file in facts.sources)
     return "".join(f" --plugins {shlex.quote(file)}" for file in files)
 
 
@@ -55,8 +55,8 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
     first = next(iter(by_scene.values()))
     runs = [r for s in by_scene.values() for r in s.records]
     name = first.records[0].integrator
-    facts = stored.facts.get(name)
-    known = first.controls == "step" and not (facts and facts.formulation == TOLD)
+    facts = stored.plan.integrators.get(name, NO_FACTS)
+    known = first.controls == "step" and facts.formulation != TOLD
     stability = [
         Text("Spectral radius, damping and period error over the step:"),
         Text(f'stepbench stability "{name}"{plugin_option(facts)}', "code"),
@@ -76,7 +76,7 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
     orders = order_table([*by_scene.values()], "Its orders, scene by scene", [*by_scene])
     values = {
         "key": label,
-        "title": facts.title.rstrip(".") if facts else "",
+        "title": facts.title.rstrip("."),
         "card": [*map(Text, failings(label, asked, stored))],
         "said": [
             Section("Its stability", stability if known else []),
@@ -93,7 +93,7 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
     return Page(file, title, sections=sections, heading="", kind="method", values=values)
 
 
-def _facts(name: str, series: Series, facts: MethodFacts | None) -> dict[str, str]:
+def _facts(name: str, series: Series, facts: MethodFacts) -> dict[str, str]:
     """Texts by name: options, formulation, claimed orders, choice of steps, source."""
     options = re.search(r"\[(.*)\]$", name)
     steps = "at constant steps" if series.controls == "step" else "chosen by the method"
@@ -104,10 +104,10 @@ def _facts(name: str, series: Series, facts: MethodFacts | None) -> dict[str, st
     texts = {
         "Full name": series.label,
         "Options": own,
-        "Formulation": form_name(series.ok) or (facts.formulation if facts else ""),
+        "Formulation": form_name(series.ok) or facts.formulation,
         "Orders claimed": claims_text(facts),
         "Steps": steps,
-        "Source": facts.source if facts else "",
+        "Source": facts.source,
     }
     return {name: text for name, text in texts.items() if text}
 

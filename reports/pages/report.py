@@ -61,7 +61,7 @@ class Report:
         asked = answers(self.series, [first.group])
         over = [own for question, own in asked.items() if question.cost == first.cost]
         self.methods = [method_page(label, stored, self.answer, over) for label in self.names]
-        orders = order_tables(stored.plan, stored.records)
+        orders = order_tables(stored)
         learn = "The order says how much smaller steps help: with order 2, half the step leaves a "
         learn += "quarter of the error. Each method is shown with the order that it claims and "
         learn += "those that its runs have, for each group of variables."
@@ -79,7 +79,7 @@ class Report:
     def _methods(self) -> Page:
         """Claims of methods, and their cost against the size of a scene."""
         stored = self.stored
-        charts = size_charts(self.runs, stored.scenes_by_key, self.styles)
+        charts = size_charts(self.series, stored.scenes, self.styles)
         sizes = [
             Figure(
                 f"Cost of {kind} against its size (unknowns: coordinates, multipliers, controller "
@@ -89,7 +89,7 @@ class Report:
             )
             for kind, chart in charts.items()
         ]
-        claims = integrators_table([*self.names], stored.facts)
+        claims = integrators_table([*self.names], stored.plan.integrators)
         sections = [
             Section("Claims", [claims], "integrators"),
             Section("Over all scenes", sizes),

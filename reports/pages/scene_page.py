@@ -23,11 +23,11 @@ from reports.charts.over_time import (
     trajectory_chart,
 )
 from reports.charts.work import bills
-from reports.formatting import number, paragraphs, words
+from reports.formatting import number, paragraphs
 from reports.names import scene_name
 from reports.pages.page import Figure, Page, Section, Text, page_file
-from reports.questions import Ref, tag_name
-from reports.scenes import StoredRuns
+from reports.questions import Ref, named, tag_name
+from reports.scenes import NO_SCENE, StoredRuns
 from reports.series import Series, groups_of, ok_runs, reference_error, series_of
 from reports.tables.order_table import order_table
 from reports.tables.ranking_tables import targets_table
@@ -111,9 +111,9 @@ def scene_page(
     styles, ids
         Styles of integrators by label, and anchors of runs by key.
     """
-    scene, series = stored.scenes.get(name), stored.series[name]
+    scene, series = stored.scenes.get(name, NO_SCENE), stored.series[name]
     runs = [r for s in series for r in s.records]
-    table = runs_table(series, ids, scene.components if scene else {})
+    table = runs_table(series, ids, scene.components)
     names = {label: style.name for label, style in styles.items()}
     parts: dict[str, list[Any]] = {topic: [] for topic in _TABS}
     parts["cost"] = [summary_table(series), targets_table(series, names)] if series else []
@@ -136,14 +136,14 @@ def scene_page(
         said = own if any(own) else [Text("Nothing of this is stored for this scene.")]
         tabs.append(Section(title, [*lead, *said], f"{anchor}-{topic}"))
     picture = None
-    if scene and scene.drawings:
+    if scene.drawings:
         ends = [number(drawing["t"]) for drawing in (scene.drawings[0], scene.drawings[-1])]
         caption = f"The scene from t={ends[0]} s to {ends[1]} s (solid)."
         picture = Figure(caption, {f"{anchor}-scene": mechanism(scene.drawings)}, on_paper=True)
     cards = [
         Section("Events", [events_table(series)]),
-        Section("Published digits", [published_table(scene.published) if scene else None]),
-        Section("Parameters", [parameters_table(scene) if scene else None]),
+        Section("Published digits", [published_table(scene.published)]),
+        Section("Parameters", [parameters_table(scene)]),
     ]
     # A command does not say the absolute tolerance, unless it is the usual one.
     usual = all(not (r.rtol and r.atol) or math.isclose(r.atol, r.rtol / 100) for r in runs)
@@ -151,19 +151,17 @@ def scene_page(
     values = {
         "key": name,
         "anchor": anchor,
-        "title": scene.title.rstrip(".") if scene else "",
-        "words": " ".join((scene.title, *map(tag_name, scene.tags), *scene.difficulties))
-        if scene
-        else "",
-        "about": paragraphs(scene.description) if scene else [],
-        "facts": scene_facts(scene) if scene else {},
+        "title": scene.title.rstrip("."),
+        "words": " ".join((scene.title, *map(tag_name, scene.tags), *scene.difficulties)),
+        "about": paragraphs(scene.description),
+        "facts": scene_facts(scene),
         "beside": [
-            Section("Picture", [motion(scene.drawings) if scene else None]),
-            Section("What is hard here", [scene.difficulties if scene else None]),
+            Section("Picture", [motion(scene.drawings)]),
+            Section("What is hard here", [scene.difficulties]),
             Section("Experiments in the failure atlas", _experiments(scene, stored)),
         ],
-        "equations": [*map(mathml, scene.equations)] if scene else [],
-        "unknowns": unknowns(scene) if scene else "",
+        "equations": [*map(mathml, scene.equations)],
+        "unknowns": unknowns(scene),
         "tabs": tabs,
         "cards": cards,
         "place": measured.index(name) if runs else None,
@@ -180,9 +178,9 @@ def scene_page(
     )
 
 
-def _experiments(scene: SceneRecord | None, stored: StoredRuns) -> list[Text]:
+def _experiments(scene: SceneRecord, stored: StoredRuns) -> list[Text]:
     """The experiments of the failure atlas on a scene, also with other parameters."""
-    own = scene.problem.partition("[")[0] if scene else ""
+    own = scene.problem.partition("[")[0]
     return [
         Text([Ref("atlas", f.name, f"{f.number}. {f.title}")])
         for f in stored.atlas.values()
@@ -202,7 +200,7 @@ class _Study:
         styles: Mapping[str, LineStyle],
     ) -> None:
         self.name, self.study, self.styles = name, study, styles
-        self.scene = stored.scenes.get(title)
+        self.scene = stored.scenes.get(title, NO_SCENE)
         self.records = {r.key: r for s in stored.series[title] for r in s.records}
         self.series = series_of(self.records[k] for k in study.cells if k in self.records)
 
@@ -214,7 +212,7 @@ class _Study:
             norms = [NORM, *["end"] * any(r.constraint for r in self.records.values())]
             groups = groups_of(ok)
             caption = (
-                f"Error {words(NORMS[norm] for norm in norms)} against step size; thin grey lines "
+                f"Error {named(NORMS[norm] for norm in norms)} against step size; thin grey lines "
                 f"have the slope of a whole order. {self._own_error(groups)}{left_out}"
             )
             made = {n: convergence_chart(shown, groups, self.styles, n) for n in norms}
@@ -254,7 +252,7 @@ class _Study:
                 rows: Rows | None = thinned(read_rows(s.finest.key))
             except (KeyError, StoreError):
                 continue
-            if s.finest.status != "ok" and scene:
+            if s.finest.status != "ok":
                 rows = before_divergence(rows, scene.reference)
             runs += [(s.label, rows)] if rows and rows.t else []
         noted, found = [(label, rows) for label, rows in runs if rows.notes], {}
@@ -262,20 +260,18 @@ class _Study:
             caption = f"Over time, for the finest run of each: {said}.{left_out}"
             chart = histories(noted, self.styles, notes)
             found[topic] = [Figure(caption, {f"{self.name}-{kind}": chart})]
-        reference = thinned(scene.reference) if scene and scene.reference else None
-        sampled = [rows for _, rows in runs] or [reference or Rows(t=[])]
+        reference = thinned(scene.reference)
+        sampled = [rows for _, rows in runs] or [reference]
         groups = [group for group in GROUPS if any(rows.values.get(group) for rows in sampled)]
         # "x5" is the fifth controller state over time, "q2:q1" a coordinate over another one.
         named = [re.findall(r"([a-z]+)(\d+)", text) for text in self.study.components]
         chosen = [[(group, int(i) - 1) for group, i in places] for places in named]
-        caption = "Values over time"
-        caption += "; the reference is the broad grey line." if reference else "."
-        caption += left_out
-        sizes, names = (scene.sizes, scene.components) if scene else ({}, {})
-        if not chosen and any(size > COMPONENTS_SHOWN for size in sizes.values()):
+        grey = "; the reference is the broad grey line" * bool(reference.t)
+        caption = f"Values over time{grey}.{left_out}"
+        if not chosen and any(size > COMPONENTS_SHOWN for size in scene.sizes.values()):
             caption += f" Of each group the first {COMPONENTS_SHOWN} components are shown."
         styles = {label: self.styles[label] for label, _ in runs}
-        chart = trajectory_chart(runs, reference, groups, styles, names, chosen)
+        chart = trajectory_chart(runs, reference, groups, styles, scene.components, chosen)
         found["time"].append(Figure(caption, {f"{self.name}-trajectory": chart}))
         return found
 

@@ -23,7 +23,7 @@ from bench.results.records import (
 from bench.results.table import short_exponent
 from bench.results.timings import FEWEST, LEAST_OF_FEW, by_round, median_interval
 from reports.charts.mechanism import little_picture
-from reports.formatting import number, tie_text
+from reports.formatting import tie_text
 from reports.names import FAMILIES, form_name, scene_name
 from reports.pages.method_page import plugin_option
 from reports.pages.page import page_file
@@ -44,8 +44,9 @@ from reports.questions import (
     tag_name,
 )
 from reports.ranking import Answer, SceneAnswer, answers
+from reports.scenes import NO_FACTS, NO_SCENE
 from reports.series import Series, groups_of, label_of, ok_runs, reference_error
-from reports.verdicts import HEADLINES, LATER, WRONG_A
+from reports.verdicts import HEADLINES, LATER, WRONG_A, violation_size
 from reports.wrong import wrong_runs, wrong_sentences
 
 #: Stands for a zero in a column.
@@ -70,7 +71,7 @@ def site_data(report: Report) -> dict[str, Any] | None:
     families = {s.label: s.family for s in series}
     places = {label: k for k, label in enumerate(families)}
     scenes = report.stored.scenes
-    chosen = filters({k: scenes[k].tags if k in scenes else () for k in measured})
+    chosen = filters({k: scenes.get(k, NO_SCENE).tags for k in measured})
     if not (groups := groups_of(ok_runs(series), ASKED)):
         return None
     norms = [f"{g}|{norm}" for norm in NORMS if norm != NORM for g in groups]
@@ -105,9 +106,7 @@ def site_data(report: Report) -> dict[str, Any] | None:
             for key, (name, own) in chosen.items()
         ],
         "methods": [_method(report, series, *pair) for pair in families.items()],
-        "scenes": [
-            _scene(k, own, report.stored.scenes.get(k), places) for k, own in measured.items()
-        ],
+        "scenes": [_scene(k, own, scenes.get(k, NO_SCENE), places) for k, own in measured.items()],
         "columns": columns,
         "runs_of": [[_runs(s, places, columns) for s in own] for own in measured.values()],
         **_answers(answers(measured, groups, GRID, tuple(NORMS)), groups, measured, places),
@@ -128,66 +127,56 @@ def _method(report: Report, series: Sequence[Series], label: str, family: str) -
         "dash": list(style.dash),
         "page": page_file("method", label),
         "command": "" if pattern else shlex.quote(name),
-        "plugins": plugin_option(report.stored.facts.get(name)),
+        "plugins": plugin_option(report.stored.plan.integrators.get(name, NO_FACTS)),
     }
 
 
 def _scene(
-    name: str, series: Sequence[Series], scene: SceneRecord | None, places: Mapping[str, int]
+    name: str, series: Sequence[Series], scene: SceneRecord, places: Mapping[str, int]
 ) -> dict[str, Any]:
     ok = [r for s in series for r in s.ok]
     groups = groups_of(ok, ASKED)
     norms = [(g if norm == NORM else f"{g}|{norm}", g, norm) for g in groups for norm in NORMS]
     floors = {name: TRUST * reference_error(ok, g, norm) for name, g, norm in norms}
     options = name.partition("[")[2].rstrip("]")  # for which a heading has no room
-    tags = [tag_name(tag) for tag in scene.tags[:3]] if scene else []
     return {
         "id": name,
         "name": scene_name(name),
         "command": shlex.quote(name),
-        "kind": kind_of(scene.tags if scene else ()),
-        "about": " · ".join([*filter(None, [options]), *tags]),
+        "kind": kind_of(scene.tags),
+        "about": " · ".join([*filter(None, [options]), *map(tag_name, scene.tags[:3])]),
         "page": page_file("scene", name),
         "groups": groups,
         "wrong_a": [places[s.label] for s in series if s.never_right("a")],
-        "picture": little_picture(scene.drawings) if scene else [],
+        "picture": little_picture(scene.drawings),
         "floor": {g: float(f"{floor:.3g}") for g, floor in floors.items() if floor > 0},
     }
 
 
 # ---- runs --------------------------------------------------------------------------------
 def _runs(series: Series, places: Mapping[str, int], columns: Sequence[str]) -> dict[str, Any]:
-    """The runs of one method on one scene, from coarse to fine; a column is null if empty."""
+    """The runs of one method on one scene, from coarse to fine; a column is null if empty.
+
+    ``options`` are those of `stepbench solve` that repeat them, ``samples`` times in s by round.
+    """
     found = [[_value(r, name) for r in series.records] for name in columns]
     endings = [r.status for r in series.records]
     refused = {*endings} == {UNSUPPORTED}
     return {
         "method": places[series.label],
         "resolutions": [r.resolution.split(",")[0].split(" ")[0] for r in series.records],
-        "options": [_option(r) for r in series.records],
+        "options": [
+            f"--{'step' if r.controls == 'step' else 'rtol'} {short_exponent(repr(r.size))}"
+            for r in series.records
+        ],
         "columns": [own if any(own) else None for own in found],
-        "samples": [_samples(r) for r in series.records],
-        "phi": [_violation(r) for r in series.records],
+        "samples": [
+            {f"{i}-{k}": _short(x, 6) for (i, k), x in by_round(r).items()} for r in series.records
+        ],
+        "phi": [violation_size(r) for r in series.records],
         **({"endings": endings} if {*endings} != {"ok"} else {}),
         **({"refused": series.records[0].message} if refused else {}),
     }
-
-
-def _option(record: Record) -> str:
-    """The option of `stepbench solve` that repeats a run."""
-    name, size = ("step", record.h) if record.controls == "step" else ("rtol", record.rtol)
-    return f"--{name} {short_exponent(repr(size))}"
-
-
-def _violation(record: Record) -> str:
-    """The largest |Φ| with its unit; nothing of a run without constraints."""
-    size = record.constraint.get("position")
-    return "" if size is None else f"{number(size)} {record.constraint_unit}".rstrip()
-
-
-def _samples(record: Record) -> dict[str, float]:
-    """The times of a run in s by their rounds."""
-    return {f"{i}-{k}": _short(x, 6) for (i, k), x in by_round(record).items()}
 
 
 def _timing_rules(records: Sequence[Record]) -> dict[str, Any]:
@@ -287,7 +276,7 @@ def _failed(scene: str, report: Report) -> list[Sentence]:
         who = ([method_ref(label, report.names), f" ({n})"] for label, n in whose.most_common())
         words = _ENDS.get(end) or end.replace("_", " ")
         how += ["; " if how else "", *listed(who, len(whose)), f" {words}"]
-    hard = report.stored.scenes[scene].difficulties[:1] if scene in report.stored.scenes else []
+    hard = report.stored.scenes.get(scene, NO_SCENE).difficulties[:1]
     lead = f"Failed: {len(failed)} of {counted(len(runs), 'run')}: "
     why = [f". Hard here: {hard[0]}."] if hard else ["."]
     return [[lead, *how, " (", Ref("failed", scene, "reasons"), ")", *why]]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from bench.results.quantities import NORM, NORMS, WRONG, quantity
@@ -30,8 +29,8 @@ from reports.charts.line_styles import line_styles
 from reports.charts.over_time import TIME, note_lines
 from reports.formatting import file_name, number
 from reports.names import scene_name
-from reports.pages.page import Figure, Page, Section, Text, write_page
-from reports.scenes import StoredRuns
+from reports.pages.page import Figure, Page, Section, Text
+from reports.scenes import NO_SCENE, StoredRuns
 from reports.series import Series, ok_runs
 from reports.tables.run_tables import events_table
 from reports.wrong import POLICIES, policy
@@ -73,11 +72,6 @@ def atlas_page(found: Sequence[ExperimentResult]) -> Page:
     learn = "Where methods fail, and what helps: each experiment shows one failure, with the "
     learn += "numbers that were predicted and found."
     return Page("atlas.html", "Failure atlas", learn, sections, experiments_table(found))
-
-
-def write_atlas_page(found: Sequence[ExperimentResult], folder: Path) -> Path:
-    """Write atlas.html into a folder."""
-    return write_page(atlas_page(found), folder)
 
 
 def experiment_chart(part: PartResult) -> vl.Spec | None:
@@ -131,11 +125,6 @@ def drift_page(runs: Mapping[str, LongRun]) -> Page:
     return Page("drift.html", "Long runs", learn, sections)
 
 
-def write_drift_page(runs: Mapping[str, LongRun], folder: Path) -> Path:
-    """Write drift.html into a folder."""
-    return write_page(drift_page(runs), folder)
-
-
 def drift_chart(runs: Sequence[LongRun]) -> vl.Spec | None:
     """Draw a panel per quantity: its largest size in each part of a run, a line per integrator."""
     lines = vl.Lines(line_styles(r.integrator for r in runs))
@@ -168,7 +157,7 @@ def _sampled(stored: StoredRuns) -> Iterator[Section]:
     """A section for each scene with a sampled controller, over all policies at samples."""
     families: dict[str, dict[str, tuple[str, Sequence[Series]]]] = {}
     for title, own in stored.series.items():
-        if own and (named := policy(scene := stored.scenes.get(title))) and scene:
+        if own and (named := policy(scene := stored.scenes.get(title, NO_SCENE))):
             families.setdefault(_without_policy(scene), {})[named] = title, own
     for k, found in enumerate(families.values(), 1):
         ordered = {name: found[name] for name in POLICIES if name in found}

@@ -13,7 +13,7 @@ from bench.results.timings import (
     Repeatability,
 )
 from reports.formatting import number
-from reports.scenes import StoredRuns
+from reports.scenes import NO_PLAN, StoredRuns
 
 
 def missing_data(stored: StoredRuns) -> list[str]:
@@ -24,7 +24,7 @@ def missing_data(stored: StoredRuns) -> list[str]:
     untimed = sum(not r.run_s for r in ok)
     not_finite = any(e is None for r in ok for norms in r.errors.values() for e in norms.values())
     sentences = {
-        "The store holds no plan: all runs of a scene are shown together.": plan is None,
+        "The store holds no plan: all runs of a scene are shown together.": plan is NO_PLAN,
         f"{waiting} of {len(planned)} planned runs are not measured yet. If the run is in work, "
         "load this page again later; if it was stopped, the same command goes on.": waiting,
         "The store holds no finished run.": not records,
@@ -53,9 +53,10 @@ def times_sentence(times: Repeatability) -> str:
     return f"Repeated times scatter by {100 * times.width:.2g} % ({of}{limit}), {first}."
 
 
-def method_of_measurement(plan: Plan | None) -> list[str]:
+def method_of_measurement(plan: Plan) -> list[str]:
     """Sentences about times, costs, errors and orders."""
-    samples = f"{plan.samples} samples were asked for per run" if plan else "Samples per run vary"
+    samples = f"{plan.samples} samples were asked for per run"
+    samples = samples if plan is not NO_PLAN else "Samples per run vary"
     return [
         "Timed is the bare solve from start to end, in processor seconds of all threads; tracing, "
         "compiling and consistent initial values are done before. A sample is the least of the "

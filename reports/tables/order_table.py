@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 
 from bench.results.orders import Fit
 from bench.results.quantities import NORM, NORMS
-from bench.results.records import Plan, Record, SceneRecord
+from bench.results.records import SceneRecord
 from bench.results.store import Store
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, number, order_text
 from reports.names import short_names
+from reports.scenes import NO_SCENE, StoredRuns
 from reports.series import Series, groups_of, ok_runs, series_of
 from reports.wrong import STUCK, Atlas, explained
 
@@ -36,14 +36,15 @@ _NOTE = (
 def stored_order_tables(folder: Path) -> list[Table]:
     """Return the order tables of the store in a run folder, one per study that asks for it."""
     with Store(folder) as store:
-        return order_tables(store.plan(), store.records())
+        return order_tables(StoredRuns.of(store))
 
 
-def order_tables(plan: Plan | None, records: Mapping[str, Record]) -> list[Table]:
+def order_tables(stored: StoredRuns) -> list[Table]:
     """Return the order tables of all studies that ask for one."""
+    records = stored.records
     made = (
         order_table(series_of(records[k] for k in study.cells if k in records), study.title)
-        for study in (plan.studies if plan else ())
+        for study in stored.plan.studies
         if FIGURE in study.figures
     )
     return [table for table in made if table]
@@ -84,9 +85,7 @@ def order_table(series: Sequence[Series], title: str, scenes: Sequence[str] = ()
 
 
 def lost_orders_table(
-    scenes: Mapping[str, Sequence[Series]],
-    atlas: Atlas = MappingProxyType({}),
-    described: Mapping[str, SceneRecord] = MappingProxyType({}),
+    scenes: Mapping[str, Sequence[Series]], atlas: Atlas, described: Mapping[str, SceneRecord]
 ) -> Table | None:
     """Groups that do not converge, or at less than the claimed order; None if there are none.
 
@@ -111,7 +110,7 @@ def lost_orders_table(
                 found = f"none: error {', '.join(ends)}"
             if transient:
                 found += f"; after the start transient {order_text(settled.order or 0.0)}"
-            why = explained(s, group, described.get(scene), atlas, transient)
+            why = explained(s, group, described.get(scene, NO_SCENE), atlas, transient)
             alike.setdefault((str(claimed or "none"), found, why), []).append(group)
         for (claim, found, why), groups in alike.items():
             if why:

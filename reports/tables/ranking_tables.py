@@ -11,6 +11,7 @@ from bench.results.table import Table
 from reports.formatting import NO_VALUE, tie_text
 from reports.questions import TABLE_GROUPS, TABLE_TARGETS, Names, Question
 from reports.ranking import Answer, answers
+from reports.scenes import NO_FACTS
 from reports.series import Series
 from reports.verdicts import unjudged, verdict, violation_text
 
@@ -93,17 +94,16 @@ def standings_table(found: Answer) -> Table | None:
     )
 
 
-def claims_text(facts: MethodFacts | None) -> str:
+def claims_text(facts: MethodFacts) -> str:
     """The orders that an integrator claims in general, by group."""
-    return "; ".join(f"{g} {p}" for g, p in facts.orders.items()) if facts else ""
+    return "; ".join(f"{g} {p}" for g, p in facts.orders.items())
 
 
 def integrators_table(labels: Sequence[str], known: Mapping[str, MethodFacts]) -> Table | None:
     """Each integrator with its title, orders claimed and source."""
     rows = []
     for label in labels:
-        facts = known.get(label.partition(" x ")[0])
-        title, source = (facts.title.rstrip("."), facts.source) if facts else ("", "")
-        rows.append([label, title, claims_text(facts), source])
+        facts = known.get(label.partition(" x ")[0], NO_FACTS)
+        rows.append([label, facts.title.rstrip("."), claims_text(facts), facts.source])
     head = ["integrator", "what it is", "orders claimed", "source"]
     return Table("Integrators", head, rows) if rows else None

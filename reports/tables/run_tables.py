@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 
 from bench.results.quantities import ERROR_MEANING, LEVELS, NORM, TRUST, VIOLATIONS
 from bench.results.records import UNSUPPORTED, Record
@@ -59,9 +58,7 @@ def _costs(run: Record | None) -> dict[str, str]:
 
 
 def runs_table(
-    series: Sequence[Series],
-    ids: Mapping[str, str] | None = None,
-    components: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    series: Sequence[Series], ids: Mapping[str, str], components: Mapping[str, Sequence[str]]
 ) -> Table | None:
     """Every run with its errors, each with its worst component, work and ending.
 
@@ -81,7 +78,7 @@ def runs_table(
         partly = r.status == "ok" and r.rows < (steps or 0)
         row["steps"] = f"{steps}, {r.rows} of them measured" if partly else _count(steps)
         rows.append(row | {"rejected": _count(r.work.get("rejected")), **_costs(r)})
-    anchors = [ids[r.key] for _, r in records] if ids else []
+    anchors = [ids[r.key] for _, r in records]
     note = f"{ERROR_MEANING} The worst component is named. The page of failures has reasons."
     return Table.from_dicts("All runs", rows, note=note, ids=anchors) if rows else None
 

@@ -37,7 +37,7 @@ def scene_facts(scene: SceneRecord) -> dict[str, str]:
     """Texts by name: interval, size, reference, sensitivity, source, faults."""
     growth = f"a small change of the start grows up to {number(scene.growth)} times"
     found = {
-        "Interval": f"{number(scene.t0)} s to {number(scene.t_end)} s",
+        "Interval": f"{number(scene.t0)} s to {number(scene.t_end)} s" * (scene.t_end > scene.t0),
         "Size": unknowns(scene),
         "Reference": scene.reference_method,
         "Its own relative error": ", ".join(
