@@ -228,10 +228,13 @@ def uncontrolled(scene: MechatronicSystem, run: Trajectory, rtol: float | None) 
     left = float(2 * periods[1] > 1) if rtol is None else rtol * periods[0]
     if weight < _WEIGHT or weight * left < _LEFT:
         return ""
+    helps = (
+        "q and v are usable; take a smaller rtol" if rtol else "and so is v if the start excites it"
+    )
+    helps += "" if rtol else "; q is usable; take smaller steps"
     return (
         f"Accelerations are not controlled: a step spans {periods[1]:.2g} periods of the fastest "
-        f"vibration, {omega:.3g} rad/s. a is unreliable, q and v are usable; take "
-        f"{'a smaller rtol' if rtol else 'smaller steps'} for a."
+        f"vibration, {omega:.3g} rad/s. a is unreliable, {helps} for a."
     )
 
 

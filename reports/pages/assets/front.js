@@ -35,7 +35,7 @@
       : "of the worst component, relative to its natural size, or else to its largest value in the reference";
     const beside = data.both.filter((cost) => data.both.includes(question.cost) && cost !== question.cost), rows = stepbench.standings(question);
     const nowhere = rows.filter(([, , , reached]) => !reached).map(([m]) => [stepbench.methodRef(m)]), all = question.scenes === "all";
-    const avoid = nowhere.length && nowhere.length < rows.length ? [line(all ? null : "also", "Reached on none of them by ", ...stepbench.listed(nowhere), ".")] : [];
+    const avoid = nowhere.length && nowhere.length < rows.length ? [line(all ? null : "also", "Reached on none of these scenes by ", ...stepbench.listed(nowhere), ".")] : [];
     card.replaceChildren(line("headline", ...stepbench.headline(question)),
       ...beside.map((cost) => line("also", `${data.least[cost]}: `, ...stepbench.headline({ ...question, cost }, question))),
       ...(all ? [] : avoid), ...(wrong ? [wrong] : []),
