@@ -28,6 +28,7 @@ from typing import Any, ClassVar, cast
 
 from integrators.advice import advice
 from integrators.multistep import MultistepForm
+from integrators.resolutions import Steps, check_end
 from integrators.runs import STATUSES as STATUSES
 from integrators.runs import PreparedRun as PreparedRun
 from integrators.runs import Trajectory as Trajectory
@@ -89,12 +90,17 @@ def option(
 
 
 def _of_taken_scenes(prepare: Callable[..., PreparedRun]) -> Callable[..., PreparedRun]:
-    """`Integrator.prepare` that asks ``supports`` first."""
+    """`Integrator.prepare` that checks its arguments, and asks ``supports``, first."""
 
     @wraps(prepare)
     def asking(
         self: Integrator, scene: MechatronicSystem, t_end: float, resolution: Any
     ) -> PreparedRun:
+        spec.validate(self)
+        if isinstance(resolution, Steps) != (self.controls == "step"):
+            takes = "Steps(h)" if self.controls == "step" else "Tolerances(rtol)"
+            raise spec.SpecError(f"{self.spec} takes {takes}; {resolution} came.")
+        t_end = check_end(scene.interval[0], t_end)
         if reason := self.why_not(scene):
             raise spec.SpecError(f"{self.spec} does not take {scene.spec}: {reason}")
         steps_over = self.passes_impacts and scene.has("gaps") and not scene.has("sample")
@@ -242,7 +248,9 @@ class Integrator(ABC):
         Raises
         ------
         SpecError
-            If ``supports`` gives a reason why the integrator cannot take the scene.
+            If an option is not allowed, ``resolution`` is of the other kind, ``t_end`` does not lie
+            after the start, or ``supports`` gives a reason why the integrator cannot take the
+            scene.
         problems.equations.initial_values.InconsistentStart,
         problems.equations.initial_values.NoConsistentStart
             From the scene's initial values; the bench turns them into a row with a reason.

@@ -14,7 +14,7 @@ from integrators.contract import Integrator, PreparedRun, Trajectory, Work, opti
 from integrators.native.loops.kernel import Ending
 from integrators.output_rows import RowKeeper, width_of
 from integrators.resolutions import Steps
-from problems.base.spec import SpecError, validate
+from problems.base.spec import SpecError
 from problems.equations.initial_values import consistent_start
 from problems.models.mjcf import MujocoScene
 from problems.models.mjcf_parts import load_mujoco
@@ -73,7 +73,6 @@ class Mujoco(Integrator):
         return own.name.removeprefix("mjINT_").lower()
 
     def prepare(self, scene: Any, t_end: float, resolution: Steps) -> PreparedRun:
-        validate(self)
         if len(resolution.pattern) > 1:
             raise SpecError(f"{self.spec} takes equal steps and no pattern of them.")
         return _MujocoRun(self, scene, t_end, resolution)

@@ -17,7 +17,7 @@ from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import FreeSteps, ImplicitStepMethod
 from integrators.resolutions import Steps, Tolerances
 from problems.base.runtime import Array, jnp
-from problems.base.spec import SpecError, validate
+from problems.base.spec import SpecError
 from problems.equations.formulations import Start, dynamics_residual, inertia
 from problems.equations.kinematics import displaced
 from problems.equations.programs import mass_varies
@@ -145,7 +145,6 @@ class HHTI3(FreeSteps, OwnValues, ImplicitStepMethod):
     ) -> PreparedRun:
         if not (self._chooses_by_newton and isinstance(resolution, Steps)):
             return super().prepare(scene, t_end, resolution)
-        validate(self)
         if len(resolution.pattern) > 1:
             raise SpecError(
                 f"{self.spec} chooses its steps and takes no pattern of them; take steps=constant."

@@ -25,9 +25,8 @@ from integrators.native.step.step_program import (
     StepProgram,
     sparse_tangents,
 )
-from integrators.resolutions import Steps, Tolerances, check_end
+from integrators.resolutions import Steps, Tolerances
 from problems.base import spec
-from problems.base.spec import SpecError
 from problems.equations.sparsity import Pattern, uses_sparse
 from problems.system import MechatronicSystem
 
@@ -106,11 +105,6 @@ class NativeMethod(Integrator):
     def prepare(
         self, scene: MechatronicSystem, t_end: float, resolution: Steps | Tolerances
     ) -> PreparedRun:
-        spec.validate(self)
-        if isinstance(resolution, Steps) != (self.controls == "step"):
-            takes = "Steps(h)" if self.controls == "step" else "Tolerances(rtol)"
-            raise SpecError(f"{self.spec} takes {takes}; {resolution} came.")
-        t_end = check_end(scene.interval[0], t_end)
         method = OnScene(scene, *self.program(scene), self.notes_on(scene))
         if isinstance(resolution, Steps):
             return ConstantStepsRun(method, t_end, resolution)

@@ -100,12 +100,6 @@ def _loaded(name: str) -> ModuleType:
 
 
 @cache
-def on_gpu() -> bool:
-    """Whether JAX computes on a GPU: thousands of equal things at once, and each call is dear."""
-    return jax.default_backend() != "cpu"
-
-
-@cache
 def slower(sentence: str) -> None:
     """Tell, once, what a library no longer offers, which costs time and nothing else."""
     logging.getLogger(__name__).warning(sentence)

@@ -48,9 +48,9 @@ class Pivot(NamedTuple):
 class Factors(NamedTuple):
     """A matrix that was eliminated in a fixed order, and its inverse if this is not ``sound``."""
 
-    triangle: Any
-    inverse: Any
-    sound: Any
+    triangle: _Numbers
+    inverse: Float[Array, "n n"]
+    sound: Bool[Array, ""]
 
 
 @dataclass(frozen=True, eq=False)

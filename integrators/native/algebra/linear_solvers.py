@@ -20,7 +20,7 @@ from integrators.native.algebra import klu, small_matrices
 from integrators.native.algebra.fixed_elimination import EliminationPlan, Factors, planned
 from integrators.native.algebra.jaxpr_tools import tangent_along, tangent_pattern, with_constants
 from problems.base import runtime
-from problems.base.runtime import Array, Bool, Float, jax, jnp
+from problems.base.runtime import Array, Bool, Float, Int, jax, jnp
 from problems.equations.programs import part
 from problems.equations.sparsity import Pattern
 
@@ -37,10 +37,10 @@ _MOST_WRITTEN_OUT = 1000
 
 class Once(NamedTuple):
     """An update by a tangent, and the number of eliminations in a fixed order that had to be
-    repeated with pivots for it; arrays, or what stands for them."""
+    repeated with pivots for it."""
 
-    update: Any
-    repeated: Any = np.zeros((), int)
+    update: Float[Array, " n"]
+    repeated: Int[Array, ""] | int = 0
 
 
 class LinearSolver(ABC):

@@ -238,6 +238,8 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
             left = span.t_end - m.t
             # The step is changed a little so that the last one is not tiny.
             h = jnp.where(left <= m.h * 1.001, left, jnp.where(left < 2 * m.h, left / 2, m.h))
+            # Always h; without it XLA rounds the stages of `phem56` otherwise.
+            h = jnp.where(goes_on(m), h, jnp.nan)
             t = jnp.where(h == left, span.t_end, m.t + h)
             state, report = step(p, numbers, m.state, t, h)
             now = program.read(scene, state)
