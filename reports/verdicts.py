@@ -202,25 +202,28 @@ def stored_card(label: str, found: Answer, stored: StoredRuns) -> list[Sentence]
     return [*said, *amiss]
 
 
+#: How many of an integrator's runs on a scene are wrong, as `Wrong.kind` calls it.
+_WHERE = {
+    "every": "At every step and tolerance",
+    "some": "At some",
+    "coarsest": "At the coarsest alone",
+}
+
+
 def failings(label: str, group: str, stored: StoredRuns) -> list[Sentence]:
     """How many runs of an integrator failed, and which are wrong without warning."""
     series = [s for each in stored.series.values() for s in each if s.label == label]
     runs = [r for s in series for r in s.records if r.status not in NOT_TRIED]
     failed = sum(r.status != "ok" for r in runs)
     found = wrong_runs(stored, group, label)
-    wrong = wrong_sentences(found, group, stored.names)
-    some: list[Sentence] = [
-        [f"Wrong without warning {lead}: ", *listed(where, 9), "."]
-        for kind, lead in (
-            ("some", "at some steps or tolerances"),
-            ("coarsest", "at the coarsest alone"),
-        )
-        if (where := [[scene_ref(w.scene)] for w in found if w.kind == kind and w.silent])
-    ]
-    ends = "" if wrong or some else "All of its runs reached the end."
+    wrong = [part for said in wrong_sentences(found, group, stored.names)[:1] for part in said]
+    for kind, lead in _WHERE.items():
+        where = [[scene_ref(w.scene)] for w in found if w.kind == kind and w.silent]
+        wrong += [f" {lead}: ", *listed(where, 9), "."] if where else []
+    ends = "" if wrong else "All of its runs reached the end."
     if failed:
         ends = f"{failed} of its {counted(len(runs), 'run')} failed."
-    return [*([[ends]] if ends else []), *wrong, *some]
+    return [own for own in ([ends] if ends else [], wrong) if own]
 
 
 def _detail(place: str, entry: RankEntry, answer: SceneAnswer, names: Names) -> Sentence:
