@@ -68,7 +68,8 @@ class Site:
                 below["Beside"].append(Link(root + file, title))
         methods, sections, words = (below[heading] for heading in SEARCHED)
         for p in self.report.methods:
-            methods.append(Link(root + self.link(p), p.title, words=p.values["title"]))
+            words_of = f"{p.values['title']} {p.values['key']}"
+            methods.append(Link(root + self.link(p), p.title, words=words_of))
         for p in self.report.chapters:
             for s in p.sections:
                 if s.anchor:
