@@ -145,17 +145,17 @@ def short_names(labels: Iterable[str]) -> dict[str, str]:
     another one, and the way of Newton's method if all that state one state the same.
     """
     parts = {label: _parts(label) for label in dict.fromkeys(labels)}
-    families: dict[str, list[str]] = {}
-    for label, (name, _, _) in parts.items():
-        families.setdefault("" if name in _ALPHA_FAMILY else name, []).append(label)
-    own = [[parts[label][1] for label in members] for members in families.values()]
+    families: dict[str, dict[str, Options]] = {}
+    for label, (name, options, _) in parts.items():
+        families.setdefault("" if name in _ALPHA_FAMILY else name, {})[label] = options
+    own = [each.values() for each in families.values()]
     stated = [o.get("newton") for each in own if any("newton" in o for o in each) for o in each]
     common = {"newton"} if len(stated) > 1 and len({*stated}) == 1 else set()
     found = {}
-    for members, options_of in zip(families.values(), own, strict=True):
-        needless = common | _needless(options_of)
-        for label in members:
-            name, options, steps = parts[label]
+    for members in families.values():
+        needless = common | _needless([*members.values()])
+        for label, options in members.items():
+            name, _, steps = parts[label]
             kept = {key: value for key, value in options.items() if key not in needless}
             found[label] = _written(name, kept, steps)
     # The plainer name may be that of another integrator: then the full one is said.

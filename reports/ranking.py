@@ -165,8 +165,7 @@ def answers(
 def by_cost(scenes: Mapping[str, Sequence[Series]], first: Question) -> dict[Question, Answer]:
     """The answers to one question by each cost, its own first; empty if no scene has the group."""
     found = answers(scenes, [first.group], [first.target], [first.norm])
-    costs = dict.fromkeys((first.cost, *COSTS))
-    asked = [replace(first, cost=cost) for cost in costs]
+    asked = (replace(first, cost=cost) for cost in dict.fromkeys((first.cost, *COSTS)))
     return {question: found.get(question, Answer(question, {}, {})) for question in asked}
 
 
@@ -180,9 +179,10 @@ class _Field:
     def __init__(self, series: Sequence[Series]) -> None:
         self.series = [s for s in series if any(r.status not in NOT_TRIED for r in s.records)]
         runs = ok_runs(series)
+        known = {run.key: run for run in runs}
         self._starts = range(1 + max((len(r.later) for r in runs), default=0))
         self._ladders = cache(self._ladders_of)
-        self._apart: dict[tuple[str, str, str], bool] = {}
+        self._apart = cache(lambda one, two, cost: told_apart(known[one], known[two], cost))
         self.floor = cache(partial(reference_error, runs))
 
     def answer(self, question: Question) -> SceneAnswer:
@@ -215,10 +215,7 @@ class _Field:
         if not cheapest:
             return set()
         _, best = min(cheapest.values(), key=itemgetter(0))
-        for _, run in cheapest.values():
-            if (key := (best.key, run.key, cost)) not in self._apart:
-                self._apart[key] = told_apart(best, run, cost)
-        return {k for k, (_, r) in cheapest.items() if not self._apart[best.key, r.key, cost]}
+        return {k for k, (_, r) in cheapest.items() if not self._apart(best.key, r.key, cost)}
 
 
 def _ladder(runs: Sequence[Record], cost: str, group: str, norm: str, start: int) -> _Ladder:

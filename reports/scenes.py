@@ -23,8 +23,6 @@ from reports.names import short_names
 from reports.questions import FIRST, Names, Question
 from reports.series import Series, series_of
 
-#: Figures of runs that belong to no study.
-_FIGURES = ("trajectory", "convergence", "work_precision")
 #: A scene's specification and the end of its interval in s.
 Key = tuple[str, float]
 #: Stand for a plan, a scene and statements of an integrator that a store does not hold.
@@ -80,7 +78,8 @@ class StoredRuns:
         if own or not runs:
             return own
         at = {"problem": runs[0].problem, "t_end": runs[0].t_end}
-        return [Study(title="All runs", figures=[*_FIGURES], cells=[r.key for r in runs], **at)]
+        figures = ["trajectory", "convergence", "work_precision"]
+        return [Study(title="All runs", figures=figures, cells=[r.key for r in runs], **at)]
 
     @cached_property
     def times(self) -> Repeatability:

@@ -231,10 +231,8 @@ def _detail(place: str, entry: RankEntry, answer: SceneAnswer, names: Names) -> 
     if place == "dearer":
         best = min(answer.first, key=lambda e: e.value or 0.0)
         return [f" ({times(entry.ratio)} the cost of ", method_ref(best.label, names), ")"]
-    near, held = (
-        entry.series.nearest(answer.question.group),
-        violation_text([entry.run], answer.question.target),
-    )
+    near = entry.series.nearest(answer.question.group)
+    held = violation_text([entry.run], answer.question.target)
     said = {
         "far": f"smallest error: {number(near[0])}" if near else "",
         "failed": entry.series.statuses,

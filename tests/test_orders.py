@@ -17,10 +17,12 @@ from bench.atlas.experiments import built_in_experiments
 from bench.commands.suite import suite_of_orders
 from bench.results.orders import fit_order, fit_orders
 from bench.results.records import SceneRecord
+from bench.results.store import Store
 from bench.running.inventory import Inventory
 from bench.running.plan import DEFAULT_HALVINGS
+from reports.scenes import StoredRuns
 from reports.series import series_of
-from reports.tables.order_table import lost_orders_table, order_table, stored_order_tables
+from reports.tables.order_table import lost_orders_table, order_table, order_tables
 from reports.wrong import IGNORED, OVER, PATTERN, STIFF, TRANSIENT, UNDAMPED
 
 EIGHT = [0.1 * 2.0**-k for k in range(8)]
@@ -242,7 +244,8 @@ def test_the_table_of_the_document_is_measured(stepbench, tmp_path):
     lines = (row.split(" | ") for row in re.findall(r"^\| (.*) \|$", page, re.MULTILINE))
     kinds = "claimed", "settled", "with transient"
     told = {tuple(cells[:2]): cells[2:] for cells in lines if cells[1] in kinds}
-    (table,) = stored_order_tables(tmp_path)
+    with Store(tmp_path) as store:
+        (table,) = order_tables(StoredRuns.of(store))
     found = {tuple(row[:2]): row[2:] for row in table.rows}
     assert len(told) == 15
     for row, orders_told in told.items():

@@ -29,6 +29,7 @@ from reports.scenes import StoredRuns
 from reports.tables.glossary import TERMS, terms_in
 from reports.tables.scene_tables import mathml, unknowns
 from reports.verdicts import method_card
+from reports.wrong import wrong_runs
 
 LONG = "generalized_alpha[rho_inf=0.8,formulation=stabilised_index2,newton=modified]"
 
@@ -115,8 +116,8 @@ def strip(label, records):
     """{(scene, column): (state, text)} of the strip of an integrator."""
     scenes = scenes_of(records)
     found = [a for q, a in answers(scenes, ["a"]).items() if q.cost == "residuals"]
-    own = {k: s for k, series in scenes.items() for s in series if s.label == label}
-    chart = method_strip(label, found, own)
+    wrong = wrong_runs(StoredRuns("", scenes, {}, {}), "a", label)
+    chart = method_strip(label, found, wrong)
     if chart is None:
         return None
     altair.LayerChart.from_dict(chart, validate=True)

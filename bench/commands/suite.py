@@ -171,9 +171,11 @@ def order_(o: Given) -> None:
     asked = o.names, o.budget, o.steps, o.pattern, o.t_end
     suite = suite_of_orders(o.registry, o.asked_scene, *asked)
     records, told = run_suite(suite, o.registry, o.out, o.fresh, o.jobs)
-    from reports.tables.order_table import stored_order_tables
+    from reports.scenes import StoredRuns
+    from reports.tables.order_table import order_tables
 
-    tables = stored_order_tables(o.out)
+    with Store(o.out) as store:
+        tables = order_tables(StoredRuns.of(store))
     if not tables:
         raise click.ClickException(f"No order was measured. {in_common(records)}")
     show(*tables, *told)

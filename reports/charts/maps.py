@@ -7,12 +7,11 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby, pairwise
 from typing import Any, NamedTuple
 
-from bench.results.quantities import NORM
 from reports.charts import vega_lite as vl
 from reports.formatting import number
 from reports.names import scene_name
 from reports.ranking import Answer
-from reports.series import Series
+from reports.wrong import Wrong
 
 #: Looks of an integrator's states on a scene: title and colour.
 _LOOKS = {
@@ -94,12 +93,10 @@ def radius_map(m: dict[str, Any], name: str) -> vl.Spec | None:
     )
 
 
-def method_strip(
-    label: str, found: Sequence[Answer], series: Mapping[str, Series]
-) -> vl.Spec | None:
+def method_strip(label: str, found: Sequence[Answer], wrong: Sequence[Wrong]) -> vl.Spec | None:
     """Wins, ties, losses and failures of an integrator: a row per scene, a column per accuracy.
 
-    The last column counts its runs that are wrong without a note.
+    The last column counts the runs that are ``wrong`` without a note; this has all its scenes.
     """
     rows = []
     for answer in found:
@@ -111,16 +108,14 @@ def method_strip(
                 rows.append(row | {"state": _LOOKS[state][0], "text": ratio})
     if not rows:
         return None
-    for scene, s in series.items():
-        group = found[0].question.group
-        known = [r for r in s.ok if r.error(group, NORM) is not None]
-        if wrong := [r for r in known if r.wrong(group) and not r.message]:
-            cell = {"scene": scene_name(scene), "target": "wrong", "state": _LOOKS["wrong"][0]}
-            rows.append(cell | {"text": f"{len(wrong)} of {len(known)}"})
+    for w in wrong:
+        if w.silent:
+            cell = {"scene": scene_name(w.scene), "target": "wrong", "state": _LOOKS["wrong"][0]}
+            rows.append(cell | {"text": f"{w.silent} of {w.judged}"})
     order = [*(answer.question.accuracy for answer in found), "wrong"]
     place = {
         "x": vl.category("target", title=None, sort=order, axis={"labelAngle": 0, "orient": "top"}),
-        "y": vl.category("scene", title=None, sort=[*map(scene_name, series)]),
+        "y": vl.category("scene", title=None, sort=[scene_name(w.scene) for w in wrong]),
     }
     ink = {"condition": {"test": "datum.target === 'wrong'", "value": "#fff"}, "value": "#1b2430"}
     cells = {

@@ -18,8 +18,7 @@ from reports.charts.line_styles import LineStyle
 Spec = dict[str, Any]
 
 GREY = "#808080"
-_TEXT_COLUMNS = {*("series", "norm", "run", "line", "scene", "group", "target", "cost", "text")}
-_TEXT_COLUMNS |= {"state", "only"}
+_TEXT_COLUMNS = {"series", "run", "line", "scene", "target", "text", "state"}
 #: Differences of larger numbers overflow.
 _LARGEST = 1e300
 #: Logarithmic axes name the digits 1, 2, 5 over fewer than two decades, else the decades.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from bench.results.records import SceneRecord
 from problems.base.spec import SpecError
@@ -14,8 +14,6 @@ from reports.formatting import file_name, number, paragraphs
 from reports.names import scene_name
 from reports.pages.page import Figure, Page, Section, Text, write_page
 from reports.tables.scene_tables import parameters_table, scene_facts
-
-T = TypeVar("T")
 
 
 def write_picture(title: str, drawings: Sequence[Mapping[str, Any]], path: Path) -> Path:
@@ -50,7 +48,7 @@ def write_animation(title: str, drawings: Sequence[Mapping[str, Any]], path: Pat
     return write_page(page, path.parent, programs=["motion.js"])
 
 
-def _shown(title: str, drawn: T | None) -> T:
+def _shown(title: str, drawn: Any) -> Any:
     if drawn is None:
         raise SpecError(f"{title} has no picture: it does not define draw(q).")
     return drawn

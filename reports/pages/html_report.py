@@ -18,7 +18,6 @@ from reports.pages.site_data import site_data
 from reports.pages.templating import html
 from reports.tables.glossary import TERMS
 
-FILE = FRONT
 #: Scripts that are made: the library that draws, and the data of all pages with a question.
 LIBRARY, DATA = "vega.js", "data.js"
 #: Scripts of a page with a question, in the order in which they are needed.
@@ -111,7 +110,7 @@ def write_html_report(folder: Path, single_file: bool = False) -> Path:
         text = chart_json(data, separators=(",", ":")).replace("<", "\\u003c")
         head = '// The data of all questions.\n"use strict";\n'
         made[DATA] = f"{head}window.stepbenchData = {text};\n"
-    own, first = site.folder / FOLDER, site.folder / FILE
+    own, first = site.folder / FOLDER, site.folder / FRONT
     if single_file:
         put(first, _written(site, site.pages, made))
         return first

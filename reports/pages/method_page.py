@@ -61,18 +61,19 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
         Text("Spectral radius, damping and period error over the step:"),
         Text(f'stepbench stability "{name}"{plugin_option(facts)}', "code"),
     ]
+    asked = answer.question.group
+    found = wrong_runs(stored, asked, label)
     strip = Figure(
         f"Error in {answer.question.quantity} ({NORMS[NORM]}) at most so large, by "
         f"{COSTS[answer.question.cost].words}; numbers are multiples of the least cost. A column "
         f"'wrong' counts runs that reach the end with an error above {WRONG:g} and say nothing.",
-        {f"chart-{file_name(label)}-strip": method_strip(label, over, by_scene)},
+        {f"chart-{file_name(label)}-strip": method_strip(label, over, found)},
     )
     unsupported, atlas = unsupported_table(runs), atlas_table(name, [*stored.atlas.values()])
     wrong = "; some are wrong" * any(r.wrong(group) for r in runs for group in GROUPS)
     fine = f"All its runs{' on scenes that it supports' * bool(unsupported)} reached the end"
     failed = failures_table(runs) or Text(f"{fine}{wrong}.")
-    asked = answer.question.group
-    silent = silent_tables(wrong_runs(stored, asked, label), asked, stored.scenes)
+    silent = silent_tables(found, asked, stored.scenes)
     orders = order_table([*by_scene.values()], "Its orders, scene by scene", [*by_scene])
     values = {
         "key": label,

@@ -233,14 +233,13 @@ def _answers(
 
     def verdict(name: str, over: Sequence[Answer]) -> int:
         own = [answer.scenes[name] for answer in over if name in answer.scenes]
-        labels = [s.label for s in measured[name]]
-        parts: list[object] = [_letters(label, own) for label in labels] if own else []
+        if not own:
+            return -1
+        parts: list[object] = [_letters(s.label, own) for s in measured[name]]
         for answer in own:
-            counts = (1 + (len(answer.tied) > 1)) * answer.votes
-            late = answer.later
-            ties = (-1 - places[k] if k in late else places[k] for k in answer.tied)
-            parts.append([counts, *ties])
-        return kept(verdicts, [kept(details, part) for part in parts]) if own else -1
+            ties = (-1 - places[k] if k in answer.later else places[k] for k in answer.tied)
+            parts.append([(1 + (len(answer.tied) > 1)) * answer.votes, *ties])
+        return kept(verdicts, [kept(details, part) for part in parts])
 
     listed = {}
     for group, norm, cost in product(groups, NORMS, COSTS):

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from bench.results.quantities import NORM, NORMS, WRONG, quantity
-from bench.results.records import SceneRecord, counted
+from bench.results.records import counted
 from bench.results.studies import (
     DRIFTS,
     ExperimentResult,
@@ -158,7 +158,10 @@ def _sampled(stored: StoredRuns) -> Iterator[Section]:
     families: dict[str, dict[str, tuple[str, Sequence[Series]]]] = {}
     for title, own in stored.series.items():
         if own and (named := policy(scene := stored.scenes.get(title, NO_SCENE))):
-            families.setdefault(_without_policy(scene), {})[named] = title, own
+            # The same for scenes that differ in the policy alone.
+            others = {p["name"]: p["value"] for p in scene.parameters if p["name"] != "sampling"}
+            key = f"{scene.problem.partition('[')[0]} {others} {scene.t_end}"
+            families.setdefault(key, {})[named] = title, own
     for k, found in enumerate(families.values(), 1):
         ordered = {name: found[name] for name in POLICIES if name in found}
         title = scene_name(next(iter(ordered.values()))[0])
@@ -177,12 +180,6 @@ def _sampled(stored: StoredRuns) -> Iterator[Section]:
             policies_table({name: own for name, (_, own) in ordered.items()}),
         ]
         yield Section(title, parts, f"jumps-sampled-{k}")
-
-
-def _without_policy(scene: SceneRecord) -> str:
-    """A text that is the same for scenes that differ in the policy alone."""
-    others = {p["name"]: p["value"] for p in scene.parameters if p["name"] != "sampling"}
-    return f"{scene.problem.partition('[')[0]} {others} {scene.t_end}"
 
 
 def policies_table(by_policy: Mapping[str, Sequence[Series]]) -> Table:

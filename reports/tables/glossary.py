@@ -27,7 +27,6 @@ class Term:
 _DEFINITIONS = {
     "Baumgarte": "Constraints that are not solved but pulled back: their violation decays like a "
     "damped oscillation.",
-    "Consistent start": "Values that satisfy all equations at t0.",
     "Constraint": "An equation Φ(q, t) = 0 that the coordinates must satisfy at all times, such as "
     "a joint.",
     "Controller state": "An unknown x with a differential equation of first order, such as the "
@@ -38,7 +37,6 @@ _DEFINITIONS = {
     "oscillation that has none.",
     "Drift": "The growth of what should stay constant: the constraint residual, or the energy of a "
     "system that conserves it.",
-    "Floor": "A hundred times the reference's own error; smaller errors are not used.",
     "GGL": "The formulation of Gear, Gupta and Leimkuhler, which holds the constraints at the "
     "level of positions and of velocities at once and has index 2.",
     "Hit, spared": "Verdicts of an experiment of the failure atlas: a method is hit if its number "

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 from bench.results.orders import Fit
 from bench.results.quantities import NORM, NORMS
 from bench.results.records import SceneRecord
-from bench.results.store import Store
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, number, order_text
 from reports.names import short_names
@@ -31,12 +29,6 @@ _NOTE = (
     f"do not fall. * settled order less than claimed by more than {_SHORT:g}. † without the "
     f"finest steps, at which errors hardly fall. {NO_VALUE}: no claim, or no order can be fitted."
 )
-
-
-def stored_order_tables(folder: Path) -> list[Table]:
-    """Return the order tables of the store in a run folder, one per study that asks for it."""
-    with Store(folder) as store:
-        return order_tables(StoredRuns.of(store))
 
 
 def order_tables(stored: StoredRuns) -> list[Table]:
