@@ -60,20 +60,18 @@ def explained(
     steps, fastest = s.finest.work.get("steps"), (scene.rates or {}).get("oscillation")
     # A step takes more than half a period of the scene's fastest vibration.
     long = steps and fastest and fastest * (s.finest.t_end - s.finest.t0) / steps > math.pi
-    found = POLICIES.get(policy(scene), "")
-    if not found and len(s.records[0].pattern) > 1:
-        found = PATTERN
-    elif not found and felt and long:
-        found = STIFF
-    elif not found and held and transient:
-        found = TRANSIENT
-    elif not found and held and felt and s.controls == "step":
-        found = UNDAMPED if s.fit(group, NORM).verdict == STUCK else ""
+    stuck = s.controls == "step" and s.fit(group, NORM).verdict == STUCK
+    causes = {
+        PATTERN: len(s.records[0].pattern) > 1,
+        STIFF: felt and long,
+        TRANSIENT: held and transient,
+        UNDAMPED: held and felt and stuck,
+    }
+    found = POLICIES.get(policy(scene)) or next((k for k, holds in causes.items() if holds), "")
     cases = [case for part in atlas[found].parts for case in part.cases] if found in atlas else []
     method = _method(s.records[0].integrator)
-    return (
-        found if any(c.verdict == "hit" and _method(c.integrator) == method for c in cases) else ""
-    )
+    hit = any(c.verdict == "hit" and _method(c.integrator) == method for c in cases)
+    return found if hit else ""
 
 
 def _method(name: str) -> tuple[str, dict[str, str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from typing import Any
 
 from bench.results.quantities import COST, COSTS, ERROR_NAMES, NORM, NORMS
@@ -76,10 +77,9 @@ def error_charts(
     lines = vl.Lines({s.label: styles[s.label] for s in series}, notes or {})
     data = vl.Dataset("runs", run_rows(series, groups, norm, across))
     panels: list[vl.Spec] = []
-    for name in across:
-        for group in groups:
-            panel = _panel(series, data, group, name, lines, norm, first=not panels)
-            panels += [panel] if panel else []
+    for name, group in product(across, groups):
+        panel = _panel(series, data, group, name, lines, norm, first=not panels)
+        panels += [panel] if panel else []
     columns = {1: 1, 2: 2, 4: 2, 8: 4}.get(len(panels), 3)
     return vl.arrange(panels, [data], columns, height=340 if across[0] in ERROR_NAMES else 250)
 
