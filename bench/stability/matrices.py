@@ -25,6 +25,7 @@ from bench.running.measure import ignored_pattern
 from bench.stability.systems import LinearSystem
 from integrators import checks
 from integrators.contract import Integrator
+from integrators.native.loops.kernel import rewritten_step
 from integrators.native.step.step_program import StepProgram
 from integrators.native.step_method import NativeMethod
 from integrators.resolutions import Steps
@@ -152,6 +153,8 @@ def _program(method: StepProgram, template: MechatronicSystem) -> Callable:
     """
     from jax.flatten_util import ravel_pytree
 
+    step = rewritten_step(method, template)
+
     def one(p: dict, numbers: Any, deviations: Any, pattern: Any, slots: Any, macro: Any) -> tuple:
         scene, hs = template.with_parameters(p), macro * pattern
         ends = jnp.cumsum(hs)
@@ -166,7 +169,7 @@ def _program(method: StepProgram, template: MechatronicSystem) -> Callable:
 
         def advance(flat: Any) -> tuple:
             def single(k: Any, carry: tuple) -> tuple:
-                state, report = method.step(scene, numbers, carry[0], ends[k], hs[k])
+                state, report = step(p, numbers, carry[0], ends[k], hs[k])
                 return state, carry[1] & report.converged
 
             state, converged = jax.lax.fori_loop(0, slots, single, (unravel(flat), True))

@@ -17,7 +17,7 @@ import numpy as np
 
 from integrators.lowering.graph import NotLowered
 from integrators.native.algebra import klu, small_matrices
-from integrators.native.algebra.fixed_elimination import EliminationPlan, Factors, planned
+from integrators.native.algebra.fixed_elimination import EliminationPlan, planned
 from integrators.native.algebra.jaxpr_tools import tangent_along, tangent_pattern, with_constants
 from problems.base import runtime
 from problems.base.runtime import Array, Bool, Float, Int, jax, jnp
@@ -93,12 +93,9 @@ class DenseSolver(LinearSolver):
         program = jax.make_jaxpr(residual)(u)
         order = _order(program, len(u))
 
-        def in_order(u: Array, *constants: Array) -> Once:
-            r, products = _linearised(partial(with_constants, program, constants), u, order.seeds)
-            return Once(*order.solve(products, r))
-
         if order is not None:
-            return small_matrices.without_products(in_order)(u, *program.consts)
+            r, products = _linearised(program, u, order.seeds)
+            return Once(*order.solve(products, r))
         residual = partial(with_constants, program, program.consts)
         with part("Jacobians"):
             tangent = jax.jacfwd(residual)(u)
@@ -113,12 +110,7 @@ class DenseSolver(LinearSolver):
         order = _order(program, len(u))
         if order is None:
             return super().factorised(residual, u, kept)
-
-        def in_order(u: Array, *constants: Array) -> Factors:
-            residual = partial(with_constants, program, constants)
-            return order.factorised(_linearised(residual, u, order.seeds)[1])
-
-        factors = small_matrices.without_products(in_order)(u, *program.consts)
+        factors = order.factorised(_linearised(program, u, order.seeds)[1])
         return kept, lambda r: Once(*order.solve_by(factors, r))
 
     def nothing_kept(self, size: int) -> Array:
@@ -151,10 +143,11 @@ def _order(program: ClosedJaxpr, n: int) -> EliminationPlan | None:
 
 
 def _linearised(
-    residual: Residual, u: Float[Array, " n"], seeds: Float[np.ndarray, "colours n"]
+    program: ClosedJaxpr, u: Float[Array, " n"], seeds: Float[np.ndarray, "colours n"]
 ) -> tuple[Float[Array, " n"], list[Float[Array, " n"]]]:
-    """The residual at u, and the products of its tangent with the seeds."""
-    if _is_dear(jax.make_jaxpr(residual)(u), len(seeds)):
+    """The residual of a program at u, and the products of its tangent with the seeds."""
+    residual = partial(with_constants, program, program.consts)
+    if _is_dear(program, len(seeds)):
         with part("residuals"):
             r = residual(u)
         with part("Jacobians"):
