@@ -68,6 +68,9 @@ def method_of_measurement(plan: Plan) -> list[str]:
         f"than {FEWEST} common rounds the quotients must be beyond {LEAST_OF_FEW:g}.",
         f"Operations count as different beyond a factor of {COSTS[COST].tie:g}: the cost model is "
         "no more exact. Other counts tie where they are equal.",
+        "A run ends as 'budget exceeded' at the suite's processor time, or at the limit of its own "
+        "method, in calls (max_calls: IDA, CVODE, SciPy) or in steps (max_steps: others), which "
+        "are not equal work. Finer runs of a method may end there before others do.",
         "Errors are relative, per group of variables and per norm. Orders are fitted to the "
         f"finest steps, as many as have slopes within {SPREAD:g} of each other, three at least.",
     ]
