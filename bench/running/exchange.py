@@ -322,10 +322,10 @@ def _method(
     worker: Worker, name: str, runs: Mapping[Resolution, Trajectory], told: Sequence[Told]
 ) -> MethodFacts:
     """The facts of the method that made these runs."""
-    if not is_name(name) or name in worker.registry.integrators:
+    if not is_name(name) or len(name) > 100 or name in worker.registry.integrators:
         raise SpecError(
             f"The method {name!r} is not allowed: it is a method of stepbench, or no word of "
-            "letters, digits, '_', '.' and '-'; name yours by --method."
+            "at most 100 letters, digits, '_', '.' and '-'; name yours by --method."
         )
     digest = hashlib.sha256("".join(one.digest for one in told).encode()).hexdigest()
     kinds = {type(resolution) for resolution in runs}
