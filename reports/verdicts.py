@@ -220,10 +220,10 @@ def failings(label: str, group: str, stored: StoredRuns) -> list[Sentence]:
     for kind, lead in _WHERE.items():
         where = [[scene_ref(w.scene)] for w in found if w.kind == kind and w.silent]
         wrong += [f" {lead}: ", *listed(where, 9), "."] if where else []
-    ends = "" if wrong else "All of its runs reached the end."
+    ends: Sentence = [] if wrong else ["All of its runs reached the end."]
     if failed:
-        ends = f"{failed} of its {counted(len(runs), 'run')} failed."
-    return [own for own in ([ends] if ends else [], wrong) if own]
+        ends = [f"{failed} of its {counted(len(runs), 'run')} failed."]
+    return [own for own in (ends, wrong) if own]
 
 
 def _detail(place: str, entry: RankEntry, answer: SceneAnswer, names: Names) -> Sentence:
