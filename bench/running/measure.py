@@ -92,7 +92,7 @@ def invariant_changes(
             continue
         sizes = np.abs(values[0])
         if kinetic:
-            way = run.q if reference is None else reference(reference.times)["q"]
+            way = run.q if reference is None else reference.way
             rest = function(p, way, np.zeros((len(way), scene.sizes.nv)))
             sizes = values[0] - array(rest, f"{block}() at rest", (len(way),)).min()
         relative = (values - values[0]) / np.where(sizes > 0, sizes, 1.0)

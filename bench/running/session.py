@@ -239,7 +239,8 @@ def solve(
         if samples is None and count >= _TIMED:  # another process compiles well
             samples, runner.draft = _SAMPLES, False
             runner.end_workers()
-        ((_, measured),) = runner.run([[cell_task(Worker.measure, cell)]])
+        # Later starts are for the ranking of many.
+        ((_, measured),) = runner.run([[cell_task(Worker.measure, cell, True, "", False)]])
         result = result_of(cell, measured)
         if result.record.status == "ok":
             for _, _, seconds in runner.time([cell_task(Worker.time, cell)], samples or 0, {}):

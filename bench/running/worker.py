@@ -95,8 +95,10 @@ class Worker:
             self.notify(MEASURING, "measuring")
         return self._references[key]
 
-    def measure(self, cell: Cell, errors: bool = True, lacking: str = "") -> CellResult:
-        """Run a cell once and measure it.
+    def measure(
+        self, cell: Cell, errors: bool = True, lacking: str = "", later: bool = True
+    ) -> CellResult:
+        """Run a cell once and measure it, and from ``later`` starts.
 
         No reference is made without ``errors``, or if ``lacking`` says why there is none.
         """
@@ -105,7 +107,7 @@ class Worker:
         self.notify(MEASURING, "measuring")
         record = cell.record(run.status, run.message)
         record.compile_s = compile_s
-        self._compare(record, run, cell, errors, lacking)
+        self._compare(record, run, cell, errors, lacking, later)
         return CellResult(record, measure.stored_rows(run))
 
     def judge(self, cell: Cell, run: Trajectory) -> CellResult:
@@ -124,6 +126,7 @@ class Worker:
         cell: Cell | None = None,
         errors: bool = True,
         lacking: str = "",
+        later: bool = False,
     ) -> None:
         """Find all that is known of a run, of the ``cell`` if it is one of our methods; a failure
         costs a part, and is not the run's."""
@@ -207,7 +210,7 @@ class Worker:
             )
             # A run that takes longer than its preparation would double the time of the suite.
             quick = self._seconds[cell.key] < max(record.compile_s or 0.0, 1.0)
-            if reference and record.errors and quick:
+            if later and quick and reference and record.errors:
                 with suppress(BaseException):  # a plugin's; `check` asks it for starts at any time
                     record.later, failed = measure.errors_from_later_starts(
                         method, cell.resolution, reference

@@ -137,6 +137,13 @@ class Reference:
         return self._evaluate(self._known.phases, t, phase)
 
     @property
+    def way(self) -> Float[np.ndarray, "k nq"]:
+        """The positions q at `times`."""
+        if self.scene.has_closed_form:
+            return self._closed_form(self.times)["q"]
+        return self._known.phases(self.times, None)[2][:, : self.scene.sizes.nq]
+
+    @property
     def touches(self) -> bool:
         """Whether bodies touch at the start, which they may not with data that are changed."""
         scene: Any = self.scene
