@@ -25,7 +25,7 @@ from bench.running.measure import ignored_pattern
 from bench.stability.systems import LinearSystem
 from integrators import checks
 from integrators.contract import Integrator
-from integrators.native.loops.kernel import rewritten_step
+from integrators.native.loops.kernel import step_on
 from integrators.native.step.step_program import StepProgram
 from integrators.native.step_method import NativeMethod
 from integrators.resolutions import Steps
@@ -153,7 +153,7 @@ def _program(method: StepProgram, template: MechatronicSystem) -> Callable:
     """
     from jax.flatten_util import ravel_pytree
 
-    step = rewritten_step(method, template)
+    _, step = step_on(method, template)
 
     def one(p: dict, numbers: Any, deviations: Any, pattern: Any, slots: Any, macro: Any) -> tuple:
         scene, hs = template.with_parameters(p), macro * pattern

@@ -138,7 +138,7 @@ class ImplicitFast(SimulatorStepper):
             """
             return -jax.jvp(lambda q: inertia(scene, q, a), (now.q,), (now.v,))[1]
 
-        if not scene.has("mass_product") or scene.sizes.nv > small_matrices.MOST:
+        if not scene.dear_tangents or scene.sizes.nv > small_matrices.MOST:
             return lambda a: force + h * ((along(a) + back(a)[0]) / 2 - of_mass(a))
         # Trees of bodies have long programs: a matrix is compiled four times sooner.
         eye = jnp.eye(scene.sizes.nv)

@@ -164,13 +164,12 @@ class EliminationPlan:
 
     def _solved(self, products: Array, b: Array, x: Array) -> Bool[Array, ""]:
         """Whether x solves a system whose entries differ by rounding alone."""
-        columns = self.entries[:, None] & (self.colours == np.arange(len(products))[:, None])
-        terms = [
-            a * jnp.where(mine.any(axis=1), x[mine.argmax(axis=1)], 0.0)
-            for a, mine in zip(products, columns.swapaxes(0, 1), strict=True)
-        ]
-        gap, size = reduce(sub, terms, b), reduce(add, map(jnp.abs, terms), jnp.abs(b))
-        return jnp.all(jnp.abs(gap) <= _BACKWARD * size)
+        fits = []
+        for i, row in enumerate(self.entries):
+            terms = [products[self.colours[j], i] * x[j] for j in np.flatnonzero(row).tolist()]
+            gap, size = reduce(sub, terms, b[i]), reduce(add, map(jnp.abs, terms), jnp.abs(b[i]))
+            fits.append(jnp.abs(gap) <= _BACKWARD * size)
+        return reduce(and_, fits)
 
     def _by_pivots(self, products: Array, b: Array, _: Array) -> Array:
         return small_matrices.solve(self._full(products), b)

@@ -41,14 +41,14 @@ from integrators.native.loops.kernel import (
     bounded,
     flat_row,
     no_counts,
-    rewritten_step,
+    step_on,
 )
 from integrators.native.step.step_program import Carried, Numbers, StepFunctions, StepProgram
 from integrators.output_rows import EVERY_STEP, is_row, row_times, width_of
 from integrators.resolutions import Tolerances
 from problems.base.runtime import Array, Bool, Float, Int, jax, jnp
 from problems.equations.formulations import Start
-from problems.equations.programs import turns, with_named_blocks
+from problems.equations.programs import turns
 from problems.system import MechatronicSystem
 
 _OK, _MOST_STEPS, _ERROR = map(int, (Ending.OK, Ending.BUDGET_EXCEEDED, Ending.ERROR_TEST_FAILED))
@@ -196,8 +196,7 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
     no row), and ``[ending, t, steps, rejected, newton, ...]``. The rows are those of `is_row` with
     as many ``times``, and of these the ``wanted`` ones: numbers in a row, from 1.
     """
-    named, control = with_named_blocks(template), StepControl(program.functions)
-    step = rewritten_step(program, named)
+    control, (named, step) = StepControl(program.functions), step_on(program, template)
 
     def loop(
         p: dict, numbers: Numbers, start: Start, span: Span, wanted: Array, times: Array

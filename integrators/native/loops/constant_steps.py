@@ -28,7 +28,7 @@ from integrators.native.loops.kernel import (
     bounded,
     flat_row,
     no_counts,
-    rewritten_step,
+    step_on,
     with_start,
 )
 from integrators.native.step.step_program import Carried, Numbers, StepProgram
@@ -37,7 +37,7 @@ from integrators.resolutions import Steps
 from problems.base.runtime import Array, Float, Int, jax, jnp
 from problems.equations.formulations import Start
 from problems.equations.initial_values import consistent_start
-from problems.equations.programs import turns, with_named_blocks
+from problems.equations.programs import turns
 from problems.system import MechatronicSystem
 
 _OK, _REFUSED, _DIVERGED = map(int, (Ending.OK, Ending.REFUSED, Ending.DIVERGED))
@@ -169,8 +169,7 @@ def kernel(program: StepProgram, template: MechatronicSystem, form: Form) -> Ker
     ignored. It returns the rows ``(rows, [steps done or -1, t, q, v, a, lam, x, xdot, y, notes])``
     and ``[ending, t, counts...]``.
     """
-    named = with_named_blocks(template)
-    step = rewritten_step(program, named)
+    named, step = step_on(program, template)
 
     def loop(
         p: dict, numbers: Numbers, start: Start, clock: Clock, rows: Array, row_count: Array
@@ -261,8 +260,7 @@ class SingleStep:
         parts = scene.parameters(), numbers, self._start, clock
         form = Form.of(*parts)
         self._packed = form.pack(*parts)
-        named = with_named_blocks(scene.template())
-        step = rewritten_step(program, named)
+        named, step = step_on(program, scene.template())
 
         @jax.jit
         def begun(packed: Array) -> tuple[Array, Array, Carried]:
