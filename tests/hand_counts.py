@@ -33,13 +33,17 @@ class PendulumByHand:
     """nq = 2, nl = 1: M = m I, g = (0, -m g), Phi = (q q - l^2)/2."""
 
     dae_size, ode_size = 6, 4
-    mass, product, force = 4, 2 * 3, 2
+    #: A product with M takes its diagonal alone.
+    mass, product, force = 4, 2, 2
     constraint = 3 + 1 + 1 + 1
     pull = 1 + 2 + 2  # (lam/2) q, once for each q in q q
-    beside = mass + force + 2 + pull + 2
-    dynamics = beside + product
+    dynamics = mass + product + force + 2 + pull + 2
     #: d/dt Phi: half of q v + v q
     velocity = 3 + 3 + 1 + 1
+    #: Per column: a change of q, of the product M a, of the pull (twice two products), of Phi.
+    alpha_residual = 4 + dynamics + constraint + 1
+    shared = 4 + pull  # q, and the pull's factors
+    alpha_column = 2 + product + (2 + 2 + 2 + 2) + 2 + (velocity + 1)
     dae_residual = (2 + pull + 2) + dynamics + constraint + velocity
     #: w + d, wdot + cj d (6 each, per column cj d alone); pulls of mu and lam; Phi and its rate.
     dae_column = 6 + 2 + 2 * (2 + 2 + 2 + 2) + product + 2 + 7 + (3 * 4 + 3 + 1) + 1
@@ -62,12 +66,6 @@ class AlphaByHand(PendulumByHand):
     """Generalized-alpha on index 3: three unknowns, a and lam in groups of their own."""
 
     n = 3
-    #: A step knows that M is diagonal.
-    product = 2
-    residual = 4 + PendulumByHand.beside + product + PendulumByHand.constraint + 1
-    shared = 4 + PendulumByHand.pull  # q, and the pull's factors
-    #: A change of q, of the product M a, of the pull (twice two products), of Phi.
-    column = 2 + product + (2 + 2 + 2 + 2) + 2 + (PendulumByHand.velocity + 1)
     #: Full Newton: pivots 1, 2 and 3, each with its inverse; a factor and a change for both of the
     #: first, a difference in the second, a test of the third's size (2).
     factorisation = (1 + 1 + 1) + (1 + 1 + 1 + 1) + (1 + 2)
@@ -89,7 +87,8 @@ class AlphaByHand(PendulumByHand):
 
     @classmethod
     def total(cls, newton: str, work: Any, scene: MechatronicSystem) -> float:
-        each, tangent = cls.convergence + cls.residual, cls.n * cls.column
+        each = cls.convergence + cls.alpha_residual
+        tangent = cls.n * cls.alpha_column
         if newton == "full":
             each += tangent + cls.factorisation + cls.solve
             return work.steps * cls.step + work.newton * each

@@ -20,7 +20,7 @@ import numpy as np
 from integrators.contract import Trajectory
 from integrators.lowering.c_source import c_function, load_c
 from integrators.lowering.graph import NotLowered
-from integrators.lowering.to_graph import lowered
+from integrators.lowering.to_graph import lowered, with_known_mass
 from integrators.program_costs import Cost, costs_of
 from problems.base.runtime import Float, Int, jax, jnp
 from problems.equations.compiled import compiled
@@ -249,7 +249,9 @@ def trajectory_from_states(
 
 
 def _scene(template: MechatronicSystem, p: Any) -> MechatronicSystem:
-    return template.with_parameters(dict(zip(template.parameters(), p, strict=False)))
+    return with_known_mass(template).with_parameters(
+        dict(zip(template.parameters(), p, strict=False))
+    )
 
 
 # ---- the explicit ODE ------------------------------------------------------------------

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cache
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -20,11 +21,15 @@ import numpy as np
 from integrators.lowering.graph import Graph, LoweredFunction, NotLowered
 from integrators.lowering.rules import INDICES, MOVES, RULES, eliminate, on_numbers, operator
 from integrators.lowering.stablehlo import Follower, Step, Type, program
+from problems.base.runtime import Array
+from problems.system import MechatronicSystem
 
 #: Entries of arrays that may be looked at, zeros included; more take half a minute.
 _MOST_ENTRIES = 10_000_000
 #: Turns of loops that are written out one after the other, as their number is known.
 _MOST_TURNS = 1000
+#: Most coordinates of a mass matrix whose entries are looked at.
+_MOST_KNOWN = 32
 #: Types of numbers in C. C keeps whole numbers as floats, which as counters stay exact: they have
 #: these operations alone, and are not so large that JAX might wrap them.
 _TYPES = {"bool", "int32", "int64", "float64"}
@@ -67,6 +72,28 @@ def lowered(function: Callable[..., Any], *arguments: Any) -> LoweredFunction:
     except Exception as error:  # of whatever kind: another release of JAX has other programs
         raise NotLowered(f"programs of this JAX are not as known ({error!r})") from error
     return LoweredFunction(graph, follower.nodes(result))
+
+
+@cache
+def with_known_mass(template: MechatronicSystem) -> MechatronicSystem:
+    """A kind of scene that multiplies by the diagonal of a small mass matrix, where no other entry
+    can be other than zero."""
+    nv, p = template.sizes.nv, template.parameters()
+    if template.has("mass_product") or nv > _MOST_KNOWN:
+        return template
+
+    def mass(q: Array, *values: Array) -> Array:
+        return template.with_parameters(dict(zip(p, values, strict=True))).mass(q)
+
+    try:
+        graph, entries = lowered(mass, np.zeros(template.sizes.nq), *map(np.asarray, p.values()))
+    except NotLowered:
+        return template
+    if not np.isin(entries[~np.eye(nv, dtype=bool)], graph.zeros).all():
+        return template
+    cls, at = type(template), np.arange(nv)  # jnp.diagonal has another program for each platform
+    known = {"mass_product": lambda self, q, a: self.mass(q)[at, at] * a, "name": cls.name}
+    return template.with_parameters({}, type(cls.__name__, (cls,), known))
 
 
 class _Follower(Follower[_Value]):

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from problems.base.runtime import jax, jnp
+from problems.base.runtime import jax
 from problems.system import MechatronicSystem
 from problems.variables import VARIABLES, Variables
 
@@ -59,17 +59,14 @@ def jitted(name: str, function: Callable) -> Callable:
 _BLOCKS = ("mass", "mass_product", "force", "constraint", "state_rate", "output")
 
 
-def with_named_blocks(scene: MechatronicSystem, diagonal: bool = False) -> MechatronicSystem:
-    """The scene with blocks whose operations have the name `EQUATIONS` in traced programs; one with
-    a ``diagonal`` mass matrix multiplies by its diagonal."""
-    return scene.with_parameters({}, _named_class(type(scene), diagonal))
+def with_named_blocks(scene: MechatronicSystem) -> MechatronicSystem:
+    """The scene with blocks whose operations have the name `EQUATIONS` in traced programs."""
+    return scene.with_parameters({}, _named_class(type(scene)))
 
 
 @cache
-def _named_class(cls: type[MechatronicSystem], diagonal: bool) -> type[MechatronicSystem]:
+def _named_class(cls: type[MechatronicSystem]) -> type[MechatronicSystem]:
     blocks = {name: equation(getattr(cls, name)) for name in _BLOCKS if cls.has(name)}
-    if diagonal:
-        blocks["mass_product"] = equation(lambda self, q, a: jnp.diagonal(self.mass(q)) * a)
     return type(cls.__name__, (cls,), blocks)
 
 

@@ -11,9 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from integrators.contract import PreparedRun, Trajectory, Work
-from integrators.lowering.graph import NotLowered
 from integrators.lowering.stablehlo import Step
-from integrators.lowering.to_graph import lowered
+from integrators.lowering.to_graph import with_known_mass
 from integrators.native.algebra import klu, small_matrices
 from integrators.native.algebra.step_records import PIVOTS, Reading, StepReport, Time, largest
 from integrators.native.step.step_program import Carried, Numbers, StepFunctions, StepProgram
@@ -288,7 +287,7 @@ def step_on(
     program: StepProgram, template: MechatronicSystem
 ) -> tuple[MechatronicSystem, Callable]:
     """A kind of scene as steps take it, and a step as a function of (p, numbers, state, t, h)."""
-    scene = with_named_blocks(template, _has_diagonal_mass(template))
+    scene = with_named_blocks(with_known_mass(template))
 
     @jax.jit  # so that it is traced once
     @small_matrices.without_products
@@ -298,22 +297,6 @@ def step_on(
         return program.step(scene.with_parameters(p), numbers, state, t, h)
 
     return scene, step
-
-
-def _has_diagonal_mass(template: MechatronicSystem) -> bool:
-    """Whether no entry beside the diagonal of a small mass matrix can be other than zero."""
-    nv, p = template.sizes.nv, template.parameters()
-    if template.has("mass_product") or nv > small_matrices.MOST:
-        return False
-
-    def mass(q: Array, *values: Array) -> Array:
-        return template.with_parameters(dict(zip(p, values, strict=True))).mass(q)
-
-    try:
-        graph, entries = lowered(mass, np.zeros(template.sizes.nq), *map(np.asarray, p.values()))
-    except NotLowered:
-        return False
-    return bool(np.isin(entries[~np.eye(nv, dtype=bool)], graph.zeros).all())
 
 
 def no_counts(
