@@ -34,7 +34,7 @@ test-long: .venv/tested  ## further scenes and sweeps of what `make test` proves
 	$(TESTS) -m long
 
 survey: .venv/tested  ## every method on a scene of each kind: none is wrong without a note; 45 minutes of one core
-	$(BIN)/python -m pytest -q -n 2 tests/test_survey.py -m survey
+	$(BIN)/python -m pytest -q tests/test_survey.py -m survey
 
 attack: .venv/tested  ## hostile plugins, signals, inputs and machines: tried and held
 	$(TESTS) tests/attacks -m "attack or not attack"
