@@ -140,11 +140,29 @@ def without_products(function: Callable) -> Callable:
     """Rewrite products of small matrices in a function as sums, in loops and branches, too."""
 
     def rewritten(*args: Any) -> Any:
+        from jax.extend.core import jaxpr_as_fun
+
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
-        out = evaluated(closed, jax.tree.leaves(args), _as_sums)
+        given = jax.tree.leaves(args)
+        if _has_products(closed):
+            out = evaluated(closed, given, _as_sums)
+        else:
+            out = jaxpr_as_fun(closed)(*given)
         return jax.tree.unflatten(jax.tree.structure(shape), out)
 
     return rewritten
+
+
+def _has_products(program: Any) -> bool:
+    """Whether a program, or one that it calls, has a product of small matrices."""
+
+    def has(equation: Any) -> bool:
+        if equation.primitive.name == "dot_general":
+            given = (one.aval for one in equation.invars)
+            return _is_small_product(*given, equation.params["dimension_numbers"])
+        return any(map(_has_products, filter(is_program, jax.tree.leaves(equation.params))))
+
+    return any(map(has, getattr(program, "jaxpr", program).eqns))
 
 
 def _as_sums(equation: Any, given: list) -> Sequence[Any]:
