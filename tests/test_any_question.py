@@ -325,6 +325,13 @@ def test_each_is_compared_with_the_highlighted_method_or_else_with_the_best(brow
     visit(browser, folder / "report" / "scene-won.html", "#group=a&target=1e-4&highlight=far")
     said = each(browser, "[data-verdict] p", "node.innerText")[1]
     assert said == "far does not reach it: its least error is 0.01; ask for 1e-2."
+    rows = each(browser, ".methods tbody tr", "node.innerText.split('\t')")
+    beyond = {row[0]: row[3] for row in rows if len(row) > 3}
+    visit(browser, folder / "report" / "scene-won.html", "#group=a&target=1e-2&highlight=far")
+    rows = each(browser, ".methods tbody tr", "node.innerText.split('\t')")
+    assert beyond == {row[0]: row[3] and f"at 1e-2: {row[3]}" for row in rows}
+    assert beyond["one"]
+    visit(browser, folder / "report" / "scene-won.html", "#group=a&target=1e-4&highlight=far")
     browser.execute_script("document.querySelector('[data-verdict] button').click()")
     assert browser.execute_script("return stepbench.question.target") == "1e-2"
     assert each(browser, "[data-verdict] p", "node.innerText")[0].startswith("To 1e-2 in ")

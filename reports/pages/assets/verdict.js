@@ -61,9 +61,14 @@
     if (shared.length && shared.length >= Math.min(all[0].length, all[1].length)) return middle(shared);
     return a.precise && b.precise ? { value: b.value / a.value, low: b.low / a.high, high: b.high / a.low, few: a.few || b.few } : null;
   };
-  // The cost of a run over that of another one; of times with the interval of their quotient, and whether it is significant.
-  const against = (runs, k, other, j, cost, tied) => {
-    const ratio = columnOf(runs, cost)[k] / columnOf(other, cost)[j], sizes = `${stepbench.multiple(ratio)} ×`, beyond = (value, least) => Math.max(value, 1 / value) > least;
+  // What a method costs over another one on a scene, at the finest accuracy of at least that of the question that both reach; of times with the interval of their quotient, and whether it is significant.
+  const compared = (scene, question, ...two) => {
+    const states = (target) => two.map((m) => stepbench.answer({ ...question, target })[scene]?.states[m]), { cost } = question;
+    const target = two[0] !== two[1] && data.targets.findLast((one) => Number(one) >= Number(question.target) && states(one).every(Array.isArray));
+    if (!target) return "";
+    const asked = target === question.target, { first = [], later } = stepbench.answer()[scene] ?? {}, [[runs, k], [other, j]] = states(target).map(([, k], n) => [runsOf(scene, two[n]), k]);
+    const tied = asked && two.every((m) => first.includes(m)) && `a tie${two.some((m) => later.includes(m)) ? " from a later start" : ""}`;
+    const ratio = columnOf(runs, cost)[k] / columnOf(other, cost)[j], sizes = `${asked ? "" : `at ${target}: `}${stepbench.multiple(ratio)} ×`, beyond = (value, least) => Math.max(value, 1 / value) > least;
     if (cost !== "seconds") return `${sizes}, ${tied || (beyond(ratio, data.apart[cost]) ? "told apart" : "not told apart")}`;
     const found = quotient(other.samples[j], runs.samples[k]), ends = found ? [...new Set([found.low, found.high].map(number))] : [];
     const differs = found && beyond(found.value, found.few ? data.few : data.apart.seconds) && (found.low > 1 || found.high < 1);
@@ -78,10 +83,9 @@
     if (!runs || own.first.slice(0, 3).includes(m)) return [];
     const mine = reaching(scene, m), first = best(scene), near = nearest([runs], question), next = near && data.targets.findLast((target) => Number(target) >= near.error);
     if (mine) return [[stepbench.methodRef(m), `: ${stepbench.costWithUnit(own.states[m][2], question.cost)} at ${runs.resolutions[mine.k]}, `,
-      `${against(runs, mine.k, runsOf(scene, first.index), first.k, question.cost, own.first.includes(m) && "a tie")}, beside `, stepbench.methodRef(first.index), "; ",
+      `${compared(scene, question, m, first.index)}, beside `, stepbench.methodRef(first.index), "; ",
       button("compare with all", () => document.querySelector("[data-methods]").scrollIntoView({ block: "center" })), "."].map(part)];
-    const ask = button(`ask for ${next}`, () => stepbench.ask({ target: next }));
-    return [[part(stepbench.methodRef(m)), " does not reach it", ...(near ? [`: its least error is ${number(near.error)}`] : []), ...(next ? ["; ", ask] : []), "."]];
+    return [[part(stepbench.methodRef(m)), " does not reach it", ...(near ? [`: its least error is ${number(near.error)}`] : []), ...(next ? ["; ", button(`ask for ${next}`, () => stepbench.ask({ target: next }))] : []), "."]];
   };
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
     const scene = Number(place.dataset.verdict), own = stepbench.answer()[scene], relative = stepbench.violation(question);
@@ -103,28 +107,24 @@
       : `${why} ${question.target} in ${quantity(question)}; this run came nearest, with ${number(run.error)}.`;
   });
 
-  const heads = (question, mine) => [stepbench.costName(question), "multiple of the best",
-    ...(mine ? [`multiple of ${data.methods[mine.index].short}`] : []),
+  const heads = (question, mine) => [stepbench.costName(question), "multiple of the best", ...(mine ? [`multiple of ${data.methods[mine.index].short}`] : []),
     `error in ${quantity(question).split(" ").at(-1)}`];
   const aim = (question) => `with an error of at most ${question.target} in ${quantity(question)}, ${stepbench.norm()}`;
   // A row that begins with the cells ``lead``: what the accuracy costs a method on a scene, or why it has no cost.
   const row = (lead, scene, index, state, question, mine, held) => {
     const runs = runsOf(scene, index);
+    const beyond = mine ? [html("td", {}, compared(scene, question, index, mine.index))] : [];
     if (!Array.isArray(state)) {
-      const near = state === "far" && nearest([runs], question), told = {
-        far: near ? ` down to ${runs.resolutions[last(runs)]}; least error: ${number(near.error)}` : "",
-        failed: `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}`, refused: `: ${runs.refused}`,
-      };
+      const near = state === "far" && nearest([runs], question), far = near ? ` down to ${runs.resolutions[last(runs)]}; least error: ${number(near.error)}` : "";
+      const told = { far, failed: `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}`, refused: `: ${runs.refused}` };
       const text = state ? STATES[state] + (told[state] ?? "") : stepbench.unjudged(scene, question);
-      return html("tr", { class: "out" }, ...lead, html("td", { colspan: 3 + 2 * held + Boolean(mine) }, text));
+      return html("tr", { class: "out" }, ...lead, html("td", { colspan: mine ? 2 : 3 + 2 * held }, text), ...beyond, mine && html("td", { colspan: 1 + 2 * held }));
     }
     const [multiple, k, cost] = state, off = held ? columnOf(runs, "constraint")[k] : NaN;
-    const { first, later } = stepbench.answer()[scene], over = (other) => other?.k === undefined || index === other.index ? ""
-      : against(runs, k, runsOf(scene, other.index), other.k, question.cost, first.includes(index) && first.includes(other.index) && (later.includes(index) || later.includes(other.index) ? "a tie from a later start" : "a tie"));
     // Without a method to compare with, the best has its interval.
-    const cells = [[stepbench.costText(cost, question.cost)], [!mine && multiple > 1 ? over(best(scene)) : `${stepbench.multiple(multiple)} ×`], ...(mine ? [[over(mine)]] : []),
-      [number(columnOf(runs, question.group)[k])], ...(held ? [[runs.phi[k]], [number(off), times(off, question)]] : [])];
-    return html("tr", { class: data.methods[index].label === question.highlight && "mine" }, ...lead, ...cells.map((cell) => html("td", {}, ...cell)));
+    const cells = [stepbench.costText(cost, question.cost), !mine && multiple > 1 ? compared(scene, question, index, best(scene).index) : `${stepbench.multiple(multiple)} ×`, number(columnOf(runs, question.group)[k]),
+      ...(held ? [runs.phi[k], number(off) + times(off, question)] : [])].map((text) => html("td", {}, text));
+    return html("tr", { class: data.methods[index].label === question.highlight && "mine" }, ...lead, ...cells.toSpliced(2, 0, ...beyond));
   };
   const refused = (runs) => runs.refused !== undefined && "refused";
   for (const table of document.querySelectorAll("[data-methods]")) stepbench.onChange((question) => {
@@ -133,8 +133,8 @@
     const others = states ? data.runs_of[scene].filter(refused).map((runs) => [runs.method, "refused"]) : [];
     const found = [...(states || []).entries(), ...others].filter(([, state]) => state !== null).sort((one, two) => multiple(one) - multiple(two) || 0);
     table.closest("section").hidden = !found.length;
-    const held = data.scenes[scene].groups.includes("constraint"), own = placeOf(question.highlight), mine = reaching(scene, own);
-    const why = own < 0 ? "; highlight a method to compare all with it" : mine ? "" : `; ${data.methods[own].short} does not reach it`;
+    const held = data.scenes[scene].groups.includes("constraint"), own = placeOf(question.highlight), mine = runsOf(scene, own) ? { index: own } : null;
+    const why = own < 0 ? "; highlight a method to compare all with it" : reaching(scene, own) ? "" : `; ${data.methods[own].short} does not reach it`;
     const names = ["method", ...(held ? ["form"] : []), ...heads(question, mine), ...(held ? ["violation of Φ", "relative"] : [])];
     fill(table, `Cheapest run of each ${aim(question)}${why}`, [columns(...names)], found.map(([index, state]) => {
       const method = data.methods[index], form = held ? [html("td", {}, method.form)] : [];
@@ -153,7 +153,7 @@
     const names = ["scene", ...heads(question, mine), "cheapest"];
     fill(table, `Its cheapest run ${aim(question)}, on each scene`, [columns(...names)], own.map(({ scene, k, runs, found }) => {
       const lead = html("th", { scope: "row" }, stepbench.to(scene.page, { title: scene.id }, scene.name));
-      const line = row([lead], k, index, refused(runs) || found?.states[index], question, mine && { ...mine, ...reaching(k, other) }, false);
+      const line = row([lead], k, index, refused(runs) || found?.states[index], question, mine, false);
       line.append(html("td", {}, ...stepbench.listed((found?.first || []).map((m) => [part(stepbench.methodRef(m))]))));
       return line;
     }));
