@@ -249,9 +249,8 @@ def trajectory_from_states(
 
 
 def _scene(template: MechatronicSystem, p: Any) -> MechatronicSystem:
-    return with_known_mass(template).with_parameters(
-        dict(zip(template.parameters(), p, strict=False))
-    )
+    names = template.parameters()
+    return with_known_mass(template).with_parameters(dict(zip(names, p, strict=False)))
 
 
 # ---- the explicit ODE ------------------------------------------------------------------
