@@ -15,10 +15,10 @@ from integrators.adapters.scipy_ode import BDF
 from integrators.lowering import c_source, graph
 from integrators.lowering.c_source import c_function
 from integrators.lowering.graph import ELEMENTARY, NotLowered
-from integrators.lowering.to_graph import lowered
+from integrators.lowering.to_graph import lowered, with_known_mass
 from integrators.native.algebra.jaxpr_tools import tangent_pattern
 from integrators.native.algebra.small_matrices import without_products
-from problems import jnp
+from problems import jnp, parameter
 from problems.base.runtime import jax
 from problems.equations.formulations import Baumgarte
 from problems.variables import dae_layout
@@ -34,6 +34,30 @@ GGL = "stabilised_index2"
 def in_c(function, n):
     """A function of one vector of n entries, lowered and compiled."""
     return PackedFunction(function, n).bind_c()
+
+
+# ---- mass matrices ---------------------------------------------------------------------
+def test_a_mass_matrix_is_known_to_be_diagonal_where_it_is_for_all_parameters_and_positions():
+    """Zeros at the default parameters, or on one side of a branch, are no proof."""
+    two, k = {"q": (0.3, 0.4)}, parameter(0.0, "kg", "coupling")
+    beside = np.array([[0.0, 1.0], [1.0, 0.0]])
+
+    def branched(self, q):
+        return jnp.diag(2.0 + q**2) + jnp.where(q[0] > 1.0, beside, 0.0)
+
+    for mass, diagonal in (
+        (lambda self, q: jnp.diag(2.0 + self.k * q), True),
+        (lambda self, q: jnp.eye(2) + self.k * beside, False),
+        (branched, False),
+        (lambda self, q: 2.0 * jnp.eye(2) + 0.0 * beside, True),
+    ):
+        scene = toy(**two, k=k, mass=mass)(k=0.5)
+        known = with_known_mass(scene.template())
+        assert known.has("mass_product") is diagonal
+        if diagonal:
+            q, a = jnp.array([0.3, 0.4]), jnp.array([-1.7, 0.9])
+            here = known.with_parameters(scene.parameters())
+            assert (here.mass_product(q, a) == scene.mass(q) @ a).all()
 
 
 # ---- equations of scenes ---------------------------------------------------------------
