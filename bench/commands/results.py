@@ -37,8 +37,7 @@ _AFTER += ("history_error", "work")
 
 
 @options.command(
-    "solve",
-    "problem integrator step pattern rtol atol t_end settings budget plugins as_json",
+    "solve", "problem integrator step pattern rtol atol t_end settings budget plugins as_json"
 )
 def solve_(o: Given) -> None:
     """Run one integrator on one scene.

@@ -146,9 +146,7 @@ class Registry:
     """
 
     def __init__(
-        self,
-        paths: Sequence[str | Path] = (),
-        loading: Callable[[str], None] = lambda file: None,
+        self, paths: Sequence[str | Path] = (), loading: Callable[[str], None] = lambda file: None
     ) -> None:
         self.problems: dict[str, Plugin] = {}
         self.integrators: dict[str, Plugin] = {}

@@ -50,8 +50,7 @@ class Inventory:
     Parameters
     ----------
     paths
-        Python files, or folders of them, that define scenes or integrators; PluginError if one is
-        empty or not there.
+        As of `Registry`.
     registry
         Has loaded them, if they are loaded.
     """

@@ -54,10 +54,7 @@ def is_due(suite: Suite, record: Record | SceneRecord | None, fingerprint: str) 
 
 
 def measure_suite(
-    suite: Suite,
-    store: Store,
-    runner: Runner,
-    further: Callable[[], list[Cell]] | None = None,
+    suite: Suite, store: Store, runner: Runner, further: Callable[[], list[Cell]] | None = None
 ) -> int:
     """Measure every cell and describe every scene that the store lacks; return how many cells.
 
@@ -239,7 +236,6 @@ def solve(
         if samples is None and count >= _TIMED:  # another process compiles well
             samples, runner.draft = _SAMPLES, False
             runner.end_workers()
-        # Later starts are for the ranking of many.
         ((_, measured),) = runner.run([[cell_task(Worker.measure, cell, True, "", False)]])
         result = result_of(cell, measured)
         if result.record.status == "ok":

@@ -98,7 +98,7 @@ class Worker:
     def measure(
         self, cell: Cell, errors: bool = True, lacking: str = "", later: bool = True
     ) -> CellResult:
-        """Run a cell once and measure it, and from ``later`` starts.
+        """Run a cell once and measure it, and from ``later`` starts, as a ranking asks for.
 
         No reference is made without ``errors``, or if ``lacking`` says why there is none.
         """

@@ -87,10 +87,7 @@ _PROJECTIONS = 3
 
 @equation
 def constraint_force(
-    scene: MechatronicSystem,
-    q: Float[Array, " nq"],
-    t: Float[Array, ""],
-    lam: Float[Array, " nl"],
+    scene: MechatronicSystem, q: Float[Array, " nq"], t: Float[Array, ""], lam: Float[Array, " nl"]
 ) -> Float[Array, " nv"]:
     """Compute Phi_q(q, t)^T lam, which eq. (1) subtracts, in N (or N m), shape ``(nv,)``.
 
@@ -249,10 +246,7 @@ def idle_multipliers(
 
 @equation
 def least_multipliers(
-    scene: MechatronicSystem,
-    q: Float[Array, " nq"],
-    t: Float[Array, ""],
-    lam: Float[Array, " nl"],
+    scene: MechatronicSystem, q: Float[Array, " nq"], t: Float[Array, ""], lam: Float[Array, " nl"]
 ) -> Float[Array, " nl"]:
     """Compute the least multipliers that exert the same force."""
     still = jnp.zeros(scene.sizes.nv)

@@ -51,9 +51,7 @@ class Cut(NamedTuple):
 
 
 def march(
-    scene: MechatronicSystem,
-    t_end: float,
-    flow: Callable[[MechatronicSystem, float], Cut | None],
+    scene: MechatronicSystem, t_end: float, flow: Callable[[MechatronicSystem, float], Cut | None]
 ) -> None:
     """Go through the phases of a motion up to t_end in s.
 

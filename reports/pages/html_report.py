@@ -26,10 +26,7 @@ _FRONT_SCRIPTS = (*_QUESTION_SCRIPTS, "front.js")
 #: Scripts of all pages but the front page.
 _DRAWING_SCRIPTS = (LIBRARY, "charts.js", "motion.js")
 #: Pages beside a report that commands write into its folder, with their titles in the contents.
-_BESIDE = {
-    "catalogue.html": "Catalogue of scenes",
-    "stability.html": "Stability",
-}
+_BESIDE = {"catalogue.html": "Catalogue of scenes", "stability.html": "Stability"}
 #: Parts of the contents that show what is searched for, and nothing before.
 SEARCHED = ("Methods by name", "Sections", "Words")
 

@@ -79,9 +79,7 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
         "key": label,
         "title": facts.title.rstrip("."),
         "card": [*map(Text, failings(label, asked, stored))],
-        "said": [
-            Section("Its stability", stability if known else []),
-        ],
+        "said": [Section("Its stability", stability if known else [])],
         "facts": Section("What it is", [_facts(name, first, facts)]),
         "scenes": Section("On all scenes", [strip, _scenes_table(by_scene)]),
     }

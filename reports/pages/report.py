@@ -90,10 +90,7 @@ class Report:
             for kind, chart in charts.items()
         ]
         claims = integrators_table([*self.names], stored.plan.integrators)
-        sections = [
-            Section("Claims", [claims], "integrators"),
-            Section("Over all scenes", sizes),
-        ]
+        sections = [Section("Claims", [claims], "integrators"), Section("Over all scenes", sizes)]
         learn, count = "What the methods claim, and their cost over sizes.", len(self.methods)
         return Page("methods.html", "Methods", learn, sections, heading="Answer", count=count)
 

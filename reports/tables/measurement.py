@@ -5,13 +5,7 @@ from __future__ import annotations
 from bench.results.orders import SPREAD
 from bench.results.quantities import COST, COSTS
 from bench.results.records import Plan, counted
-from bench.results.timings import (
-    FEWEST,
-    LEAST_OF_FEW,
-    LEAST_QUOTIENT,
-    REPEATABLE,
-    Repeatability,
-)
+from bench.results.timings import FEWEST, LEAST_OF_FEW, LEAST_QUOTIENT, REPEATABLE, Repeatability
 from reports.formatting import number
 from reports.scenes import NO_PLAN, StoredRuns
 

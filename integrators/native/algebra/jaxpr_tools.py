@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 
 
 def evaluated(
-    program: Any,
-    given: Sequence[Any],
-    rule: Callable[[Any, list[Any]], Sequence[Any]],
+    program: Any, given: Sequence[Any], rule: Callable[[Any, list[Any]], Sequence[Any]]
 ) -> list[Any]:
     """Return the results of a program; functions that it calls are evaluated likewise.
 

@@ -144,10 +144,8 @@ def without_products(function: Callable) -> Callable:
 
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
         given = jax.tree.leaves(args)
-        if _has_products(closed):
-            out = evaluated(closed, given, _as_sums)
-        else:
-            out = jaxpr_as_fun(closed)(*given)
+        takes = _has_products(closed)
+        out = evaluated(closed, given, _as_sums) if takes else jaxpr_as_fun(closed)(*given)
         return jax.tree.unflatten(jax.tree.structure(shape), out)
 
     return rewritten
@@ -155,22 +153,15 @@ def without_products(function: Callable) -> Callable:
 
 def _has_products(program: Any) -> bool:
     """Whether a program, or one that it calls, has a product of small matrices."""
-
-    def has(equation: Any) -> bool:
-        if equation.primitive.name == "dot_general":
-            given = (one.aval for one in equation.invars)
-            return _is_small_product(*given, equation.params["dimension_numbers"])
-        return any(map(_has_products, filter(is_program, jax.tree.leaves(equation.params))))
-
-    return any(map(has, getattr(program, "jaxpr", program).eqns))
+    eqns = getattr(program, "jaxpr", program).eqns
+    called = filter(is_program, jax.tree.leaves([one.params for one in eqns]))
+    return any(map(_is_small_product, eqns)) or any(map(_has_products, called))
 
 
 def _as_sums(equation: Any, given: list) -> Sequence[Any]:
     """The results of an equation; products of small matrices are sums."""
-    if equation.primitive.name == "dot_general":
-        (a, b), numbers = given, equation.params["dimension_numbers"]
-        if _is_small_product(a, b, numbers):
-            return [_as_sum(a, b, numbers)]
+    if _is_small_product(equation):
+        return [_as_sum(*given, equation.params["dimension_numbers"])]
     return bound(equation, given, **{k: _rewritten(x) for k, x in equation.params.items()})
 
 
@@ -183,9 +174,12 @@ def _rewritten(parameter: Any) -> Any:
     return jax.make_jaxpr(lambda *given: evaluated(parameter, given, _as_sums))(*parameter.in_avals)
 
 
-def _is_small_product(a: Array, b: Array, numbers: tuple) -> bool:
-    """True if both factors are small matrices; products with a vector need no library."""
-    (contracted, _), (batched, _) = numbers
+def _is_small_product(equation: Any) -> bool:
+    """True if it multiplies two small matrices; products with a vector need no library."""
+    if equation.primitive.name != "dot_general":
+        return False
+    a, b = (one.aval for one in equation.invars)
+    (contracted, _), (batched, _) = equation.params["dimension_numbers"]
     inner, copies = (prod(a.shape[k] for k in axes) for axes in (contracted, batched))
     rows, columns = (x.size // max(inner * copies, 1) for x in (a, b))
     return min(rows, columns) > 1 and inner <= MOST and copies * rows * inner * columns <= MOST**3

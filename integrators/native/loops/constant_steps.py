@@ -133,10 +133,7 @@ class ConstantStepsRun(LoopRun):
 
 
 def _one_step(
-    program: StepProgram,
-    step: Callable,
-    named: MechatronicSystem,
-    sane: Callable[[Reading], Array],
+    program: StepProgram, step: Callable, named: MechatronicSystem, sane: Callable[[Reading], Array]
 ) -> Callable[..., tuple]:
     """The n-th step (from zero) of a loop, from its state.
 
