@@ -341,3 +341,4 @@ def test_each_is_compared_with_the_highlighted_method_or_else_with_the_best(brow
     assert cells["shy"] == "the method does not take the scene: It takes no rods."
     assert cells["two"] == "no run reached the end: newton failed"
     assert "cut" not in cells  # it was interrupted
+    assert "null" not in "".join(rows)

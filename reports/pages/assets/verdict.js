@@ -118,7 +118,7 @@
       const near = state === "far" && nearest([runs], question), far = near ? ` down to ${runs.resolutions[last(runs)]}; least error: ${number(near.error)}` : "";
       const told = { far, failed: `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}`, refused: `: ${runs.refused}` };
       const text = state ? STATES[state] + (told[state] ?? "") : stepbench.unjudged(scene, question);
-      return html("tr", { class: "out" }, ...lead, html("td", { colspan: mine ? 2 : 3 + 2 * held }, text), ...beyond, mine && html("td", { colspan: 1 + 2 * held }));
+      return html("tr", { class: "out" }, ...lead, html("td", { colspan: mine ? 2 : 3 + 2 * held }, text), ...beyond, ...beyond.map(() => html("td", { colspan: 1 + 2 * held })));
     }
     const [multiple, k, cost] = state, off = held ? columnOf(runs, "constraint")[k] : NaN;
     // Without a method to compare with, the best has its interval.
