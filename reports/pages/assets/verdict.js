@@ -134,7 +134,7 @@
     const found = [...(states || []).entries(), ...others].filter(([, state]) => state !== null).sort((one, two) => multiple(one) - multiple(two) || 0);
     table.closest("section").hidden = !found.length;
     const held = data.scenes[scene].groups.includes("constraint"), own = placeOf(question.highlight), mine = runsOf(scene, own) ? { index: own } : null;
-    const why = own < 0 ? "; highlight a method to compare all with it" : reaching(scene, own) ? "" : `; ${data.methods[own].short} does not reach it`;
+    const why = own < 0 ? "; highlight a method to compare all with it" : reaching(scene, own) ? "" : `; ${data.methods[own].short} does not reach it, and is compared where both do`;
     const names = ["method", ...(held ? ["form"] : []), ...heads(question, mine), ...(held ? ["violation of Φ", "relative"] : [])];
     fill(table, `Cheapest run of each ${aim(question)}${why}`, [columns(...names)], found.map(([index, state]) => {
       const method = data.methods[index], form = held ? [html("td", {}, method.form)] : [];
