@@ -91,7 +91,7 @@ class Report:
         ]
         claims = integrators_table([*self.names], stored.plan.integrators)
         sections = [Section("Claims", [claims], "integrators"), Section("Over all scenes", sizes)]
-        learn, count = "What the methods claim, and their cost over sizes.", len(self.methods)
+        learn, count = "What the methods are, and the orders that they claim.", len(self.methods)
         return Page("methods.html", "Methods", learn, sections, heading="Answer", count=count)
 
     def _failures(self) -> Page:
