@@ -161,7 +161,7 @@ def _has_products(program: Any) -> bool:
 def _as_sums(equation: Any, given: list) -> Sequence[Any]:
     """The results of an equation; products of small matrices are sums."""
     if _is_small_product(equation):
-        return [_as_sum(*given, equation.params["dimension_numbers"])]
+        return [_as_sum(given[0], given[1], equation.params["dimension_numbers"])]
     return bound(equation, given, **{k: _rewritten(x) for k, x in equation.params.items()})
 
 
