@@ -236,9 +236,9 @@ def sweep_of(s: Settings, integrator: MethodFacts | None, registry: Inventory) -
         return Sweep("omega h" if s.measure == "linear" else "h", tuple(x or ()))
     if integrator is None or s.problem is None:
         raise SpecError(f"The measure {s.measure} needs an integrator and a scene.")
-    grid = s.steps if integrator.controls == "step" else s.rtol
-    if not grid:
-        what = "step sizes" if integrator.controls == "step" else "tolerances"
+    fixed = integrator.controls == "step"
+    if not (grid := s.steps if fixed else s.rtol):
+        what = "step sizes" if fixed else "tolerances"
         raise SpecError(f"{integrator.spec} wants {what}, which this part does not have.")
     varied: list[dict[str, Any]] = [{s.over: v} for v in s.values or ()] if s.over else [{}]
     grid = grid[:1] if s.over else grid
@@ -249,12 +249,8 @@ def sweep_of(s: Settings, integrator: MethodFacts | None, registry: Inventory) -
         t0, default = scene.interval
         for value in grid:
             t_end = t0 + s.count * value if s.count else default if end is None else end
-            resolution: Steps | Tolerances = (
-                Steps(value, s.pattern or (1.0,))
-                if integrator.controls == "step"
-                else Tolerances(value)
-            )
+            resolution = Steps(value, s.pattern or (1.0,)) if fixed else Tolerances(value)
             cells.append(Cell(scene, integrator, check_end(t0, t_end), resolution))
     if s.over:
         return Sweep(s.over, tuple(s.values or ()), tuple(cells))
-    return Sweep("h" if integrator.controls == "step" else "rtol", tuple(grid), tuple(cells))
+    return Sweep("h" if fixed else "rtol", tuple(grid), tuple(cells))
