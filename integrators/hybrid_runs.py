@@ -40,12 +40,10 @@ from problems.hybrid.phases import (
     steps_over,
 )
 from problems.system import MechatronicSystem
-from problems.variables import VARIABLES, State, Variables
+from problems.variables import ROW_GROUPS, VARIABLES, State, Variables
 
 Prepare = Callable[[MechatronicSystem, float, Any], PreparedRun]
 
-#: Groups in the rows of a trajectory.
-_GROUPS = ("t", "q", "v", "a", "lam", "x", "xdot", "y")
 #: Of a phase that may end by an event this many nominal steps are tried first, then twice as many
 #: again and again: what lies behind an event was computed for nothing.
 _TRIED = 64
@@ -230,7 +228,7 @@ class PhasedRun(PreparedRun):
         def joined(values: Callable[[Trajectory], np.ndarray]) -> np.ndarray:
             return np.concatenate([values(rows)[k > 0 :] for k, rows in enumerate(pieces)])
 
-        every = {name: joined(attrgetter(name)) for name in _GROUPS}
+        every = {name: joined(attrgetter(name)) for name in ("t", *ROW_GROUPS)}
         counts = [len(rows.t) - int(k > 0) for k, rows in enumerate(pieces)]
         phase = np.repeat(phases, counts)
         # A step over a sample ends in the next phase of the motion.

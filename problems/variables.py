@@ -15,6 +15,8 @@ from problems.base.runtime import Array, Float, jax, jnp
 #: Groups of variables, and of errors: "xd" are values that are held between samples or events.
 VARIABLES = ("q", "v", "a", "lam", "x", "y")
 GROUPS = (*VARIABLES, "xd")
+#: Groups in the row of a trajectory, in their order.
+ROW_GROUPS = ("q", "v", "a", "lam", "x", "xdot", "y")
 _Value = TypeVar("_Value", int, float, str)
 
 
@@ -238,5 +240,4 @@ def dae_layout(sizes: Sizes, formulation: str) -> Layout:
 
 def row_layout(sizes: Sizes, notes: int = 0) -> Layout:
     """Lay out the row of a trajectory without its time: [q, v, a, lam, x, xdot, y, notes]."""
-    groups = ("q", "v", "a", "lam", "x", "xdot", "y")
-    return Layout(**{group: sizes.of(group) for group in groups}, notes=notes)
+    return Layout(**{group: sizes.of(group) for group in ROW_GROUPS}, notes=notes)

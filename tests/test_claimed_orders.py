@@ -8,7 +8,6 @@ import pytest
 
 from bench.check.trials import (
     ORDERS_TAG,
-    TRAJECTORY_GROUPS,
     ForcedOscillator,
     Trial,
     check_order,
@@ -33,6 +32,7 @@ from problems.equations.formulations import complete, ode_rate
 from problems.equations.programs import mass_varies
 from problems.scenes.oscillators import SampledPd
 from problems.scenes.pendulums import Pendulum
+from problems.variables import ROW_GROUPS
 
 SCENES = [Pendulum(), Pendulum(th0=1.0)]
 
@@ -60,7 +60,7 @@ class Planted(Integrator):
                 values = reference(scene, t_end)(t)
                 h, settled = (t_end - t0) / steps, t >= t_end - (t_end - t0) / 4
                 values["q"] = values["q"] + (h**order * (1 - h * late * settled))[:, None]
-                return Trajectory(t, **{group: values[group] for group in TRAJECTORY_GROUPS})
+                return Trajectory(t, **{group: values[group] for group in ROW_GROUPS})
 
             def execute(self): ...
 

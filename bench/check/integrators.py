@@ -10,7 +10,6 @@ import numpy as np
 
 from bench.check.trials import (
     ORDERS_TAG,
-    TRAJECTORY_GROUPS,
     TRIAL_RTOL,
     FiniteTimeBlowUp,
     Trial,
@@ -34,6 +33,7 @@ from problems.base.spec import SpecError
 from problems.equations.initial_values import consistent_start
 from problems.hybrid.phases import Samples
 from problems.scenes.contacts import BouncingBall
+from problems.variables import ROW_GROUPS
 
 #: Times of impact of a method that is exact on parabolas are off by no more, in s; those of others
 #: fall by this factor at least where steps are four times as short, or are at most so many times
@@ -78,7 +78,7 @@ def check_runs(registry: Registry, method: Integrator) -> str:
         _check_rows(trial, one)
         _check_execute(trial, run, one)
         two = trial.trajectory(run)
-        for name in ("t", *TRAJECTORY_GROUPS, "work"):
+        for name in ("t", *ROW_GROUPS, "work"):
             if not np.array_equal(getattr(one, name), getattr(two, name)):
                 raise Failed(
                     f"Two runs on {trial.scene.spec}, the second after execute(), differ in "

@@ -52,8 +52,6 @@ _FEWEST_RTOLS = 3
 _FALL, _ALMOST = 0.5, 0.9
 #: So many false claims are told one by one.
 _SHOWN = 3
-#: The groups of a trajectory.
-TRAJECTORY_GROUPS = ("q", "v", "a", "lam", "x", "xdot", "y")
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from bench.results.store import Store
 from bench.results.table import NO_VALUE, Table, formatted
 from bench.running.session import solve
 from problems.base.spec import SpecError
+from problems.variables import ROW_GROUPS
 from reports.series import Series, series_of
 
 #: The page in a folder of results.
@@ -57,7 +58,7 @@ def solve_(o: Given) -> None:
     found = {
         **{name: getattr(record, name) for name in _BEFORE},
         "t": rows.t[-1] if rows.t else None,
-        **{name: last.get(name, []) for name in ("q", "v", "a", "lam", "x", "xdot", "y", "xd")},
+        **{name: last.get(name, []) for name in (*ROW_GROUPS, "xd")},
         **{name: getattr(record, name) for name in _AFTER},
         "published": [
             msgspec.to_builtins(digits) | {"difference": digits.difference}
