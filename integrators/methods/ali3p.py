@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import ClassVar
 
-import numpy as np
-
 from integrators.contract import option
-from integrators.native.algebra.step_records import Scalar, Time, largest
+from integrators.native.algebra.step_records import EPS, Scalar, Time, largest
 from integrators.native.step.method_options import StageMethod, StageState
 from integrators.native.step.stage_equations import Base, Slopes, inherited, stage_equations
 from integrators.native.step.step_work import StepWork
@@ -28,8 +26,6 @@ from problems.equations.kinematics import (
 from problems.equations.programs import output_takes
 from problems.system import MechatronicSystem
 from problems.variables import Variables
-
-_EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -147,7 +143,7 @@ class ALI3P(StageMethod, ImplicitStepMethod):
 
             guess = jnp.concatenate([w, jnp.zeros(nl), *control])
             soft = self._softened(residual, slice(nv, nv + nl), softness)
-            of_w = 4 * _EPS * largest(w)
+            of_w = 4 * EPS * largest(w)
             of_mu = of_w * formulations.largest_inertia(scene, q)
             rounding = of_w, of_mu, *inherited(of_w, w, control)
             return jnp.split(work.solve(soft, guess, groups=cuts, rounding=rounding), cuts)

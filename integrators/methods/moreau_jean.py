@@ -21,7 +21,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from integrators.contract import WIDER, PreparedRun, Trajectory, option
-from integrators.native.algebra.step_records import Reading, Time, largest
+from integrators.native.algebra.step_records import EPS, Reading, Time, largest
 from integrators.native.step.step_work import StepWork
 from integrators.native.step_method import ImplicitStepMethod
 from integrators.runs import ChangedRun
@@ -37,7 +37,6 @@ from problems.hybrid.contact import Contacts, ContactSystem
 from problems.system import MechatronicSystem
 from problems.variables import Layout, Variables
 
-_EPS = float(np.finfo(float).eps)
 #: Part of the velocity that its impulse takes away with which a contact gives way, so that contacts
 #: of which one would do share the load.
 _GIVE = 1e-8
@@ -152,8 +151,8 @@ class MoreauJean(ImplicitStepMethod):
 
         guess = jnp.concatenate([now.a, now.lam, state.p / h, state.xdot, now.y])
         forces = largest(dynamics_residual(scene, now._replace(a=0 * now.a)))
-        of_a = 8 * _EPS * (largest(now.v) / h + forces / largest_inertia(scene, now.q))
-        rounding = of_a, 8 * _EPS * forces, 8 * _EPS / _GIVE * forces, 0.0, 0.0
+        of_a = 8 * EPS * (largest(now.v) / h + forces / largest_inertia(scene, now.q))
+        rounding = of_a, 8 * EPS * forces, 8 * EPS / _GIVE * forces, 0.0, 0.0
         u = work.solve(residual, guess, groups=layout.cuts, rounding=rounding, evaluations=2)
         work.count(residuals=1)
         (z, xdot), p = at(u), h * layout.split(u)[2]

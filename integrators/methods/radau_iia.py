@@ -37,7 +37,7 @@ import numpy as np
 
 from integrators.contract import option
 from integrators.native.algebra.linear_solvers import StageTangents, full_tangent
-from integrators.native.algebra.step_records import Errors, Reading, Scalar, Time, largest
+from integrators.native.algebra.step_records import EPS, Errors, Reading, Scalar, Time, largest
 from integrators.native.step.method_options import Formulated, OwnValues, formulation_option
 from integrators.native.step.stage_equations import (
     Base,
@@ -56,7 +56,6 @@ from problems.equations.programs import output_takes
 from problems.system import MechatronicSystem
 from problems.variables import Variables, stage_layout
 
-_EPS = float(np.finfo(float).eps)
 #: Part of the bound of rounding errors at which modified Newton's iteration may end. What an old
 #: tangent leaves behind points the same way in every step and adds up, which rounding does not.
 _ROUNDED = 0.1
@@ -230,7 +229,7 @@ class RadauIIA(OwnValues, Formulated, FreeSteps, ImplicitStepMethod):
         ahead = r.weights(1 + h / state.h * r.c) @ state.stages
         guess = jnp.where(state.smooth, ahead, held)
         # Positions and velocities round, and the scaled rows turn this into errors of b.
-        eps = _ROUNDED * _EPS
+        eps = _ROUNDED * EPS
         to_b, to_a = (abs(np.linalg.inv(part)).sum(axis=1).max() for part in (of_b, r.a))
         of_q = eps * largest(now.q, 1.0) / h**2 * to_b
         of_v = eps * largest(now.v) / h * to_a

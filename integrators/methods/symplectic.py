@@ -18,11 +18,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from integrators.advice import advice
 from integrators.contract import option
-from integrators.native.algebra.step_records import Reading, Time, largest
+from integrators.native.algebra.step_records import EPS, Reading, Time, largest
 from integrators.native.step.method_options import Conditional, Needs, StageMethod, StageState
 from integrators.native.step.stage_equations import Base, Guess, Slopes, resting, stage_equations
 from integrators.native.step.step_work import StepWork
@@ -33,8 +31,6 @@ from problems.equations.kinematics import advance, constraint_force
 from problems.equations.programs import force_takes_velocities, mass_varies
 from problems.system import MechatronicSystem
 from problems.variables import Variables
-
-_EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -341,7 +337,7 @@ class LobattoPair(StageMethod, SymplecticMethod):
             return jnp.concatenate(rows)
 
         # As in `stage_equations`: end positions with the rounding of q, and constraints over h^2.
-        of_a = 16 * _EPS * largest(q, 1.0) / h**2 if nl else 0.0
+        of_a = 16 * EPS * largest(q, 1.0) / h**2 if nl else 0.0
         of_lam = of_a * largest_inertia(scene, q)
         rounding = (of_a, of_a, of_lam, of_lam)
         of_a, of_lam, *_ = resting(scene, Base(q, v, x), Slopes(h**2 / 8, h, h))

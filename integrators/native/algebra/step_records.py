@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any, NamedTuple, TypeAlias
 
 from problems.base.runtime import Array, Bool, Float, Int, jnp
@@ -9,6 +10,8 @@ from problems.variables import Variables
 
 #: Name of the branch that repeats an elimination in a fixed order with pivots.
 PIVOTS = "pivots"
+#: Relative rounding of a number.
+EPS = sys.float_info.epsilon
 #: Added to divisors that may be zero; it is nothing beside others.
 TINY = 1e-300
 #: A number, which may be traced.

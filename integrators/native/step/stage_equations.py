@@ -24,9 +24,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import numpy as np
-
-from integrators.native.algebra.step_records import TINY, Scalar, Time, largest
+from integrators.native.algebra.step_records import EPS, TINY, Scalar, Time, largest
 from integrators.native.step.step_work import StepWork
 from problems.base.runtime import Array, Bool, Float, jnp
 from problems.equations import formulations
@@ -34,7 +32,6 @@ from problems.equations.kinematics import Place, advance, constraint_force, cons
 from problems.system import MechatronicSystem
 from problems.variables import Layout, Variables, stage_layout
 
-_EPS = float(np.finfo(float).eps)
 #: Largest relative rounding of accelerations that counts in the controller's tolerances.
 _MOST_ROUNDING = 1e-6
 #: Largest acceleration, and rate of a controller state, in units per s^2 and s, that is called rest
@@ -198,7 +195,7 @@ def resting(scene: MechatronicSystem, base: Base, slopes: Slopes) -> tuple[Scala
     from the rest; one that jumps moves what it acts on.
     """
     of_a = jnp.minimum(8 * _of_position(base, slopes), _REST)
-    of_x = jnp.minimum((16 * _EPS * largest(base.x, 1.0) + of_a) / slopes.x, _REST)
+    of_x = jnp.minimum((16 * EPS * largest(base.x, 1.0) + of_a) / slopes.x, _REST)
     of_lam = of_a * formulations.largest_inertia(scene, origin(base.q))
     return of_a, of_lam, of_a, of_x, math.inf
 
@@ -212,7 +209,7 @@ def _rounding(
     rows turn them into errors of a.
     """
     of_q = _of_position(base, slopes)
-    of_v = 2 * _EPS * largest(base.v) / slopes.v
+    of_v = 2 * EPS * largest(base.v) / slopes.v
     of_a = {"index3": of_q, "index1": 0.0}.get(formulation, of_v) if scene.sizes.nl else 0.0
     return of_a, of_a * formulations.largest_inertia(scene, origin(base.q)), of_q
 
@@ -220,4 +217,4 @@ def _rounding(
 def _of_position(base: Base, slopes: Slopes) -> Scalar:
     """The acceleration that moves q by its rounding error."""
     # Scenes also contain lengths, which do not vanish with q: the size is at least one unit.
-    return 2 * _EPS * largest(origin(base.q), 1.0) / slopes.q
+    return 2 * EPS * largest(origin(base.q), 1.0) / slopes.q
