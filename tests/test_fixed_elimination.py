@@ -156,6 +156,16 @@ def test_a_pivot_that_vanishes_or_is_rounding_alone_is_no_pivot(fallbacks, monke
     assert x != pytest.approx(np.linalg.solve(bordered(1e-9), B), rel=1e-14)
 
 
+def test_a_solution_has_to_solve_every_equation_to_rounding():
+    a = bordered(2.0)
+    plan, x = planned(a != 0), np.linalg.solve(a, B)
+    products = jnp.asarray(plan.seeds @ a.T)
+    assert plan._solved(products, a @ x, x)
+    for row in np.eye(len(a)):
+        assert not plan._solved(products, a @ x + 1e-12 * row, x)
+        assert not plan._solved(products, a @ x, x + 1e-12 * row)
+
+
 def test_a_program_that_cannot_be_followed_is_solved_by_pivots(fallbacks, monkeypatch):
     def refused(*_):
         raise NotLowered("it has too many operations")
