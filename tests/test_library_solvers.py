@@ -19,6 +19,7 @@ from integrators.adapters.scipy_ode import BDF, Radau
 from integrators.adapters.solve_dae import BDFDAE, RadauDAE
 from problems.base.spec import SpecError
 from problems.equations.formulations import dae_layout
+from problems.scenes.contacts import SoftImpact
 from problems.scenes.oscillators import SpringMass
 from problems.scenes.pendulums import Pendulum
 
@@ -290,6 +291,17 @@ def test_a_pole_of_the_solution_ends_the_run_near_it(method):
     found = run(method, Probe(k=0.0, c=6.0, v0=2.0), 1e-5)
     assert found.status in ENDED
     assert found.t[-1] == pytest.approx(1.0, abs=5e-3)
+
+
+def test_a_wall_that_a_long_step_passed_is_told():
+    ended = run(BDF(**PYTHON), SoftImpact(), rtol=1e-3)
+    assert ended.status == "step_too_small"
+    # In the free flight steps grow until one ends behind the wall, with the speed of the flight.
+    assert ended.q[-1, 0] < -10 * SoftImpact().d
+    assert ended.v[-1, 0] == pytest.approx(-SoftImpact().v0)
+    assert ended.message.endswith("; use another method, and look for a jump or a steep force in "
+                                  "the last steps.")  # fmt: skip
+    assert run(Radau(**PYTHON), SoftImpact(), rtol=1e-3).status == "ok"
 
 
 @each(IDA(), RadauDAE(), more=[IDA(**PYTHON), BDFDAE()])

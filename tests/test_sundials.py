@@ -20,6 +20,7 @@ from integrators.adapters.ida import IDA
 from integrators.adapters.sundials import library
 from problems import jnp
 from problems.base.spec import SpecError
+from problems.scenes.oscillators import DrivenSprings
 from problems.scenes.pendulums import Chain, Pendulum
 
 every_method = pytest.mark.parametrize("method", [IDA, CVODE])
@@ -174,16 +175,22 @@ FilteredPendulum = toy(
 
 
 @pytest.mark.parametrize("callbacks", ["python", *long("compiled")])
-def test_a_collapsed_step_is_told_with_its_cause_and_remedy(callbacks):
+def test_steps_that_were_rejected_are_told_with_cause_and_remedy(callbacks):
     scene, options = FilteredPendulum(), {"max_calls": 5000, "callbacks": callbacks}
     run = prepared(IDA, scene, **options).measure()
     assert run.status == "budget_exceeded"
-    assert f"the step has collapsed to {run.t[-1] - run.t[-2]:.2g} s" in run.message
+    lost, tried = run.work.rejected, run.work.steps + run.work.rejected
+    assert f"{lost} of {tried} steps tried were rejected" in run.message
+    assert f"the last was {run.t[-1] - run.t[-2]:.2g} s, and 5000 calls" in run.message
     assert run.t[-1] - run.t[-2] < 1e-4
     assert "x follows accelerations" in run.message
     assert "max_calls" not in run.message
     assert "use formulation=index1" in run.message
     assert prepared(IDA, scene, formulation="index1", **options).measure().status == "ok"
+    # A stiff vibration of a scene without any jump.
+    stiff = prepared(IDA, DrivenSprings(), 0.0, 1e-4, **options).measure()
+    assert "steps tried were rejected" in stiff.message
+    assert stiff.message.endswith("used up; use a larger rtol or another method.")
     few = prepared(IDA, Pendulum(), max_calls=100, callbacks=callbacks).measure()
     assert few.message.endswith(
         "100 calls of the equations were used up; raise max_calls, or use a larger rtol or another "

@@ -20,7 +20,7 @@ from integrators.adapters.equations import (
     packed_rate,
     trajectory_from_states,
 )
-from integrators.adapters.library_runs import ODEMethod, early_end_message
+from integrators.adapters.library_runs import STEEP, ODEMethod, early_end_message
 from integrators.contract import Integrator, PreparedRun, Trajectory, Work, option
 from integrators.native.algebra.step_records import Reading
 from integrators.native.loops.constant_steps import ConstantStepsRun
@@ -222,7 +222,7 @@ class DiffraxAdaptiveRun(DiffraxRun):
             remedy = "raise max_steps, or use a larger rtol or another method"
         elif result == RESULTS.dt_min_reached:
             status, reason = "step_too_small", "the step size fell to the rounding of time"
-            remedy = "use a larger rtol; near a jump of the solution, a smaller one"
+            remedy = STEEP
         else:
             status, remedy = "newton_failed", "use another rtol"
             reason = " ".join(str(RESULTS[result]).split()) or "the root finder failed"

@@ -72,7 +72,7 @@ class IDA(DAESolver):
 
     def advice(self, scene: MechatronicSystem, cause: str) -> str:
         if scene.has("constraint"):
-            small = cause == "step_too_small" and self.formulation != "index1"
+            small = cause in ("step_too_small", "rejected") and self.formulation != "index1"
             if small and states_follow_accelerations(scene):
                 return (
                     "x follows accelerations, whose errors under constraints do not fall with the "

@@ -25,6 +25,8 @@ from problems.variables import dae_layout
 #: Newton's method.
 _NOT_TESTED = 1e6
 NOT_FINITE = "the equations gave a value that is not finite"
+#: Advice where steps become too small: a longer one may have passed what makes them so.
+STEEP = "use another method, and look for a jump or a steep force in the last steps"
 
 
 class EarlyEnd(Exception):
@@ -59,12 +61,13 @@ class LibrarySolver(Integrator):
     )
 
     def advice(self, scene: MechatronicSystem, cause: str) -> str:
-        """Return advice after an early end of this status, or with the step too small."""
-        if cause == "budget_exceeded":
-            return "raise max_calls, or use a larger rtol or another method"
+        """Return advice after an early end of this status, or with steps "rejected"."""
+        if cause in ("budget_exceeded", "rejected"):
+            more = "raise max_calls, or " * (cause == "budget_exceeded")
+            return f"{more}use a larger rtol or another method"
         if cause == "diverged":
             return "check the scene's equations beyond this time or use a smaller rtol"
-        return "use a larger rtol; near a jump of the solution, a smaller one"
+        return STEEP
 
 
 @dataclass(frozen=True)
@@ -175,14 +178,16 @@ class LibraryRun(PreparedRun):
         if end is None:
             return trajectory
         cause, reason = end.status, end.reason
-        if self._collapsed(end.status, work):
-            cause, reason = "step_too_small", f"the step has collapsed to {h:.2g} s, and {reason}"
+        if self._rejected(end.status, work):
+            tried = (work.steps or 0) + (work.rejected or 0)
+            lost = f"{work.rejected} of {tried} steps tried were rejected, the last was {h:.2g} s"
+            cause, reason = "rejected", f"{lost}, and {reason}"
         remedy = end.remedy or self.method.advice(given.scene, cause)
         message = early_end_message(t[-1], self.t_end, reason, remedy)
         return replace(trajectory, status=end.status, message=message)
 
-    def _collapsed(self, status: str, work: Work) -> bool:
-        """Whether the steps that were tried failed, one after the other, at the end of a run."""
+    def _rejected(self, status: str, work: Work) -> bool:
+        """Whether so many of the steps that were tried failed that this used up the budget."""
         return False
 
     def bill(self, run: Trajectory) -> dict[str, float]:

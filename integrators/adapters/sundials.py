@@ -88,7 +88,7 @@ _TOO_CLOSE = (
 #: Status, reason and perhaps remedy of the flags of IDA and CVODE; others that are negative crash.
 _ENDINGS = {
     -1: ("budget_exceeded", "SUNDIALS' own limit of steps was reached"),
-    -2: ("step_too_small", "the tolerances ask for more than round-off allows"),
+    -2: ("step_too_small", "rtol asks for more than round-off allows", "use a larger one"),
     -3: ("step_too_small", "the error test kept failing down to the smallest step"),
     -4: ("newton_failed", "Newton's method kept failing down to the smallest step"),
     -5: ("newton_failed", "the linear solver failed"),
@@ -354,7 +354,7 @@ class SundialsRun(LibraryRun):
         pairs = zip((residual, jacobian), _TYPES[prefix], strict=True)
         return [CFUNCTYPE(c_int, c_double, *kinds)(guarded(function)) for function, kinds in pairs]
 
-    def _collapsed(self, status: str, work: Work) -> bool:
+    def _rejected(self, status: str, work: Work) -> bool:
         # More than a Jacobian in each step.
         return status == "budget_exceeded" and (work.jacobians or 0) > (work.steps or 0)
 
