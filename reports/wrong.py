@@ -1,6 +1,6 @@
 """Runs that reach the end and are wrong, and experiments of the failure atlas that explain it.
 
-An experiment explains what runs show if it hit the same method on a scene of this kind.
+An experiment explains what runs show if the same method fails in it on a scene of this kind.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def policy(scene: SceneRecord) -> str:
 def explained(
     s: Series, group: str, scene: SceneRecord, atlas: Atlas, transient: bool = False
 ) -> str:
-    """The experiment with the same symptom on a scene of this kind that hit this method, or "".
+    """The experiment with the same symptom in which this method fails on such a scene, or "".
 
     The symptom is an order that is lost, or errors that never fall or are large; most of them
     belong to constrained scenes. ``transient`` says whether the order is there after the start
@@ -70,8 +70,8 @@ def explained(
     found = POLICIES.get(policy(scene)) or next((k for k, holds in causes.items() if holds), "")
     cases = [case for part in atlas[found].parts for case in part.cases] if found in atlas else []
     method = _method(s.records[0].integrator)
-    hit = any(c.verdict == "hit" and _method(c.integrator) == method for c in cases)
-    return found if hit else ""
+    fails = any(c.verdict == "fails" and _method(c.integrator) == method for c in cases)
+    return found if fails else ""
 
 
 def _method(name: str) -> tuple[str, dict[str, str]]:

@@ -38,7 +38,7 @@ A_SHOWN_EXPERIMENT = msgspec.structs.replace(
 
 
 def atlas_with(method, *names):
-    """Experiments of these names that hit a method and spare another one."""
+    """Experiments of these names in which a method fails and another one is spared."""
     given = {"label": "", "family": "", "axis": "", "x": [], "y": [], "number": None}
     given |= {"expected": None, "as_expected": None}
     cases = [

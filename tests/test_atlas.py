@@ -99,7 +99,7 @@ def test_experiments_come_out_as_predicted(among):
         assert not differ, "\n".join(differ)
         assert result.as_predicted
         # A failure is only worth showing beside a method that is spared.
-        assert {case.verdict for _, case in cases} == {"spared", "hit"}, name
+        assert {case.verdict for _, case in cases} == {"spared", "fails"}, name
 
 
 @pytest.mark.long
@@ -220,7 +220,7 @@ def test_a_mistake_in_an_experiment_is_named(tmp_path):
         (('measure = "condition"', 'measure = "conditions"'), "Invalid enum value 'conditions'"),
         (('basis = "theory"\n', ""), "it needs a measure, and a basis with its reason"),
         (("healthy =", "helthy ="), "helthy"),
-        (("healthy = [-0.5, inf]", "healthy = [-0.5, 3]"), "a better method would be hit"),
+        (("healthy = [-0.5, inf]", "healthy = [-0.5, 3]"), "a better method would fail"),
         (("number = 8", "number = 'eight'"), "not as expected"),
         (('group = "lam"', 'group = "lambda"'), "group='lambda' in norm"),
         (("expected = -4", "expected = [-3, -4]"), "no number and no interval"),
@@ -273,10 +273,11 @@ def test_a_number_that_does_not_exist_is_no_verdict_and_its_reason_is_shown():
 
     reason = "newton_failed: Newton's method did not converge in the step to t=0.1 s"
     cases = planted(3.0), planted(1.0), planted(None, reason), planted(None, "no steps", x=[], y=[])
-    verdicts = ["spared", "hit", "does not apply", "does not apply"]
+    verdicts = ["spared", "fails", "does not apply", "does not apply"]
     parts, whole = tables(*cases)
     assert [case.verdict for case in cases] == [t.rows[0][4] for t in parts] == verdicts
     assert [table.head[-1] for table in parts] == ["verdict", "verdict", "remark", "remark"]
+    assert all("Spared: at least 1.8; else a method fails." in table.note for table in parts)
     assert [table.rows[0][-1] for table in parts[2:]] == [reason, "no steps"]
     assert (whole, tables(*cases[2:])[1]) == ("1 of 2", "does not apply")
     expected = Expected((2.9, 3.1), "theory", "", "")

@@ -217,8 +217,8 @@ def _check(s: Case, healthy: tuple[float, float], where: str) -> None:
     if s.measure in _ONE_SIDED and good not in healthy and not (good < 0 and healthy[0] <= 0):
         side = "above" if good > 0 else "below"
         raise SpecError(
-            f"{where}: healthy={list(healthy)} is bounded {side}, so that a better method would be "
-            f"hit; write {'inf' if good > 0 else 0} there."
+            f"{where}: healthy={list(healthy)} is bounded {side}, so that a better method would "
+            f"fail; write {'inf' if good > 0 else 0} there."
         )
 
 

@@ -157,8 +157,8 @@ class CaseResult(msgspec.Struct, kw_only=True):
 
     @property
     def verdict(self) -> str:
-        """Verdict on the method: the failure "spared" or "hit" it, or "does not apply"."""
-        return {True: "spared", False: "hit", None: "does not apply"}[self.healthy]
+        """Verdict on the method: it "fails", is "spared", or the case "does not apply"."""
+        return {True: "spared", False: "fails", None: "does not apply"}[self.healthy]
 
 
 class PartResult(msgspec.Struct, kw_only=True):
@@ -226,7 +226,7 @@ def experiments_table(found: Sequence[ExperimentResult]) -> Table:
         rows.append([f"{f.number}. {f.title}", said, *cells])
     note = "Numbers found where theory, a publication or an earlier measurement says, of all."
     if added:
-        note += " For a method that was added: the parts that spare it, of all that apply to it."
+        note += " For a method that was added: the parts in which it is spared, of all that apply."
     head = ["failure", "verdict", *added]
     return Table("Where methods fail", head, rows, code=(), note=note)
 
@@ -258,7 +258,7 @@ def part_table(part: PartResult) -> Table:
         rows.append([case.label, found, *where, case.verdict, remark])
         if case.healthy:
             best.add((len(rows) - 1, 4))
-    note = f"Measured: {quantity_text}. Spared (not affected): {bounds(part.healthy)}."
+    note = f"Measured: {quantity_text}. Spared: {bounds(part.healthy)}; else a method fails."
     told = [(case.label, case.expected) for case in part.cases if case.expected]
     texts = [e.why for _, e in told] + [f"{label}: {e.formula}" for label, e in told if e.formula]
     if why := "; ".join(filter(None, dict.fromkeys(texts))):

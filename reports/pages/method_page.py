@@ -123,11 +123,11 @@ def _scenes_table(series: Mapping[str, Series]) -> Table:
 
 
 def atlas_table(name: str, experiments: Sequence[ExperimentResult]) -> Table | None:
-    """Parts of each experiment that spare a method, of all that apply; None without any."""
+    """Parts of each experiment in which a method is spared, of all that apply; None without any."""
     rows = []
     for found in experiments:
         if cases := [c for part in found.parts for c in part.cases if c.integrator == name]:
             rows.append([f"{found.number}. {found.title}", spared(cases)])
-    note = "Parts of an experiment of the failure atlas that spare the method, of all that apply."
+    note = "Parts of an experiment that spare the method (no failure), of all that apply to it."
     head = ["failure", "spared"]
     return Table("Failures of the atlas", head, rows, code=(), note=note) if rows else None

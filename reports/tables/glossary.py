@@ -39,8 +39,6 @@ _DEFINITIONS = {
     "system that conserves it.",
     "GGL": "The formulation of Gear, Gupta and Leimkuhler, which holds the constraints at the "
     "level of positions and of velocities at once and has index 2.",
-    "Hit, spared": "Verdicts of an experiment of the failure atlas: a method is hit if its number "
-    "lies outside of the interval in which methods pass, and spared if within.",
     "Index, index 1, index 2, index 3, index1, index2, index3": "The number of differentiations "
     "that turn equations with constraints into differential equations: 3 with constraints on "
     "positions, and the higher the harder.",
@@ -79,6 +77,9 @@ _DEFINITIONS = {
     "values that do not fit the method.",
     "Stiff, stiffness": "A system is stiff if it has parts that decay or oscillate much faster "
     "than the motion that is of interest.",
+    "Verdict fails, spared": "Verdicts of an experiment of the failure atlas. A method fails if it "
+    "shows the failure: its number lies outside of the interval in which methods pass. It is "
+    "spared if it does not.",
     "Tie, tied, told apart, significant": "Two methods tie if their costs do not differ "
     "significantly: times by their quotients in each round of samples (of few times, fewer than "
     "six, beyond a factor of 2), operations by 10 %; a "

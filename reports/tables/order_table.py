@@ -117,7 +117,7 @@ def lost_orders_table(
         code=(0, 1),
         note=f"Relative error, {NORMS[NORM]}: it does not converge, or its order at "
         f"constant steps is lower than the integrator claims by {_LOSS:g} or more. An experiment "
-        "of the failure atlas explains it where it hit the same method on such a scene.",
+        "of the failure atlas explains it where the same method fails on such a scene.",
         links=links,
     )
 
