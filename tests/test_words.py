@@ -8,10 +8,11 @@ from importlib.metadata import entry_points
 from itertools import pairwise
 from pathlib import Path
 
+import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 from planted import plant, planted
-from small_stores import atlas_with
+from small_stores import A_SCENE, atlas_with, filled
 
 from bench.results.records import endings
 from bench.results.store import Store
@@ -235,3 +236,11 @@ def test_the_suite_with_all_scenes_has_one_set_of_methods_and_short_names():
     assert max(steps) < 3.4  # two tolerances a decade
     names = short_names(i for s in studies for i in s["integrators"])
     assert max(map(len, names.values())) < 20
+
+
+def test_the_page_of_the_measurement_names_the_scene_with_the_least_certain_reference(tmp_path):
+    worse = {"problem": "stiff_bar", "reference_error": {"a": 3e-11}}
+    with Store(filled(tmp_path), create=True) as store:
+        store.keep(msgspec.structs.replace(A_SCENE, **worse))
+    (reason, *_), *_ = read_report(tmp_path).chapters[-1].sections[0].parts
+    assert reason.endswith("The largest error is 3e-11 in acceleration (stiff bar).")

@@ -47,7 +47,7 @@ def environment() -> Environment:
         memory_gib=round(psutil.virtual_memory().total / 2**30, 1),
         platform=platform.platform(),
         versions={"python": platform.python_version()} | versions(("stepbench", *LIBRARIES)),
-        clock="processor time of all threads of the process, the least of single runs",
+        clock="processor time of all threads of the process, a sample the least of its runs",
     )
 
 

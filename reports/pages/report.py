@@ -12,6 +12,7 @@ from reports.charts.errors import error_against_cost
 from reports.charts.line_styles import line_styles
 from reports.charts.work import size_charts
 from reports.formatting import file_name, number
+from reports.names import scene_name
 from reports.pages.method_page import method_page
 from reports.pages.page import Figure, Page, Section, Text
 from reports.pages.scene_page import scene_page
@@ -124,7 +125,8 @@ class Report:
     def _measured(self) -> Page:
         """Why the results can be believed: references, times, rules and machines."""
         known, group = references_table(self.stored.scenes), self.stored.first.group
-        errors = [s.reference_error.get(group, 0.0) for s in self.stored.scenes.values()]
+        errors = {k: s.reference_error.get(group, 0.0) for k, s in self.stored.scenes.items()}
+        worst = max(errors, key=lambda name: errors[name], default="")
         cases = [c for f in self.stored.atlas.values() for c in f.cases if c.expected]
         again = [c for c in cases if c.expected and c.expected.basis == "measurement"]
         told = [c for c in cases if c not in again]
@@ -132,9 +134,10 @@ class Report:
         atlas = f"The failure atlas: {held[0]} numbers came as theory or a publication predicts, "
         atlas += f"and {held[1]} as they were measured earlier."
         reasons = [
-            "A reference is a closed form, or Gauss collocation of order 24 with steps as short as "
-            "round-off allows; its error is the distance from Radau IIA of order 23 with other "
-            f"steps: at most {number(max(errors, default=0.0))} in {quantity(group)}.",
+            "A reference is a closed form, with the error that one rounding of time and values "
+            "makes; or Gauss collocation of order 24, at steps as short as round-off allows, whose "
+            "error is the distance from Radau IIA of order 23 with other steps. The largest error "
+            f"is {number(errors.get(worst))} in {quantity(group)} ({scene_name(worst)}).",
             f"Accuracies within {TRUST:g} times that error get no answer.",
             *[atlas] * bool(cases),
             f"A limit: {self.times[0].lower()}{self.times[1:]}",

@@ -53,10 +53,10 @@ def method_of_measurement(plan: Plan) -> list[str]:
     samples = samples if plan is not NO_PLAN else "Samples per run vary"
     return [
         "Timed is the bare solve from start to end, in processor seconds of all threads; tracing, "
-        "compiling and consistent initial values are done before. A sample is the least of the "
-        "runs that fit in some hundredths of a second: another process makes a run longer, never "
+        "compiling and consistent initial values are done before. A sample repeats the run for "
+        "hundredths of a second and takes the least: another process makes a run longer, never "
         f"shorter. {samples}, fewer of runs that last long, in rounds over all runs; shown is the "
-        "median.",
+        "median of a run's samples.",
         "Two runs differ in time if the 95 % interval of the median of their quotients within "
         f"rounds lies on one side of 1 and the median is beyond {LEAST_QUOTIENT:g}; with fewer "
         f"than {FEWEST} common rounds the quotients must be beyond {LEAST_OF_FEW:g}.",
