@@ -147,10 +147,11 @@ def test_the_strip_has_a_state_for_each_scene_and_accuracy():
         "single one": ("reached, with none to compare", ""),
     }
     assert found["won", "1e-6"] == ("not reached", "")
-    assert {k: v for k, v in found.items() if k[1] == "wrong"} == {
-        ("lost", "wrong"): ("runs wrong without a note", "1 of 3")
+    assert {k: v for k, v in found.items() if k[1] in ("wrong", "warned")} == {
+        ("lost", "wrong"): ("runs wrong without warning", "1 of 3"),
+        ("lost", "warned"): ("runs wrong with a warning", "1 of 3"),
     }
-    assert len(found) == 5 * 9 + 1
+    assert len(found) == 5 * 9 + 2
     assert strip("nobody", records) is None
 
 

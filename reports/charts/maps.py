@@ -22,7 +22,8 @@ _LOOKS = {
     "unknown": ("reached, cost not measured", "#8fb3d9"),
     "far": ("not reached", "#80808030"),
     "failed": ("no run reaches the end", "#c0543c"),
-    "wrong": ("runs wrong without a note", "#8e2a6b"),
+    "wrong": ("runs wrong without warning", "#8e2a6b"),
+    "warned": ("runs wrong with a warning", "#d3a6c4"),
 }
 #: Colours of maps up to these radii, and above: green ones are stable, red ones grow.
 _BORDERS = (0.25, 0.5, 0.75, 0.9, 0.99, 1 + 1e-9, 1.001, 1.1, 2.0)
@@ -96,7 +97,8 @@ def radius_map(m: dict[str, Any], name: str) -> vl.Spec | None:
 def method_strip(label: str, found: Sequence[Answer], wrong: Sequence[Wrong]) -> vl.Spec | None:
     """Wins, ties, losses and failures of an integrator: a row per scene, a column per accuracy.
 
-    The last column counts the runs that are ``wrong`` without a note; this has all its scenes.
+    The last columns count the runs that are ``wrong``, which has all scenes, without and with a
+    warning.
     """
     rows = []
     for answer in found:
@@ -109,10 +111,10 @@ def method_strip(label: str, found: Sequence[Answer], wrong: Sequence[Wrong]) ->
     if not rows:
         return None
     for w in wrong:
-        if w.silent:
-            cell = {"scene": scene_name(w.scene), "target": "wrong", "state": _LOOKS["wrong"][0]}
-            rows.append(cell | {"text": f"{w.silent} of {w.judged}"})
-    order = [*(answer.question.accuracy for answer in found), "wrong"]
+        for kind, count in ("wrong", w.silent), ("warned", w.warned):
+            cell = {"scene": scene_name(w.scene), "target": kind, "state": _LOOKS[kind][0]}
+            rows += [cell | {"text": f"{count} of {w.judged}"}] * (count > 0)
+    order = [*(answer.question.accuracy for answer in found), "wrong", "warned"]
     place = {
         "x": vl.category("target", title=None, sort=order, axis={"labelAngle": 0, "orient": "top"}),
         "y": vl.category("scene", title=None, sort=[scene_name(w.scene) for w in wrong]),

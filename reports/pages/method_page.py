@@ -65,8 +65,9 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
     found = wrong_runs(stored, asked, label)
     strip = Figure(
         f"Error in {answer.question.quantity} ({NORMS[NORM]}) at most so large, by "
-        f"{COSTS[answer.question.cost].words}; numbers are multiples of the least cost. A column "
-        f"'wrong' counts runs that reach the end with an error above {WRONG:g} and say nothing.",
+        f"{COSTS[answer.question.cost].words}; numbers are multiples of the least cost. Runs with "
+        f"an error above {WRONG:g} are counted behind: without a warning as 'wrong', with one as "
+        "'warned'.",
         {f"chart-{file_name(label)}-strip": method_strip(label, over, found)},
     )
     unsupported, atlas = unsupported_table(runs), atlas_table(name, [*stored.atlas.values()])

@@ -77,15 +77,14 @@ _DEFINITIONS = {
     "values that do not fit the method.",
     "Stiff, stiffness": "A system is stiff if it has parts that decay or oscillate much faster "
     "than the motion that is of interest.",
-    "Verdict fails, spared": "Verdicts of an experiment of the failure atlas. A method fails if it "
-    "shows the failure: its number lies outside of the interval in which methods pass. It is "
-    "spared if it does not.",
     "Tie, tied, told apart, significant": "Two methods tie if their costs do not differ "
     "significantly: times by their quotients in each round of samples (of few times, fewer than "
     "six, beyond a factor of 2), operations by 10 %; a "
     "method that is among the cheapest from a later start of the runs ties, too.",
     "Tolerance, rtol": "The local error that a method with steps of its own choice allows itself "
     "in a step: rtol, relative to the value, and atol, which is rtol/100 unless another is named.",
+    "Verdict fails, spared": "In the failure atlas a method fails if it shows the failure, its "
+    "number outside of the interval in which methods pass, and is spared if it does not.",
 }
 TERMS = [Term(text, *words.split(", ")) for words, text in _DEFINITIONS.items()]
 _BY_FORM = {
