@@ -13,7 +13,7 @@ from bench.results.quantities import NORM, NORMS, WRONG, quantity
 from bench.results.records import Record, SceneRecord, counted
 from bench.results.studies import ExperimentResult
 from bench.results.table import Table
-from reports.formatting import NO_VALUE, number
+from reports.formatting import number
 from reports.names import label_parts
 from reports.questions import Names, Ref, Sentence, listed, method_ref, scene_ref
 from reports.scenes import NO_SCENE, StoredRuns
@@ -161,19 +161,18 @@ def wrong_sentences(
     return said + ([[lead, *listed(who), "."]] if where else [])
 
 
-def silent_tables(
-    found: Sequence[Wrong], group: str, scenes: Mapping[str, SceneRecord]
-) -> list[Table]:
+def silent_tables(found: Sequence[Wrong], group: str, stored: StoredRuns) -> list[Table]:
     """The pairs of a method and a scene with runs that are wrong without warning, by kind."""
     tables = []
     for kind, caption in _KINDS.items():
         rows, links, silent = [], {}, 0
         for w in found:
             if w.kind == kind and w.silent and w.best:
-                hard = scenes.get(w.scene, NO_SCENE).difficulties
+                hard = stored.scenes.get(w.scene, NO_SCENE).difficulties
+                why = next((f"hard here: {x}" for x in hard), "not explained")
                 if w.cause:
                     links[len(rows), 4] = [f"atlas-{w.cause}"]
-                why = w.cause.replace("_", " ") or next((f"hard here: {x}" for x in hard), NO_VALUE)
+                    why = stored.atlas[w.cause].short_title
                 error = f"{number(w.best[0])} at {w.best[1].resolution.partition(',')[0]}"
                 rows.append([w.label, w.scene, f"{w.silent} of {w.judged}", error, why])
                 silent += w.silent

@@ -46,7 +46,8 @@ def atlas_with(method, *names):
         CaseResult(integrator="spared", healthy=True, **given),
     ]
     part = PartResult(text="", quantity="", take="last", healthy=(0.0, 1.0), cases=cases)
-    return {name: msgspec.structs.replace(AN_EXPERIMENT, name=name, parts=[part]) for name in names}
+    made = ({"name": name, "title": f"About {name}: it fails", "parts": [part]} for name in names)
+    return {own["name"]: msgspec.structs.replace(AN_EXPERIMENT, **own) for own in made}
 
 
 A_LONG_RUN = LongRun(

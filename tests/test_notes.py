@@ -23,7 +23,7 @@ from problems.scenes.slider_crank import SliderCrank, SliderCrankMinimal
 from reports.pages.html_report import write_html_report
 from reports.pages.markdown_report import write_markdown_report
 from reports.questions import plain
-from reports.scenes import NO_SCENE
+from reports.scenes import NO_SCENE, StoredRuns
 from reports.series import series_of
 from reports.tables.run_tables import notes_table
 from reports.verdicts import method_card
@@ -173,7 +173,9 @@ def test_a_run_is_wrong_that_ends_well_with_a_large_error():
 def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
     failed = planted("s", "open", {}, h=0.1, status="diverged")
     series = series_of([*runs("wrong", 3.0, 0.2), *runs("late", 3.0, 0.05), failed])
-    scenes = {"s": SceneRecord(problem="s", t_end=1.0, t0=0.0, difficulties=["It is stiff."])}
+    scene = SceneRecord(problem="s", t_end=1.0, t0=0.0, difficulties=["It is stiff."])
+    atlas = atlas_with("wrong", UNDAMPED)
+    stored = StoredRuns("", {}, {"s": scene}, {}, atlas=atlas)
 
     def found(group="a"):
         return [wrong_on("s", s, group, NO_SCENE, {}) for s in series]
@@ -190,16 +192,18 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
     assert said() == [head.format(3, ""), never.format("s: ")]
     assert plain(wrong_sentences(found(), "a", {}, "s")[-1]) == never.format("")
     assert said("lam") == []
-    every, coarsest = silent_tables(found(), "a", scenes)
+    every, coarsest = silent_tables(found(), "a", stored)
     assert every.caption == "Wrong at every resolution, in acceleration: 2 runs"
     assert every.rows == [["wrong", "s", "2 of 2", "0.2 at h=0.05", "hard here: It is stiff."]]
+    told = [w._replace(cause=UNDAMPED) for w in found()]
+    assert silent_tables(told, "a", stored)[0].rows[0][-1] == "1. About undamped_index3"
     assert coarsest.rows[0][:3] == ["late", "s", "1 of 2"]
     series[0].records[0].message = "It may be wrong."  # one run of them says nothing
     assert said() == [head.format(2, "; 1 more with a warning"), never.format("s: ")]
     for record in (*series[0].records, *series[1].records):
         record.message = "It may be wrong."
     assert said() == [head.format("none", "; 3 more with a warning")]
-    assert silent_tables(found(), "a", scenes) == []
+    assert silent_tables(found(), "a", stored) == []
 
 
 def cause(s, group, scene, atlas):

@@ -222,7 +222,7 @@ def test_pages_write_symbols_and_names_as_a_reader_knows_them():
 def test_the_atlas_counts_the_parts_that_spare_each():
     found = [*atlas_with("mine", "e").values()]
     for name, spared in (("mine", "0 of 1"), ("spared", "1 of 1")):
-        assert atlas_table(name, found).rows == [["1. ", spared]]
+        assert atlas_table(name, found).rows == [["1. About e: it fails", spared]]
     assert atlas_table("bdf", found) is None
 
 

@@ -185,6 +185,11 @@ class ExperimentResult(msgspec.Struct, kw_only=True):
     digest: str = ""
 
     @property
+    def short_title(self) -> str:
+        """Return its number, and its title up to a colon."""
+        return f"{self.number}. {self.title.partition(': ')[0]}"
+
+    @property
     def cases(self) -> list[CaseResult]:
         """The cases of all parts."""
         return [case for part in self.parts for case in part.cases]

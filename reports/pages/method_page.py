@@ -74,7 +74,7 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
     wrong = "; some are wrong" * any(r.wrong(group) for r in runs for group in GROUPS)
     fine = f"All its runs{' on scenes that it supports' * bool(unsupported)} reached the end"
     failed = failures_table(runs) or Text(f"{fine}{wrong}.")
-    silent = silent_tables(found, asked, stored.scenes)
+    silent = silent_tables(found, asked, stored)
     orders = order_table([*by_scene.values()], "Its orders, scene by scene", [*by_scene])
     values = {
         "key": label,

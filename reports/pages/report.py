@@ -105,7 +105,7 @@ class Report:
             "if there is none, what is hard in the scene."
         )
         lead = [Text([*self.wrong[0], f" {why}"])] if self.wrong else []
-        silent = silent_tables(self.wrong_runs, group, stored.scenes)
+        silent = silent_tables(self.wrong_runs, group, stored)
         lost = lost_orders_table(self.series, stored.atlas, stored.scenes)
         sections = [
             Section("Runs that failed", [failures_table(runs) or Text(fine)]),

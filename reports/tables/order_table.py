@@ -105,9 +105,9 @@ def lost_orders_table(
             why = explained(s, group, described.get(scene, NO_SCENE), atlas, transient)
             alike.setdefault((str(claimed or "none"), found, why), []).append(group)
         for (claim, found, why), groups in alike.items():
-            if why:
-                links[len(rows), 5] = [f"atlas-{why}"]
-            rows.append([s.label, scene, ", ".join(groups), claim, found, why.replace("_", " ")])
+            cause = atlas[why].short_title if why else "not explained"
+            links |= {(len(rows), 5): [f"atlas-{why}"]} if why else {}
+            rows.append([s.label, scene, ", ".join(groups), claim, found, cause])
     if not rows:
         return None
     return Table(
