@@ -200,6 +200,22 @@ def test_claims_stand_beside_settled_orders_and_those_with_the_start():
     assert found["mine", "settled"] == {"q": "2.00", "a": "0 *"}
 
 
+def test_a_row_says_its_start_where_others_have_another_one():
+    def names(*labels):
+        runs = [
+            planted("pendulum", label, {"lam": (1, 2)}, h=h, family="f") for label in labels
+            for h in STEPS
+        ]  # fmt: skip
+        return list(dict.fromkeys(name for name, _ in rows(runs)))
+
+    plain = "generalized_alpha[rho_inf=0.8]", "newmark"
+    stable = "generalized_alpha[rho_inf=0.8,formulation=stabilised_index2,start=corrected]"
+    assert names(*plain) == ["gα 0.8", "Newmark"]
+    assert names(stable, *plain) == [
+        "gα 0.8 · GGL · corrected start", "gα 0.8 · plain start", "Newmark · plain start"
+    ]  # fmt: skip
+
+
 def test_of_one_method_a_scene_has_the_rows():
     """As on the page of a method, with the claims for each scene."""
     series = [

@@ -100,10 +100,8 @@ class Report:
         runs, stored, group = self.runs, self.stored, self.stored.first.group
         unsupported = unsupported_table(runs)
         fine = f"Every run{' that its method supports' * bool(unsupported)} reached the end."
-        why = (
-            "A cause is named where an experiment of the failure atlas shows it for this method; "
-            "if there is none, what is hard in the scene."
-        )
+        why = "A cause is named where an experiment of the failure atlas shows it for this method; "
+        why += "if there is none, what is hard in the scene."
         lead = [Text([*self.wrong[0], f" {why}"])] if self.wrong else []
         silent = silent_tables(self.wrong_runs, group, stored)
         lost = lost_orders_table(self.series, stored.atlas, stored.scenes)
@@ -141,10 +139,8 @@ class Report:
             f"Accuracies within {TRUST:g} times that error get no answer.",
             *[atlas] * bool(cases),
             f"A limit: {self.times[0].lower()}{self.times[1:]}",
-            "A winner by time is named alone if the difference is significant; otherwise methods "
-            "tie.",
-            "The page of a scene has the command that repeats a run, and published digits where "
-            "there are some.",
+            "A winner by time is named alone if the difference is significant; else methods tie.",
+            "The page of a scene has the command that repeats a run, and published digits if any.",
         ]
         machines = [
             {

@@ -9,7 +9,7 @@ from bench.results.orders import Fit
 from bench.results.quantities import NORM, NORMS
 from bench.results.records import SceneRecord
 from bench.results.table import Table
-from reports.formatting import NO_VALUE, number, order_text
+from reports.formatting import NO_VALUE, number, order_text, symbols
 from reports.names import short_names
 from reports.scenes import NO_SCENE, StoredRuns
 from reports.series import Series, groups_of, ok_runs, series_of
@@ -47,8 +47,12 @@ def order_table(series: Sequence[Series], title: str, scenes: Sequence[str] = ()
 
     ``scenes`` names the rows of one method instead, a scene for each of the series.
     """
-    short = short_names(s.label for s in series)
-    names = scenes or [short[s.label] for s in series]
+    short = short_names((s.label for s in series), told="start")
+    starts = {s.family for s in series if "start=corrected" in s.label}
+    names = scenes or [
+        short[s.label] + " · plain start" * (s.family in starts and "start=" not in s.label)
+        for s in series
+    ]
     stepped = [(name, s) for name, s in zip(names, series, strict=True) if s.controls == "step"]
     shown = [(name, s) for name, s in stepped if len(s.ok) > 2]
     groups = groups_of(ok_runs(s for _, s in shown))
@@ -69,8 +73,7 @@ def order_table(series: Sequence[Series], title: str, scenes: Sequence[str] = ()
                 cut = fit.window is not None and fit.window[1] > 1.001 * (s.ok[-1].h or 0.0)
                 cell = (order_text(order) if order else "0") + " *" * short + " †" * cut
                 rows[-1].append(NO_VALUE if unknown else cell)
-    head = ["scene" if scenes else "integrator", "order"]
-    head += ["λ" if g == "lam" else g for g in groups]
+    head = ["scene" if scenes else "integrator", "order", *map(symbols, groups)]
     few = [name for name, s in stepped if len(s.ok) < 3]
     missing = f" Left out, with fewer than three runs to the end: {', '.join(few)}." if few else ""
     return Table(title, head, rows, code=(), note=_NOTE + missing)
