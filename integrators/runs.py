@@ -17,7 +17,7 @@ STATUSES = (
     "newton_failed",  # Newton's method or its linear solver failed
     "step_too_small",  # the step control fell to the rounding of time
     "diverged",  # a value grew beyond all bounds or is not finite
-    "budget_exceeded",  # the limit of steps, calls or time was used up
+    "budget_exceeded",  # more steps, calls or time than are allowed
     "unsupported",  # the integrator cannot take the scene
     "crashed",  # an exception, or the end of the process
 )

@@ -88,7 +88,7 @@ class Wrong(NamedTuple):
     judged
         Number of runs that reached the end and have the error.
     silent, warned
-        Numbers of those that are wrong without a note of their own, and with one.
+        Numbers of those that are wrong without a warning of their own, and with one.
     kind
         "every" run is wrong, the "coarsest" alone, or "some"; nothing if none is.
     best

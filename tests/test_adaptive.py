@@ -147,7 +147,7 @@ def test_new_tolerances_and_schemes_compile_nothing():
 def test_trouble_is_a_status_with_a_time_and_a_cure():
     for trouble, rtol, options, status, words in [
         ({"c": 0.3}, 1e-4, {"max_steps": 20}, "budget_exceeded",
-         "20 steps were used up; raise max_steps"),
+         "the budget of 20 steps is exceeded; raise max_steps"),
         ({"breaks_at": 1.0}, 1e-4, {}, "diverged",
          "Ended at t=1 s of 2 s: the solution grew"),
         ({"c": 2.0}, 1e-4, {}, "diverged", "grew beyond all bounds"),

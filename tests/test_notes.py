@@ -136,7 +136,7 @@ def test_runs_with_a_note_are_counted_and_listed():
     noted, other = everything()[:2]
     noted.status = other.status = "ok"
     noted.message, other.message = "It may be wrong.", ""
-    assert endings([noted, other]) == "2 ok (1 with a note), 0 failed with a reason"
+    assert endings([noted, other]) == "2 ok (1 with a warning), 0 failed with a reason"
     table = notes_table([noted, noted, other])
     assert table is not None
     assert [row[2:] for row in table.rows] == [["2", "It may be wrong."]]
@@ -279,4 +279,4 @@ def test_the_cause_leads_to_the_chapter_of_the_atlas(store):
     assert (pages / "atlas.html").read_text().count(f'id="atlas-{UNDAMPED}"') == 1
     failures = (pages / "failures.html").read_text()
     assert f'href="atlas.html#atlas-{UNDAMPED}"' in failures
-    assert "2 · silent 8</span>" in failures
+    assert "2 failed, 8 wrong</span>" in failures

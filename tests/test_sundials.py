@@ -181,7 +181,9 @@ def test_steps_that_were_rejected_are_told_with_cause_and_remedy(callbacks):
     assert run.status == "budget_exceeded"
     lost, tried = run.work.rejected, run.work.steps + run.work.rejected
     assert f"{lost} of {tried} steps tried were rejected" in run.message
-    assert f"the last was {run.t[-1] - run.t[-2]:.2g} s, and 5000 calls" in run.message
+    assert (
+        f"the last was {run.t[-1] - run.t[-2]:.2g} s, and the budget of 5000 calls" in run.message
+    )
     assert run.t[-1] - run.t[-2] < 1e-4
     assert "x follows accelerations" in run.message
     assert "max_calls" not in run.message
@@ -190,10 +192,10 @@ def test_steps_that_were_rejected_are_told_with_cause_and_remedy(callbacks):
     # A stiff vibration of a scene without any jump.
     stiff = prepared(IDA, DrivenSprings(), 0.0, 1e-4, **options).measure()
     assert "steps tried were rejected" in stiff.message
-    assert stiff.message.endswith("used up; use a larger rtol or another method.")
+    assert stiff.message.endswith("is exceeded; use a larger rtol or another method.")
     few = prepared(IDA, Pendulum(), max_calls=100, callbacks=callbacks).measure()
     assert few.message.endswith(
-        "100 calls of the equations were used up; raise max_calls, or use a larger rtol or another "
+        "the budget of 100 calls is exceeded; raise max_calls, or use a larger rtol or another "
         "method."
     )
 

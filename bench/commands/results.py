@@ -120,7 +120,7 @@ def _facts(record: Record) -> list[str]:
         ]
         if known:
             lines.append(f"{title}: {', '.join(known)}")
-    lines += [f"note: {note}" for note in record.notes]
+    lines += [f"warning: {note}" for note in record.notes]
     if record.events:
         number, expected, time = (record.events[k] for k in ("events", "expected", "time"))
         lines.append(f"events: {number:g} of {expected:g}, times off by at most {time:.3g} s")

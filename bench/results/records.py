@@ -351,7 +351,7 @@ def endings(records: Iterable[Any]) -> str:
     statuses = Counter(record.status for record in records)
     ok, unsupported, cut = (statuses.pop(s, 0) for s in ("ok", UNSUPPORTED, INTERRUPTED))
     noted = sum(record.status == "ok" and record.message != "" for record in records)
-    said = [f"{ok} ok{f' ({noted} with a note)' if noted else ''}"]
+    said = [f"{ok} ok{f' ({noted} with a warning)' if noted else ''}"]
     said += [f"{unsupported} not supported"] if unsupported else []
     said += [f"{statuses.total()} failed with a reason", f"{cut} interrupted" if cut else ""]
     return ", ".join(filter(None, said))

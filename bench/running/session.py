@@ -165,7 +165,7 @@ def grouped(tasks: Iterable[Task]) -> list[list[Task]]:
 
 # ---- parts -----------------------------------------------------------------------------
 def _finished(task: Task, answer: Any, progress: Progress) -> Any:
-    """The result of a cell, or the record of a scene; None, with a note, if there is none."""
+    """The result of a cell, or the record of a scene; None, with a message, if there is none."""
     if task.job is Worker.measure:
         return result_of(task.arguments[0], answer)
     if isinstance(answer, NoAnswer):

@@ -218,7 +218,7 @@ class DiffraxAdaptiveRun(DiffraxRun):
             status, reason = "diverged", "the right-hand side is not finite from here on"
             remedy = "check the scene's equations beyond this time or use a smaller rtol"
         elif result == RESULTS.max_steps_reached:
-            status, reason = "budget_exceeded", f"{self._max_steps} steps were used up"
+            status, reason = "budget_exceeded", f"the budget of {self._max_steps} steps is exceeded"
             remedy = "raise max_steps, or use a larger rtol or another method"
         elif result == RESULTS.dt_min_reached:
             status, reason = "step_too_small", "the step size fell to the rounding of time"

@@ -187,7 +187,7 @@ class LibraryRun(PreparedRun):
         return replace(trajectory, status=end.status, message=message)
 
     def _rejected(self, status: str, work: Work) -> bool:
-        """Whether so many of the steps that were tried failed that this used up the budget."""
+        """Whether so many of the steps that were tried failed that the budget is exceeded."""
         return False
 
     def bill(self, run: Trajectory) -> dict[str, float]:

@@ -161,9 +161,7 @@ class CountedSolver:
 
     def _right_hand_side(self, t: float, *vectors: np.ndarray) -> np.ndarray:
         if self._residuals == self._run.method.max_calls:
-            raise EarlyEnd(
-                "budget_exceeded", f"{self._residuals} calls of the equations were used up"
-            )
+            raise EarlyEnd("budget_exceeded", f"the budget of {self._residuals} calls is exceeded")
         self._residuals += 1
         if self._now < t <= self._earliest:
             self._newton += 1

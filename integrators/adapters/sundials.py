@@ -455,9 +455,7 @@ class _Solver:
         if self._failed:
             raise self._failed[0]
         if self._calls.ending == _USED_UP:
-            raise EarlyEnd(
-                "budget_exceeded", f"{self._calls.most} calls of the equations were used up"
-            )
+            raise EarlyEnd("budget_exceeded", f"the budget of {self._calls.most} calls is exceeded")
         if self._calls.ending == _NOT_FINITE:
             raise EarlyEnd("diverged", NOT_FINITE)
         if flag < 0 and (task == _ONE_STEP or flag != _TOO_MUCH_WORK):

@@ -108,14 +108,14 @@ class Report:
         sections = [
             Section("Runs that failed", [failures_table(runs) or Text(fine)]),
             Section("Runs that are wrong without warning", [*lead, *silent]),
-            Section("Runs that reached the end with a note", [notes_table(runs)]),
+            Section("Runs that reached the end with a warning", [notes_table(runs)]),
             Section("Runs that are not supported", [unsupported]),
             Section("Orders that were lost", [lost]),
         ]
         learn = "Runs that did not reach the end, with the message of the method; runs that did, "
         learn += "and are wrong; and errors that fall with a lower order than the method claims."
         count = sum(w.silent for w in self.wrong_runs)
-        bad = f"{self.failed} · silent {count}" if count else self.failed
+        bad = f"{self.failed} failed, {count} wrong" if count else self.failed
         found = {"words": " ".join(sorted({r.status.replace("_", " ") for r in runs}))}
         about = {"heading": "Answer", "count": bad, "values": found}
         return Page("failures.html", "Failures", learn, sections, **about)

@@ -55,7 +55,7 @@ _LEAST = 1e-40
 _SIGNS = {"unknown": "?", "far": "-", "failed": "!"}
 #: Ends of runs that failed, in words; others are called as records have them.
 _ENDS = {
-    "budget_exceeded": "used up calls, steps or time",
+    "budget_exceeded": "exceeded the budget of calls, steps or time",
     "newton_failed": "failed in Newton's method",
     "step_too_small": "came to too small a step",
 }

@@ -144,9 +144,9 @@ def unsupported_table(records: Sequence[Record]) -> Table | None:
 
 
 def notes_table(records: Sequence[Record]) -> Table | None:
-    """The runs that reached the end and have a note: they may be wrong."""
+    """The runs that reached the end and have a warning: they may be wrong."""
     noted = [r for r in records if r.status == "ok" and r.message]
-    return _by_reason("Runs that reached the end with a note", "note of the first", noted)
+    return _by_reason("Runs that reached the end with a warning", "first warning", noted)
 
 
 def _by_reason(title: str, column: str, records: Sequence[Record]) -> Table | None:

@@ -79,8 +79,8 @@ _OUTCOMES = {
     ),
     Ending.BUDGET_EXCEEDED: (
         "budget_exceeded",
-        "{max_steps} steps were used up; raise max_steps, or ask for less accuracy (a larger rtol "
-        "or step)",
+        "the budget of {max_steps} steps is exceeded; raise max_steps, or ask for less accuracy (a "
+        "larger rtol or step)",
     ),
     Ending.ERROR_TEST_FAILED: (
         "step_too_small",
