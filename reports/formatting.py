@@ -52,8 +52,8 @@ def times(ratio: float | None) -> str:
 
 
 def symbols(text: str) -> str:
-    """A text with λ for the group lam; inputs such as lam=... stay as they are."""
-    return re.sub(r"\blam\b(?![=:])", "λ", text)
+    """A text with λ for lam, also in lam1; inputs such as lam=... stay as they are."""
+    return re.sub(r"\blam(\d*)\b(?![=:])", r"λ\1", text)
 
 
 def file_name(text: str) -> str:

@@ -119,7 +119,7 @@ def test_the_legend_names_the_fitted_orders_by_short_names():
     chart = convergence_chart(series, ["q", "lam"], line_styles(s.label for s in series))
     svg = vl_convert.vegalite_to_svg(chart)
     text = [element.text for element in ElementTree.fromstring(svg).iter() if element.text]
-    assert {"gα 0.8: order q 2.00, lam 1.00", "n: order q 2.00, lam 0.00"} <= set(text)
+    assert {"gα 0.8: order q 2.00, λ 1.00", "n: order q 2.00, λ 0.00"} <= set(text)
     assert "two: order not determined" in text
     assert {row["series"] for row in chart_rows(chart, "runs")} == {label, "n", "two"}
 
@@ -230,7 +230,7 @@ def test_a_trajectory_has_every_value_of_the_runs_and_of_the_reference():
     styles, names = line_styles(["one", "two"]), {"q": ["X [m]", "Y [m]"]}
     chart = trajectory_chart(runs, reference, ["q", "lam"], styles, names)
     axes = [panel["layer"][-1]["encoding"]["y"] for panel in chart["concat"]]
-    titles = {"q0": "q[X] in m", "q1": "q[Y] in m", "lam0": "lam[1]"}
+    titles = {"q0": "q[X] in m", "q1": "q[Y] in m", "lam0": "λ[1]"}
     assert {axis["field"]: axis["title"] for axis in axes} == titles
     for table, drawn in (("runs", runs), ("reference", [("reference", reference)])):
         shown = [(r["series"], *(float(r[c]) for c in ("t", *titles))) for r in

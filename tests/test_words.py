@@ -211,8 +211,8 @@ def test_no_two_integrators_of_a_report_share_a_name(found):
 
 
 def test_pages_write_symbols_and_names_as_a_reader_knows_them():
-    assert symbols("a and lam, lam[1]; lam=0.1 and lam:1; lambda, slam") == (
-        "a and λ, λ[1]; lam=0.1 and lam:1; lambda, slam"
+    assert symbols("a and lam, lam[1], lam12; lam=0.1 and lam:1; lambda, slam") == (
+        "a and λ, λ[1], λ12; lam=0.1 and lam:1; lambda, slam"
     )
     assert escape_markdown("As ``slider_crank``, lam_1 and *lam*.") == (
         "As `slider_crank`, lam\\_1 and \\*λ\\*."

@@ -9,7 +9,7 @@ from typing import Any
 from bench.results.quantities import COST, COSTS, ERROR_NAMES, NORM, NORMS
 from reports.charts import vega_lite as vl
 from reports.charts.line_styles import LineStyle
-from reports.formatting import order_text
+from reports.formatting import order_text, symbols
 from reports.names import scene_name
 from reports.questions import Question
 from reports.series import Series, ok_runs, reference_error
@@ -35,7 +35,7 @@ def convergence_chart(
     """Error against step size, a panel per group; the legend names the fitted orders."""
     own, notes = [s for s in series if s.controls == "step" and s.ok], {}
     for s in own:
-        fits = {group: s.fit(group, norm) for group in groups}
+        fits = {symbols(group): s.fit(group, norm) for group in groups}
         known = [f"{g} {order_text(f.order)}" for g, f in fits.items() if f.order is not None]
         notes[s.label] = f": order {', '.join(known)}" if known else ": order not determined"
     return error_charts(own, groups, ["h"], styles, norm, notes)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from bench.results.flat_rows import csv_text
 from problems.base.text import clean_json
 from reports.charts.line_styles import LineStyle
+from reports.formatting import symbols
 
 #: A chart or a part of one: a specification of Vega-Lite, https://vega.github.io/vega-lite.
 Spec = dict[str, Any]
@@ -92,8 +93,9 @@ def _without_nan(value: Any) -> Any:
 
 # ---- channels and axes -------------------------------------------------------------------
 def quantity(field: str, **more: Any) -> Spec:
-    """A channel that shows numbers."""
-    return {"field": field, "type": "quantitative", **more}
+    """A channel that shows numbers; its title has λ for lam."""
+    titled = {"title": symbols(more["title"])} if more.get("title") else {}
+    return {"field": field, "type": "quantitative", **more, **titled}
 
 
 def log_quantity(
