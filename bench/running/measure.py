@@ -122,7 +122,7 @@ def end_at_blow_up(
             run,
             first,
             f"It blew up: at t={run.t[first]:.6g} s {words} more than {BLOWN_UP:g} times the "
-            f"largest of the motion; take a smaller step or a method that damps more.",
+            f"largest of the motion; take another method, or a smaller step or tolerance.",
         )
 
 

@@ -115,7 +115,7 @@ class Report:
         learn = "Runs that did not reach the end, with the message of the method; runs that did, "
         learn += "and are wrong; and errors that fall with a lower order than the method claims."
         count = sum(w.silent for w in self.wrong_runs)
-        bad = f"{self.failed} failed, {count} wrong" if count else self.failed
+        bad = f"{self.failed} · {count} wrong" if count else self.failed
         found = {"words": " ".join(sorted({r.status.replace("_", " ") for r in runs}))}
         about = {"heading": "Answer", "count": bad, "values": found}
         return Page("failures.html", "Failures", learn, sections, **about)
