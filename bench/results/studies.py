@@ -232,7 +232,7 @@ def experiments_table(found: Sequence[ExperimentResult]) -> Table:
     note = "Numbers found where theory, a publication or an earlier measurement says, of all."
     if added:
         note += " For a method that was added: the parts in which it is spared, of all that apply."
-    head = ["failure", "verdict", *added]
+    head = ["failure", "numbers found", *added]
     return Table("Where methods fail", head, rows, code=(), note=note)
 
 
