@@ -48,7 +48,8 @@ def times(ratio: float | None) -> str:
     """A ratio with as many digits as tell it from 1."""
     if ratio is None:
         return ""
-    return f"{number(ratio) if ratio >= 1.01 else format(ratio, '.6g')} times"
+    said = number(ratio)
+    return f"{format(ratio, '.6g') if said == '1' else said} times"
 
 
 def symbols(text: str) -> str:

@@ -58,8 +58,8 @@ class SceneAnswer:
     """The answer to one question on one scene.
 
     ``entries`` are the integrators that were tried, by label. ``tied`` cannot be told apart from
-    the cheapest, itself included, in the order of the plan: medians of those who tie change places
-    from run to run. Of these ``later`` are so only where the motion starts later.
+    the cheapest, itself included, the cheapest first. Of these ``later`` are so only where the
+    motion starts later.
     """
 
     question: Question
@@ -202,7 +202,8 @@ class _Field:
             if value is not None and value != best:
                 ratio = value / best if best else math.inf
             entries[s.label] = RankEntry(s.label, s, reached, run, value, ratio)
-        tied = [k for k in entries if k in winners and k in cheapest]
+        known = (k for k in entries if k in winners and k in cheapest)
+        tied = sorted(known, key=lambda k: cheapest[k][0])
         return SceneAnswer(question, entries, tied, {*tied} - now)
 
     def _ladders_of(self, group: str, cost: str, norm: str) -> list[dict[str, _Ladder]]:

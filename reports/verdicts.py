@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 
@@ -26,7 +26,7 @@ from reports.questions import (
 from reports.ranking import Answer, RankEntry, SceneAnswer, by_cost
 from reports.scenes import StoredRuns
 from reports.series import label_of
-from reports.wrong import wrong_runs, wrong_sentences
+from reports.wrong import Wrong, wrong_runs, wrong_sentences
 
 #: Headlines; question.js fills in the same ones. ``who`` are one integrator or several.
 HEADLINES = {
@@ -210,12 +210,18 @@ _WHERE = {
 }
 
 
-def failings(label: str, group: str, stored: StoredRuns) -> list[Sentence]:
-    """How many runs of an integrator failed, and which are wrong without warning."""
+def failings(
+    label: str, group: str, stored: StoredRuns, wrong_in: Sequence[Wrong] | None = None
+) -> list[Sentence]:
+    """How many runs of an integrator failed, and which are wrong without warning.
+
+    ``wrong_in`` are the wrong runs of all integrators in the group, if they are known.
+    """
     series = [s for each in stored.series.values() for s in each if s.label == label]
     runs = [r for s in series for r in s.records if r.status not in NOT_TRIED]
     failed = sum(r.status != "ok" for r in runs)
-    found = wrong_runs(stored, group, label)
+    known = wrong_runs(stored, group, label) if wrong_in is None else wrong_in
+    found = [w for w in known if w.label == label]
     wrong = [part for said in wrong_sentences(found, group, stored.names)[:1] for part in said]
     for kind, lead in _WHERE.items():
         where = [[scene_ref(w.scene)] for w in found if w.kind == kind and w.silent]
@@ -229,8 +235,8 @@ def failings(label: str, group: str, stored: StoredRuns) -> list[Sentence]:
 def _detail(place: str, entry: RankEntry, answer: SceneAnswer, names: Names) -> Sentence:
     """The words in brackets behind a scene."""
     if place == "dearer":
-        best = min(answer.first, key=lambda e: e.value or 0.0)
-        return [f" ({times(entry.ratio)} the cost of ", method_ref(best.label, names), ")"]
+        best = method_ref(answer.tied[0], names)
+        return [f" ({times(entry.ratio)} the cost of ", best, ")"]
     near = entry.series.nearest(answer.question.group)
     held = violation_text([entry.run], answer.question.target)
     said = {

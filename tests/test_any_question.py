@@ -11,7 +11,7 @@ from bench.results.quantities import COSTS, NORMS
 from bench.results.records import INTERRUPTED, UNSUPPORTED, Plan, Rows, Study
 from bench.results.store import Store
 from bench.results.timings import LEAST_OF_FEW, by_round, quotient
-from reports.formatting import number
+from reports.formatting import number, times
 from reports.pages.html_report import write_html_report
 from reports.pages.report import read_report
 from reports.questions import GRID, TARGETS, Question, plain
@@ -259,8 +259,8 @@ def test_the_command_of_a_scene_follows_the_question(browser, folder):
     said, command = (
         each(browser, k, "node.innerText")[0] for k in ("[data-verdict] p", "[data-try]")
     )
-    assert "one (1050 operations at h=0.01) and two (1000 operations at h=0.01) tie" in said
-    assert command.startswith("stepbench solve behind one --step 0.01")
+    assert "two (1000 operations at h=0.01) and one (1050 operations at h=0.01) tie" in said
+    assert command.startswith("stepbench solve behind two --step 0.01")
 
 
 def test_a_scene_tells_whom_to_avoid(browser, folder):
@@ -290,13 +290,14 @@ def test_times_are_told_apart_as_in_the_ranking(browser, folder):
         fragment = f"#group=a&target=1e-4&cost=seconds&highlight={one}"
         visit(browser, folder / "report" / "scene-noisy.html", fragment)
         rows = each(browser, ".methods tbody tr", "node.innerText.split('\t')")
-        told = {row[0]: row[3].partition(" \N{MULTIPLICATION SIGN}")[2] for row in rows}
+        told = {row[0]: row[2].replace("\N{MULTIPLICATION SIGN}", "times") for row in rows}
         for two in noisy.keys() - {one}:
             found = quotient(by_round(noisy[one]), by_round(noisy[two]))
             word = "significant" if found.differs else "not significant"
             word = "a tie" if {one, two} <= {*own.tied} else word
-            few = ", of few times" * (found.least == LEAST_OF_FEW)
-            assert told[two] == f" ({number(found.low)} to {number(found.high)}), {word}{few}"
+            few = " (few samples)" * (found.least == LEAST_OF_FEW)
+            ends = f"({number(found.low)} to {number(found.high)})"
+            assert told[two] == f"{times(found.value)} {ends}, {word}{few}"
             said.add(word + few)
     assert len(said) > 3
 
@@ -305,17 +306,16 @@ def test_each_is_compared_with_the_highlighted_method_or_else_with_the_best(brow
     """Times are 1e-6 s per residual; in all of seven rounds they have the same quotient."""
     for scene, cost, said in (
         ("won", "seconds", "2.5 x, significant"),
-        ("won", "residuals", "2.5 x, told apart"),
+        ("won", "residuals", "2.5 x"),
         ("near", "operations", "1.05 x, a tie"),
-        ("near", "residuals", "1.05 x, told apart"),
+        ("near", "residuals", "1.05 x"),
     ):
-        for highlight, place in (("one", 3), ("", 2)):
+        for highlight in ("one", ""):
             fragment = f"#group=a&target=1e-4&cost={cost}&highlight={highlight}"
             visit(browser, folder / "report" / f"scene-{scene}.html", fragment)
             rows = each(browser, ".methods tbody tr", "node.innerText.replaceAll('\u00d7', 'x')")
             cells = {row.split("\t")[0]: row.split("\t") for row in rows}
-            assert cells["two"][place] == said
-            assert cells["one"][place] == ("" if highlight else "1 x")
+            assert (cells["two"][2], cells["one"][2]) == (said, "1 x")
         visit(browser, folder / "report" / f"scene-{scene}.html", fragment + "two")
         lines = each(browser, "[data-verdict] p", "node.innerText.replaceAll('\u00d7', 'x')")
         beside = [line for line in lines if line.startswith("two: ")]
@@ -326,10 +326,10 @@ def test_each_is_compared_with_the_highlighted_method_or_else_with_the_best(brow
     said = each(browser, "[data-verdict] p", "node.innerText")[1]
     assert said == "far does not reach it: its least error is 0.01; ask for 1e-2."
     rows = each(browser, ".methods tbody tr", "node.innerText.split('\t')")
-    beyond = {row[0]: row[3] for row in rows if len(row) > 3}
+    beyond = {row[0]: row[2] for row in rows}
     visit(browser, folder / "report" / "scene-won.html", "#group=a&target=1e-2&highlight=far")
     rows = each(browser, ".methods tbody tr", "node.innerText.split('\t')")
-    assert beyond == {row[0]: row[3] and f"at 1e-2: {row[3]}" for row in rows}
+    assert beyond == {row[0]: row[2] and f"at 1e-2: {row[2]}" for row in rows} | {"far": ""}
     assert beyond["one"]
     visit(browser, folder / "report" / "scene-won.html", "#group=a&target=1e-4&highlight=far")
     browser.execute_script("document.querySelector('[data-verdict] button').click()")

@@ -46,7 +46,7 @@ from reports.questions import (
 from reports.ranking import Answer, SceneAnswer, answers
 from reports.scenes import NO_FACTS, NO_SCENE
 from reports.series import Series, groups_of, label_of, ok_runs, reference_error
-from reports.verdicts import HEADLINES, LATER, WRONG_A, violation_size
+from reports.verdicts import HEADLINES, LATER, WRONG_A, failings, violation_size
 from reports.wrong import wrong_runs, wrong_sentences
 
 #: Stands for a zero in a column.
@@ -110,7 +110,7 @@ def site_data(report: Report) -> dict[str, Any] | None:
         "columns": columns,
         "runs_of": [[_runs(s, places, columns) for s in own] for own in measured.values()],
         **_answers(answers(measured, groups, GRID, tuple(NORMS)), groups, measured, places),
-        "wrong": {g: _wrong(report, g, chosen) for g in groups},
+        "wrong": {g: _wrong(report, g, chosen, [*families]) for g in groups},
     }
 
 
@@ -281,8 +281,8 @@ def _failed(scene: str, report: Report) -> list[Sentence]:
     return [[lead, *how, " (", Ref("failed", scene, "reasons"), ")", *why]]
 
 
-def _wrong(report: Report, group: str, chosen: Filters) -> dict[str, Any]:
-    """Sentences on runs that are wrong without warning, per filter and per scene."""
+def _wrong(report: Report, group: str, chosen: Filters, labels: Sequence[str]) -> dict[str, Any]:
+    """Sentences on runs that are wrong without warning: per filter, scene and method."""
     wrong, ids = wrong_runs(report.stored, group), report.run_ids
     scenes = {r.key: k for k, own in report.measured.items() for s in own for r in s.records}
     anchors = {page.values["key"]: page.values["anchor"] for page in report.scenes}
@@ -308,4 +308,11 @@ def _wrong(report: Report, group: str, chosen: Filters) -> dict[str, Any]:
     return {
         "filters": {key: said(names) for key, (_, names) in chosen.items()},
         "scenes": [said([name], name) for name in report.measured],
+        "methods": [
+            [
+                [linked(method_ref(label, report.names)), ": ", *map(linked, parts)]
+                for parts in failings(label, group, report.stored, wrong)
+            ]
+            for label in labels
+        ],
     }

@@ -31,6 +31,7 @@
       `Which integrator, for an error in the ${data.group_names[question.group].replace(/ \S+$/, "")} of at most ${question.target}?`;
     const open = card.querySelector("details")?.open, here = stepbench.answer();
     const line = (name, ...parts) => html("p", { class: name }, ...parts.map(part)), [wrong, ...which] = stepbench.wrong("filters", question.scenes);
+    const own = stepbench.wrong("methods", data.methods.findIndex((method) => method.label === question.highlight));
     const worst = stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make"
       : "of the worst component, relative to its natural size, or else to its largest value in the reference";
     const beside = data.both.filter((cost) => data.both.includes(question.cost) && cost !== question.cost), rows = stepbench.standings(question);
@@ -38,7 +39,7 @@
     const avoid = nowhere.length && nowhere.length < rows.length ? [line(all ? null : "also", "Reached on none of these scenes by ", ...stepbench.listed(nowhere), ".")] : [];
     card.replaceChildren(line("headline", ...stepbench.headline(question)),
       ...beside.map((cost) => line("also", `${data.least[cost]}: `, ...stepbench.headline({ ...question, cost }, question))),
-      ...(all ? [] : avoid), ...(wrong ? [wrong] : []),
+      ...(all ? [] : avoid), ...(own.length ? own : wrong ? [wrong] : []),
       html("details", { open: open && "" }, html("summary", {}, "costs, rivals, constraints, and where it fails"), ...which, ...(all ? avoid : []),
         line(null, `To ${question.target} in ${data.group_names[question.group]} (${stepbench.norm()}), scene by scene:`),
         ...stepbench.chosen().map((k) => [k, data.scenes[k]]).map(([k, { id, name, page }]) =>

@@ -35,7 +35,7 @@
     (parts) => html("p", { class: "wrong" }, ...parts.map(part)));
   const columns = (...names) => html("tr", {}, ...names.map((name) => html("th", { scope: "col" }, name)));
   const fill = (table, caption, heads, rows) => table.replaceChildren(
-    html("caption", {}, caption), html("thead", {}, ...heads), html("tbody", {}, ...rows));
+    html("caption", {}, html("span", {}, caption)), html("thead", {}, ...heads), html("tbody", {}, ...rows));
 
   // Three significant digits, as in the tables and sentences (bench/results/table.py).
   const number = (value) => {
@@ -60,7 +60,7 @@
   };
   const costWithUnit = (value, cost) => cost === "seconds" ? costText(value, cost) : `${costText(value, cost)} ${data.units[cost]}`;
   // A ratio with as many digits as tell it from 1, as in sentences.
-  const multiple = (ratio) => ratio > 1e35 ? "∞" : ratio >= 1.01 || ratio < .99 ? number(ratio) : String(Number(ratio.toPrecision(6)));
+  const multiple = (ratio) => ratio > 1e35 ? "∞" : number(ratio) !== "1" ? number(ratio) : String(Number(ratio.toPrecision(6)));
   // A multiple in a cell with little room.
   const times = (value) => value > 1e35 ? "∞" : value < 10 ? value.toFixed(1) : value < 9999.5 ? value.toFixed(0) : value.toExponential(0).replace("e+", "e");
 

@@ -106,7 +106,7 @@
     side.addEventListener("keydown", (event) => { if (event.key === "Escape") set(false); });
     side.firstElementChild.after(menu);
     side.classList.add("folds");
-    const latin = (text) => text.replaceAll("α", "a"), plain = (link) => ` ${latin(link.textContent.toLowerCase()).replace(/[^\p{L}\d.]+/gu, " ")}`;
+    const latin = (text) => text.replaceAll("α", "alpha"), plain = (link) => ` ${latin(link.textContent.toLowerCase()).replace(/[^\p{L}\d.]+/gu, " ")}`;
     const links = [...side.querySelectorAll("li")], none = html("p", { class: "about", role: "status" });
     const looks = { placeholder: "find …", title: "a scene, a method or a word", "aria-label": "filter the contents" };
     if (links.length > FEW) side.querySelector(".about").after(search(looks, (typed, wanted) => {

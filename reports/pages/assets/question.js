@@ -79,6 +79,9 @@
   if (bar) {
     const options = (own) => Object.entries(own).map(([value, text]) => new Option(text, value));
     for (const name in choices) (name === "target" ? bar.elements.target.list : bar.elements[name])?.replaceChildren(...options(choices[name]));
+    // The page of a scene offers the quantities that it has.
+    const here = document.querySelector("article.scene [data-verdict]")?.dataset.verdict;
+    if (here && !single) for (const option of bar.elements.group) option.disabled = !data.scenes[here].groups.includes(option.value);
     bar.addEventListener("change", ({ target: place }) => {
       const said = place.value, typed = place.name === "target", value = typed ? accuracy(said) : said;
       if (value !== undefined) stepbench.ask({ [place.name]: value });

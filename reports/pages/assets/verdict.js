@@ -61,21 +61,21 @@
     if (shared.length && shared.length >= Math.min(all[0].length, all[1].length)) return middle(shared);
     return a.precise && b.precise ? { value: b.value / a.value, low: b.low / a.high, high: b.high / a.low, few: a.few || b.few } : null;
   };
-  // What a method costs over another one on a scene, at the finest accuracy of at least that of the question that both reach; of times with the interval of their quotient, and whether it is significant.
+  // What a method costs over another one on a scene, at the finest accuracy of at least that of the question that both reach; of times the median quotient in rounds with its interval, and whether it is significant.
   const compared = (scene, question, ...two) => {
     const states = (target) => two.map((m) => stepbench.answer({ ...question, target })[scene]?.states[m]), { cost } = question;
     const target = two[0] !== two[1] && data.targets.findLast((one) => Number(one) >= Number(question.target) && states(one).every(Array.isArray));
     if (!target) return "";
     const asked = target === question.target, { first = [], later } = stepbench.answer()[scene] ?? {}, [[runs, k], [other, j]] = states(target).map(([, k], n) => [runsOf(scene, two[n]), k]);
     const tied = asked && two.every((m) => first.includes(m)) && `a tie${two.some((m) => later.includes(m)) ? " from a later start" : ""}`;
-    const ratio = columnOf(runs, cost)[k] / columnOf(other, cost)[j], sizes = `${asked ? "" : `at ${target}: `}${stepbench.multiple(ratio)} ×`, beyond = (value, least) => Math.max(value, 1 / value) > least;
-    if (cost !== "seconds") return `${sizes}, ${tied || (beyond(ratio, data.apart[cost]) ? "told apart" : "not told apart")}`;
-    const found = quotient(other.samples[j], runs.samples[k]), ends = found ? [...new Set([found.low, found.high].map(number))] : [];
-    const differs = found && beyond(found.value, found.few ? data.few : data.apart.seconds) && (found.low > 1 || found.high < 1);
-    return `${sizes}${ends.length > 1 ? ` (${ends.join(" to ")})` : ""}, ${tied || (differs ? "significant" : "not significant")}${found?.few === false ? "" : ", of few times"}`;
+    const found = cost === "seconds" ? quotient(other.samples[j], runs.samples[k]) : null, value = found?.value ?? columnOf(runs, cost)[k] / columnOf(other, cost)[j];
+    const sizes = `${asked ? "" : `at ${target}: `}${stepbench.multiple(value)} ×`, differs = Math.max(value, 1 / value) > (found?.few ? data.few : data.apart[cost]);
+    if (cost !== "seconds") return sizes + (tied ? ", a tie" : differs ? "" : ", not significant");
+    const ends = found ? [...new Set([found.low, found.high].map(number))] : [], word = found && differs && (found.low > 1 || found.high < 1) ? "significant" : "not significant";
+    return `${sizes}${ends.length > 1 ? ` (${ends.join(" to ")})` : ""}, ${tied || word}${found?.few === false ? "" : " (few samples)"}`;
   };
   const placeOf = (label) => data.methods.findIndex((method) => method.label === label);
-  const best = (scene) => reaching(scene, stepbench.answer()[scene].states.findIndex((own) => own?.[0] === 1));
+  const best = (scene) => reaching(scene, stepbench.answer()[scene]?.states.findIndex((own) => own?.[0] === 1));
   const button = (text, click) => html("button", { type: "button", class: "more", click }, text);
   // The highlighted method beside the best on a scene, or the accuracy that it reaches there.
   const beside = (scene, question) => {
@@ -107,24 +107,21 @@
       : `${why} ${question.target} in ${quantity(question)}; this run came nearest, with ${number(run.error)}.`;
   });
 
-  const heads = (question, mine) => [stepbench.costName(question), "multiple of the best", ...(mine ? [`multiple of ${data.methods[mine.index].short}`] : []),
+  const heads = (question, mine) => [stepbench.costName(question), `multiple of ${mine ? data.methods[mine.index].short : "the best"}${question.cost === "seconds" ? ", in rounds" : ""}`,
     `error in ${quantity(question).split(" ").at(-1)}`];
   const aim = (question) => `with an error of at most ${question.target} in ${quantity(question)}, ${stepbench.norm()}`;
   // A row that begins with the cells ``lead``: what the accuracy costs a method on a scene, or why it has no cost.
   const row = (lead, scene, index, state, question, mine, held) => {
-    const runs = runsOf(scene, index);
-    const beyond = mine ? [html("td", {}, compared(scene, question, index, mine.index))] : [];
+    const runs = runsOf(scene, index), than = mine ?? best(scene), beyond = than && compared(scene, question, index, than.index) || "";
     if (!Array.isArray(state)) {
       const near = state === "far" && nearest([runs], question), far = near ? ` down to ${runs.resolutions[last(runs)]}; least error: ${number(near.error)}` : "";
       const told = { far, failed: `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}`, refused: `: ${runs.refused}` };
       const text = state ? STATES[state] + (told[state] ?? "") : stepbench.unjudged(scene, question);
-      return html("tr", { class: "out" }, ...lead, html("td", { colspan: mine ? 2 : 3 + 2 * held }, text), ...beyond, ...beyond.map(() => html("td", { colspan: 1 + 2 * held })));
+      return html("tr", { class: "out" }, ...lead, html("td", { colspan: mine ? 1 : 3 + 2 * held }, text), ...(mine ? [html("td", {}, beyond), html("td", { colspan: 1 + 2 * held })] : []));
     }
-    const [multiple, k, cost] = state, off = held ? columnOf(runs, "constraint")[k] : NaN;
-    // Without a method to compare with, the best has its interval.
-    const cells = [stepbench.costText(cost, question.cost), !mine && multiple > 1 ? compared(scene, question, index, best(scene).index) : `${stepbench.multiple(multiple)} ×`, number(columnOf(runs, question.group)[k]),
-      ...(held ? [runs.phi[k], number(off) + times(off, question)] : [])].map((text) => html("td", {}, text));
-    return html("tr", { class: data.methods[index].label === question.highlight && "mine" }, ...lead, ...cells.toSpliced(2, 0, ...beyond));
+    const [, k, cost] = state, off = held ? columnOf(runs, "constraint")[k] : NaN;
+    const cells = [stepbench.costText(cost, question.cost), than.index === index ? "1 ×" : beyond, number(columnOf(runs, question.group)[k]), ...(held ? [runs.phi[k], number(off) + times(off, question)] : [])];
+    return html("tr", { class: data.methods[index].label === question.highlight && "mine" }, ...lead, ...cells.map((text) => html("td", {}, text)));
   };
   const refused = (runs) => runs.refused !== undefined && "refused";
   for (const table of document.querySelectorAll("[data-methods]")) stepbench.onChange((question) => {
@@ -135,10 +132,11 @@
     table.closest("section").hidden = !found.length;
     const held = data.scenes[scene].groups.includes("constraint"), own = placeOf(question.highlight), mine = runsOf(scene, own) ? { index: own } : null;
     const why = own < 0 ? "; highlight a method to compare all with it" : reaching(scene, own) ? "" : `; ${data.methods[own].short} does not reach it, and is compared where both do`;
-    const names = ["method", ...(held ? ["form"] : []), ...heads(question, mine), ...(held ? ["violation of Φ", "relative"] : [])];
+    const names = ["method", ...heads(question, mine), ...(held ? ["violation of Φ", "relative"] : [])];
     fill(table, `Cheapest run of each ${aim(question)}${why}`, [columns(...names)], found.map(([index, state]) => {
-      const method = data.methods[index], form = held ? [html("td", {}, method.form)] : [];
-      return row([stepbench.head(method), ...form], scene, index, state, question, mine, held);
+      const head = stepbench.head(data.methods[index]);
+      if (held && !data.methods[index].short.endsWith(data.methods[index].form)) head.append(html("small", {}, data.methods[index].form));
+      return row([head], scene, index, state, question, mine, held);
     }));
   });
   // All scenes of one method, and how it stands there.
