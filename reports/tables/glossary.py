@@ -77,8 +77,8 @@ _DEFINITIONS = {
     "values that do not fit the method.",
     "Stiff, stiffness": "A system is stiff if it has parts that decay or oscillate much faster "
     "than the motion that is of interest.",
-    "Tie, tied, told apart, significant": "Two methods tie if their costs do not differ "
-    "significantly: times by their quotients in each round of samples (of few times, fewer than "
+    "Tie, tied, significant": "Two methods tie if their costs do not differ "
+    "significantly: times by their quotients in each round of samples (of few samples, fewer than "
     "six, beyond a factor of 2), operations by 10 %; a "
     "method that is among the cheapest from a later start of the runs ties, too.",
     "Tolerance, rtol": "The local error that a method with steps of its own choice allows itself "

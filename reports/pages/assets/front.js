@@ -29,9 +29,8 @@
   stepbench.onChange((question) => {
     document.querySelector("main h1").textContent =
       `Which integrator, for an error in the ${data.group_names[question.group].replace(/ \S+$/, "")} of at most ${question.target}?`;
-    const open = card.querySelector("details")?.open, here = stepbench.answer();
+    const open = card.querySelector("details")?.open, here = stepbench.answer(), own = stepbench.wrong("methods", data.methods.findIndex((m) => m.label === question.highlight));
     const line = (name, ...parts) => html("p", { class: name }, ...parts.map(part)), [wrong, ...which] = stepbench.wrong("filters", question.scenes);
-    const own = stepbench.wrong("methods", data.methods.findIndex((method) => method.label === question.highlight));
     const worst = stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make"
       : "of the worst component, relative to its natural size, or else to its largest value in the reference";
     const beside = data.both.filter((cost) => data.both.includes(question.cost) && cost !== question.cost), rows = stepbench.standings(question);
