@@ -217,7 +217,7 @@ def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_viol
     assert " ".join(rows[-1].split()).startswith("one index 2 not reached")
     _, (head, one, two) = asked("pendulum", "#group=a&target=1e-4&cost=operations")
     assert "violation of Φ" in head
-    assert one.startswith("one\nindex 2\n")
+    assert one.startswith("one index 2\t")
     assert one.endswith("\t0.0022 m\t0.0073: 73 times the accuracy")
     assert two.endswith("\t1e-9 m\t1e-9")
     _, (head, one) = asked("spring_mass", "#group=a&target=1e-4&cost=operations")

@@ -158,12 +158,11 @@ def scene_page(
         "beside": [
             Section("Picture", [motion(scene.drawings)]),
             Section("What is hard here", [scene.difficulties]),
-            Section("Experiments in the failure atlas", _experiments(scene, stored)),
         ],
         "equations": [*map(mathml, scene.equations)],
         "unknowns": unknowns(scene),
         "tabs": tabs,
-        "cards": cards,
+        "cards": [Section("Experiments in the failure atlas", _experiments(scene, stored)), *cards],
         "place": measured.index(name) if runs else None,
         "end": f"{runs[0].t_end:g}" if runs and usual else "",
     }

@@ -134,7 +134,7 @@
     const names = ["method", ...heads(question, mine), ...(held ? ["violation of Φ", "relative"] : [])];
     fill(table, `Cheapest run of each ${aim(question)}${why}`, [columns(...names)], found.map(([index, state]) => {
       const head = stepbench.head(data.methods[index]);
-      if (held && !data.methods[index].short.endsWith(data.methods[index].form)) head.append(html("small", {}, data.methods[index].form));
+      if (held && !data.methods[index].short.endsWith(data.methods[index].form)) head.append(" ", html("small", {}, data.methods[index].form));
       return row([head], scene, index, state, question, mine, held);
     }));
   });
