@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from statistics import median
 
@@ -182,7 +182,8 @@ def stored_card(label: str, found: Answer, stored: StoredRuns) -> list[Sentence]
     names, question = stored.names, found.question
     me, by = method_ref(label, names), COSTS[question.cost].words
     own = {name: s for name, s in found.scenes.items() if label in s.entries}
-    amiss = failings(label, question.group, stored)
+    wrong = wrong_runs(stored, question.group)
+    amiss = failings(label, question.group, stored, wrong)
     if not own:
         return [[me, " was tried on no scene on which this can be judged."], *amiss[1:]]
     entries = {name: s.entries[label] for name, s in own.items()}
@@ -210,17 +211,11 @@ _WHERE = {
 }
 
 
-def failings(
-    label: str, group: str, stored: StoredRuns, wrong_in: Sequence[Wrong] | None = None
-) -> list[Sentence]:
-    """How many runs of an integrator failed, and which are wrong without warning.
-
-    ``wrong_in`` are the wrong runs of all integrators in the group, if they are known.
-    """
+def failings(label: str, group: str, stored: StoredRuns, known: Iterable[Wrong]) -> list[Sentence]:
+    """How many runs of an integrator failed, and which of the ``known`` are wrong silently."""
     series = [s for each in stored.series.values() for s in each if s.label == label]
     runs = [r for s in series for r in s.records if r.status not in NOT_TRIED]
     failed = sum(r.status != "ok" for r in runs)
-    known = wrong_runs(stored, group, label) if wrong_in is None else wrong_in
     found = [w for w in known if w.label == label]
     wrong = [part for said in wrong_sentences(found, group, stored.names)[:1] for part in said]
     for kind, lead in _WHERE.items():

@@ -79,7 +79,7 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
     values = {
         "key": label,
         "title": facts.title.rstrip("."),
-        "card": [*map(Text, failings(label, asked, stored))],
+        "card": [*map(Text, failings(label, asked, stored, found))],
         "said": [Section("Its stability", stability if known else [])],
         "facts": Section("What it is", [_facts(name, first, facts)]),
         "scenes": Section("On all scenes", [strip, _scenes_table(by_scene)]),

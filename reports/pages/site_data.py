@@ -70,6 +70,7 @@ def site_data(report: Report) -> dict[str, Any] | None:
     series = [s for own in measured.values() for s in own]
     families = {s.label: s.family for s in series}
     places = {label: k for k, label in enumerate(families)}
+    methods = [method_ref(label, report.names) for label in families]
     scenes = report.stored.scenes
     chosen = filters({k: scenes.get(k, NO_SCENE).tags for k in measured})
     if not (groups := groups_of(ok_runs(series), ASKED)):
@@ -110,7 +111,7 @@ def site_data(report: Report) -> dict[str, Any] | None:
         "columns": columns,
         "runs_of": [[_runs(s, places, columns) for s in own] for own in measured.values()],
         **_answers(answers(measured, groups, GRID, tuple(NORMS)), groups, measured, places),
-        "wrong": {g: _wrong(report, g, chosen, [*families]) for g in groups},
+        "wrong": {g: _wrong(report, g, chosen, methods) for g in groups},
     }
 
 
@@ -281,9 +282,10 @@ def _failed(scene: str, report: Report) -> list[Sentence]:
     return [[lead, *how, " (", Ref("failed", scene, "reasons"), ")", *why]]
 
 
-def _wrong(report: Report, group: str, chosen: Filters, labels: Sequence[str]) -> dict[str, Any]:
+def _wrong(report: Report, group: str, chosen: Filters, methods: Sequence[Ref]) -> dict[str, Any]:
     """Sentences on runs that are wrong without warning: per filter, scene and method."""
-    wrong, ids = wrong_runs(report.stored, group), report.run_ids
+    stored, ids = report.stored, report.run_ids
+    wrong = wrong_runs(stored, group)
     scenes = {r.key: k for k, own in report.measured.items() for s in own for r in s.records}
     anchors = {page.values["key"]: page.values["anchor"] for page in report.scenes}
 
@@ -309,10 +311,7 @@ def _wrong(report: Report, group: str, chosen: Filters, labels: Sequence[str]) -
         "filters": {key: said(names) for key, (_, names) in chosen.items()},
         "scenes": [said([name], name) for name in report.measured],
         "methods": [
-            [
-                [linked(method_ref(label, report.names)), ": ", *map(linked, parts)]
-                for parts in failings(label, group, report.stored, wrong)
-            ]
-            for label in labels
+            [[linked(m), ": ", *map(linked, own)] for own in failings(m.key, group, stored, wrong)]
+            for m in methods
         ],
     }
