@@ -273,6 +273,11 @@ def test_contents_are_filtered(browser, site):
     field.clear()
     field.send_keys(" ")
     assert browser.execute_script(links) == before
+    browser.execute_script("document.querySelector('nav.side li a').textContent = 'gα 0.8'")
+    for asked in ("galpha", "gα", "ga", "GALPHA 0.8"):
+        field.clear()
+        field.send_keys(asked)
+        assert browser.execute_script(links) == ["gα 0.8"]
 
 
 def test_paper_has_all_tabs_all_rows_and_no_folds(browser, site):

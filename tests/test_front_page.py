@@ -126,6 +126,8 @@ def test_a_scene_without_the_quantity_is_not_counted_and_says_so(browser, site):
         seen = each(browser, "[data-methods], [data-try]", "Boolean(node.offsetParent)")
         assert seen == [group == "a"] * 2
         assert words in text(browser, "[data-verdict]")
+    offered = dict(each(browser, "#question [name=group] option", "[node.value, !node.disabled]"))
+    assert (offered["a"], offered["lam"]) == (True, False)
 
 
 def test_the_address_restores_the_view_and_a_method_is_put_in_front(browser, site):
@@ -137,6 +139,12 @@ def test_the_address_restores_the_view_and_a_method_is_put_in_front(browser, sit
     assert len(each(browser, ".panel svg.field .curve.mine", "1")) == 1
     link = each(browser, ".panel h3 a", "node.href")[0]
     assert link.endswith("report/scene-spring_mass.html" + fragment)
+    visit(browser, site / "report.html", "#group=a&target=1e-2&highlight=poor")
+    (said,) = each(browser, "#answer > .wrong", "node.innerText")
+    assert said.startswith("poor: Wrong without warning: 2 of 6 runs that reached the end")
+    assert each(browser, "#answer > .wrong .scene", "node.pathname.split('/').at(-1)") == [
+        "scene-spring_mass.html"
+    ]
     # What the address does not know is the first question's.
     visit(browser, site / "report.html", "#group=nonsense&target=1e-2")
     assert browser.execute_script("return stepbench.question.group") == "a"

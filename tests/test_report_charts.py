@@ -180,7 +180,10 @@ def test_only_what_varies_is_drawn_over_time_errors_logarithmically(styles):
         "position": [0.0, *(1e-12 * k for k in range(1, count))],
         "error_a": [0.0, *(10.0**-k for k in range(count - 1))],
     }
-    chart = histories([(label, rows)], styles, tuple(HISTORIES))
+    bare = [*styles][-1], curves(1.0, {"q": 1})  # it has no line, nor a place in the legend
+    chart = histories([(label, rows), bare], styles, tuple(HISTORIES))
+    color = chart["concat"][0]["layer"][0]["encoding"]["color"]
+    assert color["scale"]["domain"] == [label] != [bare[0]]
     axes = [panel["layer"][0]["encoding"]["y"] for panel in chart["concat"]]
     assert [axis["field"] for axis in axes] == ["error_a", "h", "position"]
     assert axes[0]["title"] == "error in acceleration a"
