@@ -81,8 +81,8 @@ def histories(
     runs: Sequence[tuple[str, Rows]], styles: Mapping[str, LineStyle], notes: Sequence[str]
 ) -> vl.Spec | None:
     """Notes of runs over time, such as step sizes, a panel each; constant ones are left out."""
-    noting = (label for label, run in runs if any(map(run.notes.get, notes)))
-    lines = vl.Lines({label: styles[label] for label in noting})
+    runs = [(label, run) for label, run in runs if any(map(run.notes.get, notes))]
+    lines = vl.Lines({label: styles[label] for label, _ in runs})
     rows = [row for label, run in runs for row in time_rows(run, label, notes=notes)]
     data, panels = vl.Dataset("histories", rows), []
     for name in notes:
