@@ -178,13 +178,3 @@ def test_a_file_that_cannot_be_loaded_fails_with_its_reason(stepbench, tmp_path)
     result = stepbench("check", file)
     assert result.exit_code == 1
     assert "✗ loads: It is unavailable: ModuleNotFoundError" in result.stdout
-
-
-def test_a_name_that_is_not_known_is_one_sentence(refused):
-    for arguments, words in [
-        ([], "Nothing is named; give names or Python files, or --all."),
-        (["pendulun"], "did you mean 'pendulum'?"),
-        (["newmark[bet=1]"], "newmark has no option 'bet'; did you mean 'beta'?"),
-        (["no_such_file.py"], "is not a Python file, nor a folder"),
-    ]:
-        assert words in refused("check", *arguments)

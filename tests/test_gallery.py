@@ -92,18 +92,6 @@ def test_an_animation_has_all_it_needs_in_one_file(stepbench, tmp_path):
     assert frames[-1]["lines"][0][1] == pytest.approx([x, -y], rel=1e-3)
 
 
-@pytest.mark.usefixtures("without_processes")
-def test_show_refuses_in_one_sentence(refused):
-    for arguments, words in [
-        (["pendulm"], "did you mean 'pendulum'"),
-        (["pendulum", "-o", "x.pdf"], "x.pdf is not a picture; give a name that ends in .svg"),
-        (["pendulum", "--animate", "-o", "x.svg"], "give a name that ends in .html"),
-        (["pendulum", "--t-end", "0.1"], "does not lie after the start"),
-        (["pendulum", "-o", "no/such/folder/x.svg"], "there is no folder"),
-    ]:
-        assert words in refused("show", *arguments)
-
-
 @pytest.mark.long
 def test_a_scene_without_a_picture_is_told_so_and_still_catalogued(stepbench, plugins, tmp_path):
     plugin = plugins / "ramp_oscillator.py"

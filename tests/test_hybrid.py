@@ -300,13 +300,3 @@ def test_solve_prints_held_values_and_events(stepbench):
     found = solve("sampled_pd", "generalized_alpha", "--step", "0.05")
     assert len(found["xd"]) == 2
     assert 0 < found["errors"]["xd"]["max"] < 1e-2
-
-
-@pytest.mark.usefixtures("without_processes")
-def test_bad_input_is_one_sentence(refused):
-    for arguments, words in [
-        (["sampled_pd[sample_time=0]", "bdf2"], "sample_time=0"),
-        (["sampled_pd[sampling=often]", "bdf2"], "sampling=often is not allowed"),
-        (["sampled_pd[sampling=interpolate]", "ida"], "only constant steps"),
-    ]:
-        assert words in refused("solve", *arguments)

@@ -30,6 +30,13 @@ not a list of numbers                      | solve pendulum newmark --pattern 0.
 sum to 1                                   | solve pendulum newmark --pattern 0.3,0.3
 constraints act like infinite frequencies  | solve pendulum newmark[beta=0]
 not a Python file, nor a folder with one   | solve pendulum newmark --plugins no_such.py
+from 'Z'; known: X, X.v, Y, Y.v            | solve pendulum[start.Z=1] newmark
+no start near its own with X=5             | solve pendulum[start.X=5] newmark
+start.X=nan is not a finite number         | solve pendulum[start.X=nan] newmark
+start.X=one is not a float                 | solve pendulum[start.X=one] newmark
+sample_time=0                              | solve sampled_pd[sample_time=0] bdf2
+sampling=often is not allowed              | solve sampled_pd[sampling=often] bdf2
+only constant steps                        | solve sampled_pd[sampling=interpolate] ida
 
 '0.1,,0.05,0.025' is not a list of numbers | order spring_mass newmark --steps 0.1,,0.05,0.025
 'm' is given twice                         | order spring_mass newmark --set m=1 --set ' m =2'
@@ -51,6 +58,17 @@ say --csv or --json                        | report -o a.svg
 pages of scenes alone                      | list newmark --draw
 leave out --json                           | list pendulum --draw --json
 --out goes with --draw                     | list --out pages
+
+did you mean 'pendulum'                    | show pendulm
+does not lie after the start               | show pendulum --t-end 0.1
+x.pdf is not a picture; give a name that ends in .svg | show pendulum -o x.pdf
+give a name that ends in .html             | show pendulum --animate -o x.svg
+there is no folder                         | show pendulum -o no/such/folder/x.svg
+
+Nothing is named; give names or Python files, or --all. | check
+did you mean 'pendulum'?                   | check pendulun
+has no option 'bet'; did you mean 'beta'?  | check newmark[bet=1]
+is not a Python file, nor a folder         | check no_such_file.py
 
 in small letters, digits and '_'           | new integrator 'My Method'
 such as my_method                          | new problem 3d
