@@ -234,15 +234,6 @@ def test_a_mistake_in_an_experiment_is_named(tmp_path):
             read_experiment(file)
 
 
-def test_an_unknown_experiment_costs_one_sentence(stepbench, tmp_path):
-    result = stepbench("atlas", "undamped_index", "--out", tmp_path / "a")
-    assert result.exit_code != 0
-    assert "did you mean 'undamped_index3'" in result.output
-    assert "Traceback" not in result.output
-    assert not (tmp_path / "a").exists()
-    assert all(name in result.output for name in NAMES)
-
-
 @given(st.floats(-1e3, 1e3), st.floats(0, 1e3))
 def test_a_better_number_is_never_hit(number, better):
     for part in (part for experiment in EXPERIMENTS for part in experiment.part):

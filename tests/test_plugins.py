@@ -107,14 +107,6 @@ def test_programs_are_forgotten_before_memory_mappings_run_out(monkeypatch):
     assert bench.measure(first).record.errors == before.record.errors
 
 
-def test_an_empty_plugin_path_does_not_import_the_current_folder(refused, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "innocent.py").write_text("open('imported', 'w').close()\n")
-    for path in ("", " "):
-        assert "The path of a plugin is empty" in refused("list", "--plugins", path)
-    assert not (tmp_path / "imported").exists()
-
-
 def test_a_scene_that_cannot_be_planned_costs_its_own_cells(tmp_path):
     """Whatever its facts raise, while the suite is planned in the same process."""
     for interval in ("raise SystemExit(3)", "raise KeyError('t')", "return 1 / 0"):
@@ -152,23 +144,6 @@ def test_varied_options_are_combined_with_every_integrator(tmp_path):
     assert "generalized_alpha[rho_inf=0.5,formulation=stabilised_index2,start=corrected]" in names
     assert "newmark[beta=0.25,gamma=0.5]" in names
     assert suite.plan.samples == 0
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("start =", "strat =", "did you mean 'start'"),
-        ('"corrected"', '"late"', "start=late is not allowed"),
-        ("steps =", 'components = ["q3"]\nsteps =', "pendulum has no component 'q3'"),
-        ("steps =", 'components = ["q2:q9"]\nsteps =', "pendulum has no component 'q9'"),
-        ("steps =", 'components = ["q1:"]\nsteps =', "pendulum has no component ''"),
-        ("steps =", 'components = ["z1"]\nsteps =', "give a group and a number such as q1"),
-    ],
-)
-def test_a_bad_profile_is_one_sentence(tmp_path, old, new, words):
-    with pytest.raises(SpecError) as error:
-        suite_of(tmp_path, STUDY.replace(old, new))
-    assert words in str(error.value)
 
 
 def test_a_suite_takes_the_studies_of_those_that_it_includes(tmp_path):

@@ -20,7 +20,6 @@ from bench.running.constant_steps import (
 )
 from integrators.native.loops.constant_steps import SingleStep
 from integrators.resolutions import Steps
-from problems.base.spec import SpecError
 from problems.truth.reference import Reference
 
 GROUPS = ("q", "v", "a", "lam", "x", "y")
@@ -126,20 +125,6 @@ def test_both_limits_are_measured_side_by_side_and_residuals_are_those_of_the_ro
     assert found.constraint["position"] == pytest.approx(length, rel=1e-9)
     assert found.constraint["velocity"] == pytest.approx(along / (2 * h), rel=1e-6)
     assert length > 1e-6
-
-
-def test_methods_without_a_step_of_their_own_are_refused(worker):
-    for problem, integrator, limit, words in (
-        ("pendulum", "ida", None, "chooses its own steps"),
-        ("pendulum", "generalized_alpha_adaptive", None, "called alone"),
-        ("pendulum", "dopri8", None, "library holds"),
-        ("pendulum", "stormer_verlet", None, "does not take pendulum"),
-        ("sampled_pd[sampling=ignore]", "newmark", None, "jump at samples or events"),
-        ("heavy_top_se3", "bdf2", None, "states kinematics, .* which the method does not handle"),
-        ("pendulum", MODIFIED, 2, "give newton=full, or no limit"),
-    ):
-        with pytest.raises(SpecError, match=words):
-            realtime_job(worker, problem, integrator, 100.0, 10, limit)
 
 
 # ---- what is said ------------------------------------------------------------------------

@@ -55,6 +55,8 @@ no stepbench results                       | report nowhere
 --open and --csv do not go together        | report --csv --open
 --csv and --json do not go together        | report --csv --json
 say --csv or --json                        | report -o a.svg
+The path of a plugin is empty              | list --plugins ''
+The path of a plugin is empty              | list --plugins ' '
 pages of scenes alone                      | list newmark --draw
 leave out --json                           | list pendulum --draw --json
 --out goes with --draw                     | list --out pages
@@ -69,6 +71,8 @@ Nothing is named; give names or Python files, or --all. | check
 did you mean 'pendulum'?                   | check pendulun
 has no option 'bet'; did you mean 'beta'?  | check newmark[bet=1]
 is not a Python file, nor a folder         | check no_such_file.py
+
+did you mean 'undamped_index3'? (known: | atlas undamped_index
 
 in small letters, digits and '_'           | new integrator 'My Method'
 such as my_method                          | new problem 3d
@@ -115,9 +119,18 @@ at most 1 s, the interval of pendulum      | realtime pendulum newmark --rate 1e
 from 2 to 1000000 steps                    | realtime pendulum newmark --rate 1e9
 --rate                                     | realtime pendulum newmark
 1000 Hz over 0.001 s is not allowed        | realtime pendulum newmark --rate 1e3 --duration 1e-3
+chooses its own steps                      | realtime pendulum ida --rate 100
+called alone                               | realtime pendulum generalized_alpha_adaptive --rate 100
+library holds                              | realtime pendulum dopri8 --rate 100
+does not take pendulum                     | realtime pendulum stormer_verlet --rate 100
+jump at samples or events                  | realtime sampled_pd[sampling=ignore] newmark --rate 100
+which the method does not handle           | realtime heavy_top_se3 bdf2 --rate 100
+give newton=full, or no limit | realtime pendulum newmark[newton=modified] --rate 100 --iterations 2
 """
-#: Plugin files with a scene, with two of them, and with none; and what else is there.
+#: Plugin files with a scene, with two of them, with none, and with a trace of being imported; and
+#: what else is there.
 FILES = {
+    "innocent.py": "open('imported', 'w').close()\n",
     "one.py": "from problems.scenes.pendulums import Pendulum\nclass One(Pendulum):\n    'One.'\n",
     "none.py": '"""Nothing."""\n',
     "mine.py": "precious",

@@ -184,8 +184,9 @@ PROFILES = {
     "tolerance": suite("rtol = [-1.0]"), "pattern": suite("pattern = [0.5, nan]"),
     "misspelt figure": suite("figures = ['convergance']"),
     "unknown key": suite("problem = 'pendulum'"),
-    "vary key": suite("vary = {nothing = ['1']}"), "vary nothing": suite("vary = {beta = []}"),
-    "vary all": suite(f"vary = {{{MANY}}}"),
+    "vary key": suite("vary = {strat = ['1']}"), "vary value": suite("vary = {start = ['late']}"),
+    "vary nothing": suite("vary = {beta = []}"), "vary all": suite(f"vary = {{{MANY}}}"),
+    **{f"component {c}": suite(f"components = ['{c}']") for c in ("q3", "q2:q9", "q1:", "z1")},
 }  # fmt: skip
 
 #: Words of the sentence on some of them.
@@ -197,6 +198,11 @@ WORDS = {
     "open": "not valid TOML", "no study": "Nothing is left to run",
     "budget": "budget_s=-1", "step zero": "positive number", "step": "larger than",
     "tolerance": "rtol=-1", "misspelt figure": "did you mean 'convergence'",
+    "vary key": "did you mean 'start'", "vary value": "start=late is not allowed",
+    "component q3": "pendulum has no component 'q3'",
+    "component q2:q9": "pendulum has no component 'q9'",
+    "component q1:": "pendulum has no component ''",
+    "component z1": "give a group and a number such as q1",
 }  # fmt: skip
 
 
