@@ -122,12 +122,16 @@ def reference(scene: MechatronicSystem, t_end: float) -> Reference:
 
 
 def run_of(
-    method: Integrator, scene: MechatronicSystem, at: float | Steps | Tolerances, t_end: float = 0.0
+    method: Integrator,
+    scene: MechatronicSystem,
+    at: float | Steps | Tolerances,
+    t_end: float = 0.0,
+    status: str = "ok",
 ) -> Trajectory:
-    """A run up to a time, or that of the scene, which reaches it; a number is a step in s."""
+    """A run up to a time, or that of the scene, which ends so; a number is a step in s."""
     at = Steps(at) if isinstance(at, float) else at
     run = method.prepare(scene, t_end or scene.interval[1], at).measure()
-    assert run.status == "ok", run.message
+    assert run.status == status, run.message
     return run
 
 

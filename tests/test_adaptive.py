@@ -173,6 +173,5 @@ def test_a_test_that_cannot_be_passed_ends_as_step_too_small():
         def functions(self):
             return Hopeless(super().functions().stabilised)
 
-    run = Planted().prepare(Probe(k=0.0, v0=1.0), 2.0, Tolerances(1e-4)).measure()
-    assert run.status == "step_too_small", run.message
+    run = run_of(Planted(), Probe(k=0.0, v0=1.0), Tolerances(1e-4), 2.0, "step_too_small")
     assert "Ended at t=1 s" in run.message

@@ -314,8 +314,7 @@ def test_numerical_trouble_is_a_status_that_names_the_time():
         (Probe(k=0.0, breaks_at=0.55), 0.1, "diverged", "0.6"),
         (Jump(), 0.5, "newton_failed", "0.5"),
     ]:
-        run = GeneralizedAlpha(rho_inf=1.0).prepare(scene, 1.0, Steps(h)).measure()
-        assert run.status == status
+        run = run_of(GeneralizedAlpha(rho_inf=1.0), scene, Steps(h), 1.0, status)
         assert f"t={time}" in run.message
         assert "smaller step" in run.message
         assert run.t[-1] < 1.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import long, toy
+from helpers import long, run_of, toy
 from test_starts import Rough
 
 from bench.plugins.registry import Registry
@@ -40,8 +40,7 @@ Driven = toy(
 )
 def test_a_state_that_nothing_feeds_back_diverges(method):
     for t_end in [0.5, 6.0]:
-        run = REGISTRY.integrator(method).prepare(Filtered(), t_end, Steps(0.01)).measure()
-        assert run.status == "diverged", run.x[-1]
+        run = run_of(REGISTRY.integrator(method), Filtered(), 0.01, t_end, "diverged")
         assert np.isfinite(run.x).all()
         assert run.work.steps == len(run.t) - 1
 
@@ -49,8 +48,7 @@ def test_a_state_that_nothing_feeds_back_diverges(method):
 @pytest.mark.long
 def test_a_state_that_grows_ends_a_run_whose_steps_follow_a_tolerance():
     method = REGISTRY.integrator("generalized_alpha_adaptive")
-    run = method.prepare(Filtered(rate=-100.0), 6.0, Tolerances(1e-3)).measure()
-    assert run.status == "diverged"
+    run = run_of(method, Filtered(rate=-100.0), Tolerances(1e-3), 6.0, "diverged")
     assert 0.25 < run.t[-1] < 0.35  # exp(100 t) passes 1e12
 
 
@@ -60,8 +58,7 @@ def test_a_state_that_grows_ends_a_run_whose_steps_follow_a_tolerance():
 )
 def test_sparse_tangents_that_are_singular_from_the_first_end_with_their_name(method):
     method = REGISTRY.integrator(f"{method}[linear_solver=sparse]")
-    run = method.prepare(Pendulum(copies=2), 0.45, Tolerances(1e-4)).measure()
-    assert run.status == "newton_failed"
+    run = run_of(method, Pendulum(copies=2), Tolerances(1e-4), 0.45, "newton_failed")
     assert run.message.startswith("Ended at t=0.35 s of 0.45 s: the tangent is singular")
     assert (len(run.t), run.work.steps) == (1, 0)
 
@@ -74,9 +71,8 @@ def test_a_run_ends_after_its_start():
 
 
 def test_remedies_name_what_a_method_takes():
-    run = REGISTRY.integrator("hht_i3[control=chrono,max_steps=3]")
-    run = run.prepare(Pendulum(), 1.35, Steps(0.01)).measure()
-    assert run.status == "budget_exceeded"
+    method = REGISTRY.integrator("hht_i3[control=chrono,max_steps=3]")
+    run = run_of(method, Pendulum(), 0.01, 1.35, "budget_exceeded")
     assert "a larger rtol or step" in run.message
     for ending in Ending:
         assert "newton_max" not in ending.outcome(0.0, 1.0)[1]
@@ -96,8 +92,7 @@ def test_a_step_that_newton_did_not_solve_is_not_called_refused():
             return None
 
     for most, reason in [(1, "Newton's method did not converge"), (20, "no sound solution")]:
-        run = Careless(newton_max=most).prepare(Driven(), 1.0, Steps(0.5)).measure()
-        assert run.status == "newton_failed"
+        run = run_of(Careless(newton_max=most), Driven(), 0.5, 1.0, "newton_failed")
         assert reason in run.message
 
 
@@ -105,8 +100,7 @@ def test_a_failed_run_keeps_its_last_good_step():
     for steps, t_end in [(2, 5.0), (20_003, 40_000.0)]:
         method = REGISTRY.integrator("generalized_alpha")
         scene = Rough(1.0, steps + 0.345)
-        run = method.prepare(scene, t_end, Steps(1.0)).measure()
-        assert run.status == "newton_failed"
+        run = run_of(method, scene, 1.0, t_end, "newton_failed")
         assert run.t[-1] == pytest.approx(steps, abs=1.0)
         assert run.work.steps == round(run.t[-1])
         assert f"Ended at t={run.t[-1] + 1:.6g} s" in run.message

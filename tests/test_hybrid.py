@@ -38,10 +38,6 @@ def by_matrix_exponentials(scene, t_end):
     return z[:2]
 
 
-def run(method, scene, resolution, t_end=None):
-    return method.prepare(scene, t_end or scene.interval[1], resolution).measure()
-
-
 # ---- samples ---------------------------------------------------------------------------
 @pytest.mark.parametrize(
     "cases", [[{"delay": 1}, {}, {"sampling": "ignore"}], *long([{"sampling": "interpolate"}])]
@@ -62,7 +58,7 @@ def test_the_reference_hits_the_samples_whatever_runs_do_and_is_that_of_exponent
 def test_methods_keep_their_order_and_follow_their_tolerance_through_samples(fixed, chosen):
     scene, end = SampledPd(), 4.95  # between two samples
     exact = by_matrix_exponentials(scene, end)
-    errors = [abs(run(fixed, scene, Steps(h), end).q[-1, 0] - exact[0]) for h in (0.05, 0.0125)]
+    errors = [abs(run_of(fixed, scene, Steps(h), end).q[-1, 0] - exact[0]) for h in (0.05, 0.0125)]
     assert np.log2(errors[0] / errors[1]) / 2 == pytest.approx(2, abs=0.25)
     assert errors[-1] > 1e-9  # the digits are not those of the reference
     for rtol, most in ((1e-5, 1e-3), (1e-9, 1e-7)):
@@ -76,7 +72,7 @@ def test_methods_keep_their_order_and_follow_their_tolerance_through_samples(fix
 
 def test_held_values_are_rows_and_act_later_where_a_sample_delays_them():
     scene = SampledPd(delay=1)
-    found = run(GeneralizedAlpha(), scene, Steps(0.05), 1.0)
+    found = run_of(GeneralizedAlpha(), scene, Steps(0.05), 1.0)
     assert found.xd.shape == (len(found.t), 2)
     demand, u = found.xd.T
     ends = np.array([k for k in range(2, len(found.t)) if found.phase[k] != found.phase[k - 1]])
@@ -88,7 +84,7 @@ def test_held_values_are_rows_and_act_later_where_a_sample_delays_them():
 @pytest.mark.long
 def test_demands_of_the_sampled_car_are_rounded_and_act_a_sample_later():
     car = SampledQuarterCar()
-    found = run(IDA(), car, Tolerances(1e-6))
+    found = run_of(IDA(), car, Tolerances(1e-6))
     ends = np.flatnonzero(np.diff(found.phase)) + 1
     demand, rate = found.xd.T
     assert np.array_equal(rate[ends], demand[ends - 1])
@@ -98,22 +94,22 @@ def test_demands_of_the_sampled_car_are_rounded_and_act_a_sample_later():
 
 def test_policies_at_samples_are_those_of_the_scene():
     # A step that does not divide the sample time is shortened.
-    found = run(GeneralizedAlpha(), SampledPd(), Steps(0.03))
+    found = run_of(GeneralizedAlpha(), SampledPd(), Steps(0.03))
     assert found.work.steps == 200
     assert found.notes["h"][1:] == pytest.approx(0.025)
     # A method that ignores samples gives the continuous controller.
-    found = run(IDA(), SampledPd(sampling="ignore"), Tolerances(1e-11))
+    found = run_of(IDA(), SampledPd(sampling="ignore"), Tolerances(1e-11))
     digits = [-0.0123657925475071, -0.134505876297494]
     assert [found.q[-1, 0], found.v[-1, 0]] == pytest.approx(digits, abs=1e-9)
     assert found.xd[-1, 0] == pytest.approx(-2 * digits[0] - digits[1], abs=1e-9)
     # A sample between two steps sees values between these: 0.1 s is half way.
     scene = SampledPd(sampling="interpolate")
-    found = run(GeneralizedAlpha(), scene, Steps(0.2 / 3), 1.0)
+    found = run_of(GeneralizedAlpha(), scene, Steps(0.2 / 3), 1.0)
     q, v = (np.mean(rows[1:3, 0]) for rows in (found.q, found.v))
     assert found.t[1:4] == pytest.approx([0.2 / 3, 0.4 / 3, 0.2])
     assert found.xd[2:4] == pytest.approx(np.array([[-2.0] * 2, [-2 * q - v] * 2]), abs=1e-14)
     # Of several samples in a step the last one counts, at 0.2 s.
-    found = run(GeneralizedAlpha(), scene, Steps(0.25))
+    found = run_of(GeneralizedAlpha(), scene, Steps(0.25))
     assert (found.status, found.t[-1], found.work.steps) == ("ok", 5.0, 20)
     q, v = (0.2 * rows[0, 0] + 0.8 * rows[1, 0] for rows in (found.q, found.v))
     assert found.xd[2] == pytest.approx([-2 * q - v] * 2, abs=1e-14)
@@ -122,11 +118,13 @@ def test_policies_at_samples_are_those_of_the_scene():
 def test_steps_over_samples_are_of_first_order():
     exact, method = by_matrix_exponentials(SampledPd(), 5.0), GeneralizedAlpha()
     scene, h = SampledPd(sampling="interpolate"), 5.0 / 488  # it hits no sample
-    error, hit = (abs(run(method, s, Steps(h)).q[-1, 0] - exact[0]) for s in (scene, SampledPd()))
+    error, hit = (
+        abs(run_of(method, s, Steps(h)).q[-1, 0] - exact[0]) for s in (scene, SampledPd())
+    )
     assert 1e-2 > error > 5 * hit
     # A row behind a sample is compared with the motion there, not with that at the sample; by a
     # delay of h/2 the motion errs by some 0.6 h.
-    found = run(method, scene, Steps(4 * h))
+    found = run_of(method, scene, Steps(4 * h))
     assert found.phase[found.t.searchsorted(0.1)] == 1
     error = relative_errors(found, Reference(SampledPd(), 5.0)).errors["q"]
     assert max(error["max"], error["end"]) < 0.8 * 4 * h
@@ -184,7 +182,7 @@ def test_impacts_are_located_to_rounding(method, resolution, most):
 def test_a_method_of_first_order_errs_by_its_own_times_of_impact():
     scene, errors = BouncingBall(), []
     for h in (0.01, 0.0025):
-        found = run(SemiImplicitEuler(), scene, Steps(h))
+        found = run_of(SemiImplicitEuler(), scene, Steps(h))
         errors.append(np.abs(found.events[:, 0] - flights(scene, 2.0)[2]).max())
     assert np.log2(errors[0] / errors[1]) / 2 == pytest.approx(1.0, abs=0.3)
 
@@ -204,7 +202,7 @@ def test_the_reference_knows_the_closed_form_of_the_ball():
 
 def test_a_rocking_block_changes_sides_as_in_closed_form():
     scene = RockingBlock()
-    found = run(PHEM56(), scene, Tolerances(1e-10))
+    found = run_of(PHEM56(), scene, Tolerances(1e-10))
     first = np.arccosh(1 / (1 - scene.lean)) / scene.p
     assert first == pytest.approx(0.93691012126371, abs=1e-13)
     # (1 - f1)^2 = 1 - r^2 (1 - (1 - f0)^2) for the amplitudes f before and after an impact
@@ -226,24 +224,20 @@ Blind = toy("Blind", base=BouncingBall, events=lambda self, z: jnp.sqrt(z.q - 0.
 def test_events_that_do_not_end_or_are_no_numbers_end_the_run_with_a_sentence(methods):
     scene = BouncingBall(e=0.01)  # for it they accumulate after few flights
     end = np.sqrt(2 / scene.g) * (1 + scene.e) / (1 - scene.e)
-    found = run(StormerVerlet(), scene, Steps(0.05), 1.0)
-    assert found.status == "step_too_small"
+    found = run_of(StormerVerlet(), scene, 0.05, 1.0, "step_too_small")
     assert f"Events do not end at t={end:.9g} s" in found.message
     assert found.t[-1] == pytest.approx(end, abs=1e-12)
     with pytest.raises(ReferenceFailed, match="Events do not end"):
         Reference(scene, 1.0).error  # noqa: B018
     for method in methods:  # other steps to another end miss no event
-        found = run(method, scene, Tolerances(1e-3), 1.0)
-        assert found.status == "step_too_small"
+        found = run_of(method, scene, Tolerances(1e-3), 1.0, "step_too_small")
         assert found.message.startswith("Events do not end at t=")
         assert found.t[-1] == pytest.approx(end, abs=0.01)
         assert found.q.min() > -1e-12
-    found = run(StormerVerlet(), BouncingBall(e=0.0), Steps(0.05))
-    assert found.status == "step_too_small"
+    found = run_of(StormerVerlet(), BouncingBall(e=0.0), 0.05, status="step_too_small")
     assert "held value" in found.message
     assert "contact that lasts is no event; take moreau_jean" in found.message
-    found = run(StormerVerlet(), Blind(), Steps(0.05))
-    assert found.status == "diverged"
+    found = run_of(StormerVerlet(), Blind(), 0.05, status="diverged")
     assert found.message == "A function of `events` is not finite at t=0.35 s."
 
 
@@ -282,7 +276,7 @@ def test_an_event_between_two_steps_is_seen_by_its_cubic_and_missed_where_that_s
         middle = 0.99 - np.cos(h / 2) - h / 4 * np.sin(h / 2)  # of the cubic; of the motion -0.01
         assert (middle > 0) == (seen == 0)
         scene, end = Swings(), np.ceil(parts) * h
-        found = run(RadauIIA(steps="constant"), scene, Steps(h), end)
+        found = run_of(RadauIIA(steps="constant"), scene, Steps(h), end)
         assert (found.status, len(found.events)) == ("ok", seen)
         missed = event_errors(found, Reference(scene, end))
         assert (missed["events"], missed["expected"]) == (seen, 1)  # the record tells it

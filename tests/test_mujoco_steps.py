@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import scene_or_skip, slope
+from helpers import run_of, scene_or_skip, slope
 from model_files import LOOPS, body, chain, four_bar, hinge, mjcf
 
 from bench.plugins.registry import Registry
@@ -44,8 +44,7 @@ def test_its_integrators_have_their_orders_on_a_tree(rods, kind, order):
     exact, steps = Reference(rods, 0.2), [4e-3, 2e-3, 1e-3]
     errors = {group: [] for group in "qva"}
     for h in steps:
-        run = prepared(f"mujoco[integrator={kind}]", rods, h).measure()
-        assert run.status == "ok"
+        run = run_of(Registry().integrator(f"mujoco[integrator={kind}]"), rods, h, 0.2)
         right = exact(run.t[-1:])
         for group, found in errors.items():
             found.append(np.abs(getattr(run, group)[-1] - right[group][0]).max())
@@ -116,8 +115,7 @@ def test_the_engine_takes_ties_of_which_one_is_redundant(tmp_path):
     scene, method = loaded(tmp_path, text), Registry().integrator("mujoco")
     assert (scene.sizes.nl, scene.redundant) == (4, 1)
     assert method.why_not(scene) is None
-    run = method.prepare(scene, 0.1, Steps(1e-3)).measure()
-    assert run.status == "ok"
+    run = run_of(method, scene, 1e-3, 0.1)
     # The cranks turn alike, and the bar keeps its direction.
     assert np.abs(run.q @ [[1, 1], [1, 0], [0, -1], [0, 0]]).max() < 1e-3
     assert np.abs(run.q[-1, 0]) > 0.01

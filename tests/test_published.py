@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import long, reference, slope, toy
+from helpers import long, reference, run_of, slope, toy
 
 from bench.check.scenes import check_published
 from bench.check.verdicts import Failed
@@ -139,10 +139,10 @@ PAGE = Path(__file__).parents[1] / "docs" / "iftomm.md"
 EXUDYN = {1e-3: 1.14e-3, 5e-4: 2.86e-4, 2.5e-4: 7.1e-5, 1.25e-4: 1.8e-5}
 
 
-def run_of(method: str, scene: NFourBar, t_end: float, h: float = 0.005, rtol: float = 1e-5):
+def ended(method: str, scene: NFourBar, t_end: float, h: float = 0.005, status: str = "ok"):
     integrator = Registry().integrator(method)
-    resolution = Steps(h) if integrator.controls == "step" else Tolerances(rtol)
-    return integrator.prepare(scene, t_end, resolution).measure()
+    resolution = Steps(h) if integrator.controls == "step" else Tolerances(1e-5)
+    return run_of(integrator, scene, resolution, t_end, status)
 
 
 def spread(scene: NFourBar, run) -> np.ndarray:
@@ -167,8 +167,7 @@ def test_the_four_bars_energy_falls_with_order_two_as_exudyns_does():
     told = re.findall(r"^\| (\S+) \| (\S+e-\d) \| (\S+e-\d) \|", PAGE.read_text(), re.MULTILINE)
     assert {float(h): float(theirs) for h, theirs, _ in told} == EXUDYN
     for h, theirs, ours in (map(float, row) for row in told):
-        run = run_of("generalized_alpha[rho_inf=0.95,newton_tol=1e-5]", scene, 10.0, h)
-        assert run.status == "ok", run.message
+        run = ended("generalized_alpha[rho_inf=0.95,newton_tol=1e-5]", scene, 10.0, h)
         values = np.asarray(energy(run.q, run.v))
         changes[h] = np.abs(values - values[0]).max()
         assert theirs / 1.2 < changes[h] < theirs * 1.2
@@ -179,8 +178,7 @@ def test_the_four_bars_energy_falls_with_order_two_as_exudyns_does():
 @pytest.mark.parametrize("method", ["rattle", *long("energy_momentum", "lobatto_iiia_iiib")])
 def test_singular_positions_are_passed_on_the_same_branch(method):
     scene = NFourBar(loops=1)  # the first two are passed at t = 0.708 and 1.215 s
-    run = run_of(method, scene, 1.5)
-    assert run.status == "ok", run.message
+    run = ended(method, scene, 1.5)
     assert spread(scene, run).max() < 1e-9
     assert np.abs(run.q - scene.exact(run.t)["q"]).max() < 0.02
 
@@ -188,8 +186,7 @@ def test_singular_positions_are_passed_on_the_same_branch(method):
 @pytest.mark.long
 def test_rounding_of_multipliers_stops_newtons_method_close_to_a_singular_position():
     scene, h = NFourBar(), 1.25e-4
-    run = run_of("generalized_alpha[rho_inf=0.95]", scene, 10.0, h)
-    assert run.status == "newton_failed"
+    run = ended("generalized_alpha[rho_inf=0.95]", scene, 10.0, h, "newton_failed")
     assert abs(np.arctan2(run.q[-1, 0], run.q[-1, 1]) % np.pi - np.pi / 2) < 10 * h
 
 
@@ -207,8 +204,7 @@ FORTY = {
 @pytest.mark.parametrize("method", FORTY)
 def test_forty_loops_pass_singular_positions_fail_there_or_take_another_branch(method):
     scene, (status, least, most) = NFourBar(loops=40), FORTY[method]
-    run = run_of(method, scene, 10.0)
-    assert run.status == status, run.message
+    run = ended(method, scene, 10.0, status=status)
     assert least <= spread(scene, run).max() < most
     if status != "ok":
         assert abs(run.q[-1][1]) < 0.1

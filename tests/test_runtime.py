@@ -10,14 +10,13 @@ import warnings
 import jax
 import numpy as np
 import pytest
-from helpers import cell_of, long, nothing_compiled
+from helpers import cell_of, long, nothing_compiled, run_of
 
 from bench.plugins.registry import Registry
 from bench.running.runner import Progress
 from bench.running.worker import Worker
-from integrators import Integrator, Steps, Tolerances
+from integrators import Steps, Tolerances
 from integrators.adapters.scipy_ode import BDF
-from integrators.contract import Trajectory
 from integrators.methods.generalized_alpha import GeneralizedAlpha
 from problems.base import runtime
 from problems.base.runtime import check_runtime
@@ -72,15 +71,11 @@ def test_a_cache_that_cannot_be_used_is_told_once(monkeypatch, caplog):
 
 
 # ---- what libraries may drop -----------------------------------------------------------
-def solved(method: Integrator, resolution: Steps | Tolerances) -> Trajectory:
-    return method.prepare(Oscillator(), 1.0, resolution).measure()
-
-
 @pytest.mark.parametrize("drop", ["names", *long("calls")])
 def test_linear_algebra_that_is_not_seen_is_not_counted_as_nothing(monkeypatch, drop):
     from scipy.integrate import BDF as Library  # noqa: N811
 
-    before = solved(BDF(), Tolerances(1e-4))
+    before = run_of(BDF(), Oscillator(), Tolerances(1e-4), 1.0)
     original = Library.__init__
 
     def changed(self, *arguments, **options):
@@ -120,7 +115,7 @@ def test_without_what_sparse_tangents_need_large_scenes_are_dense(
     with pytest.raises(Exception, match="take linear_solver=dense"):
         GeneralizedAlpha(linear_solver="sparse").prepare(Pendulum(), 1.0, Steps(0.05))
     monkeypatch.setattr(sparsity, "DENSE_LIMIT", 0)
-    assert solved(GeneralizedAlpha(), Steps(0.05)).status == "ok"
+    run_of(GeneralizedAlpha(), Oscillator(), 0.05, 1.0)
     assert "Large scenes run slowly: asdex" in caplog.text
 
 

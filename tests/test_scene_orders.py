@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from helpers import long, reference, slope, toy
+from helpers import long, reference, run_of, slope, toy
 
 from bench.plugins.registry import Registry
 from bench.running.errors import relative_errors
@@ -205,8 +205,7 @@ def made(scene):
 
 def errors_of(method, scene, t_end, steps, norm="max"):
     """Errors of each group at these steps."""
-    runs = [method.prepare(scene, t_end, Steps(h)).measure() for h in steps]
-    assert {run.status for run in runs} == {"ok"}, runs[0].message
+    runs = [run_of(method, scene, h, t_end) for h in steps]
     tables = [relative_errors(run, reference(scene, t_end)).errors for run in runs]
     return {g: [table[g][norm] for table in tables] for g in GROUPS if g in tables[0]}
 
@@ -284,8 +283,7 @@ def test_tolerances_are_followed(methods, scene, t_end):
             continue
         found = []
         for rtol in (1e-6, 1e-9):
-            run = method.prepare(scene, t_end, Tolerances(rtol)).measure()
-            assert run.status == "ok", run.message
+            run = run_of(method, scene, Tolerances(rtol), t_end)
             errors = relative_errors(run, reference(scene, t_end)).errors
             found.append(max(errors[group]["max"] for group in ("q", "v")))
         assert found[0] < 1e-3, method.spec

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from helpers import run_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -129,8 +130,7 @@ def misfit(formula, values, rates):
 
 def misfits(method, rho_off=0.0):
     """Misfits of q, v and x over steps of a run, by formulas of a scheme that may be another."""
-    run = method.prepare(SpringMass(), 5.0, Steps(0.5, (0.3, 0.45, 0.25))).measure()
-    assert run.status == "ok", run.message
+    run = run_of(method, SpringMass(), Steps(0.5, (0.3, 0.45, 0.25)), 5.0)
     s = replace(method, rho_inf=method.rho_inf + rho_off).scheme()
     h, gamma, theta = (run.notes[name] for name in ("h", "gamma", "theta"))
     worst = np.zeros(3)

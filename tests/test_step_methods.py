@@ -150,8 +150,7 @@ def test_modified_newton_and_sparse_tangents_need_no_line_of_the_method(plugins)
 def test_a_method_with_an_estimate_follows_the_tolerance():
     scene, errors = Oscillator(), []
     for rtol in (1e-2, 1e-3):
-        run = Careful(theta=1.0).prepare(scene, 1.0, Tolerances(rtol)).measure()
-        assert run.status == "ok"
+        run = run_of(Careful(theta=1.0), scene, Tolerances(rtol), 1.0)
         errors.append(abs(run.q[-1, 0] - scene.exact(np.array([1.0]))["q"][0, 0]))
     assert errors[1] < 0.3 * errors[0]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import odd_forces
 import pytest
-from helpers import Probe, cell_of, long, toy
+from helpers import Probe, cell_of, long, run_of, toy
 from scipy.sparse import csc_matrix
 from sksundae import cvode
 from sksundae import ida as ida_of_sundae
@@ -139,12 +139,11 @@ Kinked = toy(
 @every_method
 @pytest.mark.parametrize("callbacks", CALLBACKS)
 def test_what_cannot_go_on_ends_the_run_and_keeps_what_was_before(method, callbacks):
-    ended = prepared(method, Pendulum(), np.spacing(0.35), callbacks=callbacks).measure()
-    assert ended.status == "step_too_small"
+    made, at, late = method(callbacks=callbacks), Tolerances(1e-6), 0.35 + np.spacing(0.35)
+    ended = run_of(made, Pendulum(), at, late, "step_too_small")
     assert "the rest of the interval is as short as the rounding of the time" in ended.message
     assert ended.message.endswith("or events and samples farther apart.")
-    ended = prepared(method, Kinked(), 2.0, callbacks=callbacks).measure()
-    assert ended.status == "diverged"
+    ended = run_of(made, Kinked(), at, 2.0, "diverged")
     assert 0.4 < ended.t[-1] < 0.7
     for force in (odd_forces.CeasingForce, odd_forces.CeasingSearch):
         whole = prepared(method, force(breaks_at=9.0), callbacks=callbacks).measure()
@@ -162,8 +161,8 @@ def test_what_cannot_go_on_ends_the_run_and_keeps_what_was_before(method, callba
 
 def test_a_sparse_run_that_ends_before_its_first_factorisation_ends_as_any_other():
     pytest.importorskip("klujax")
-    run = prepared(IDA, Chain(links=5), 0.1, linear_solver="sparse", max_calls=1).measure()
-    assert run.status == "budget_exceeded"
+    method = IDA(linear_solver="sparse", max_calls=1)
+    run_of(method, Chain(links=5), Tolerances(1e-6), 0.1, "budget_exceeded")
 
 
 #: The vertical acceleration of a pendulum goes through a filter of about 1 kHz.
@@ -177,8 +176,7 @@ FilteredPendulum = toy(
 @pytest.mark.parametrize("callbacks", ["python", *long("compiled")])
 def test_steps_that_were_rejected_are_told_with_cause_and_remedy(callbacks):
     scene, options = FilteredPendulum(), {"max_calls": 5000, "callbacks": callbacks}
-    run = prepared(IDA, scene, **options).measure()
-    assert run.status == "budget_exceeded"
+    run = run_of(IDA(**options), scene, Tolerances(1e-6), status="budget_exceeded")
     lost, tried = run.work.rejected, run.work.steps + run.work.rejected
     assert f"{lost} of {tried} steps tried were rejected" in run.message
     assert (

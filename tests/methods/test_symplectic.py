@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import long, toy
+from helpers import long, run_of, toy
 from proofs import SWING, TWO_RODS, ConservingOscillator, step_of
 
 from bench.check.trials import ForcedOscillator
@@ -150,8 +150,7 @@ def test_the_multiplier_averaged_from_both_sides_has_the_digits_of_an_independen
 )
 def test_energy_momentum_keeps_the_energy_exactly(scene, t_end, formulation):
     method = EnergyMomentum(formulation=formulation)
-    run = method.prepare(scene, t_end, Steps(scene.nominal_step)).measure()
-    assert run.status == "ok"
+    run = run_of(method, scene, Steps(scene.nominal_step), t_end)
     assert abs(invariant_changes(scene, run)["energy"]).max() < 1e-13
 
 
