@@ -38,12 +38,10 @@ def _facts(found: _Found) -> Table:
             or at_infinity,
             "order": formatted(f["order"], "d"),
             f"grows for {name} in": _ranges(f["growing"]),
-            f"step not solved for {name} in": _ranges(f["unsolved"]),
+            **({f"step not solved for {name} in": _ranges(f["unsolved"])} if lost else {}),
             "bifurcation": formatted(f["bifurcation"], ".6g"),
             "overshoot grows by the power (q, v)": ", ".join(map(str, orders)),
         }
-        if not lost:
-            del row[f"step not solved for {name} in"]
         rows.append(row)
     return Table.from_dicts(
         "What was found",
