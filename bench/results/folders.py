@@ -25,7 +25,7 @@ from bench.results.quantities import GROUPS, NORMS, TRUST
 from bench.results.records import INTERRUPTED, Environment, Record, scene_titles
 from bench.results.store import Store
 from bench.results.timings import LEAST_QUOTIENT, median_interval, quotient_of_medians
-from problems.base.spec import SpecError, one_of
+from problems.base.spec import SpecError, as_number, one_of
 
 #: Ratios up to these are no change: rounding, exact counts, and the precision of clocks.
 LEAST_CHANGE = {"error": 1.001, "work": 1.0, "time": LEAST_QUOTIENT}
@@ -172,10 +172,7 @@ def read_limits(text: str) -> dict[str, float]:
         if one_of(kind, [*LEAST_CHANGE, VANISHED], "kind of regression") in limits:
             raise SpecError(f"The limit of {kind} is given twice.")
         least = LEAST_CHANGE.get(kind)
-        try:
-            limits[kind] = float(ratio) if least else 1.0
-        except ValueError:
-            limits[kind] = math.nan
+        limits[kind] = as_number(ratio) if least else 1.0
         if ratio and not least:
             raise SpecError(f"{VANISHED!r} takes no limit; write it without a colon.")
         if least and not least <= limits[kind] < math.inf:

@@ -28,7 +28,7 @@ from bench.running.process import PREPARING
 from bench.running.worker import CellResult, Worker
 from integrators.contract import Trajectory, Work
 from integrators.resolutions import Steps, Tolerances
-from problems.base.spec import SpecError, convert, is_name, options_of, suggest
+from problems.base.spec import SpecError, as_number, convert, is_name, options_of, suggest
 from problems.base.text import said
 from problems.equations.initial_values import consistent_start
 from problems.system import MechatronicSystem
@@ -56,11 +56,8 @@ class Told(NamedTuple):
 
     def number(self, name: str) -> float | None:
         """Return a fact that is a number from 0 up, or None if the file does not tell it."""
-        try:
-            if 0 <= (value := float(self.facts.get(name, 0))) < math.inf:
-                return value if name in self.facts else None
-        except ValueError:
-            pass
+        if 0 <= (value := as_number(self.facts.get(name, 0))) < math.inf:
+            return value if name in self.facts else None
         raise SpecError(f"{self.file} says {name}={self.facts[name]}; give a number from 0 up.")
 
 

@@ -12,7 +12,7 @@ from bench.results.records import UNSUPPORTED, MethodFacts, Record
 from bench.running.inventory import SceneFacts
 from bench.running.plan import Cell
 from integrators.resolutions import Steps, Tolerances
-from problems.base.spec import SpecError, one_of, suggest
+from problems.base.spec import SpecError, as_number, one_of, suggest
 
 #: What a rule may limit like an error of a group: the change of energy, and the error of the named
 #: points by the rule of the IFToMM library.
@@ -62,10 +62,7 @@ def demand(text: str) -> Demand:
     A group between bars means its 2-norm, without them its worst component.
     """
     what, _, last = text.rpartition(":")
-    try:
-        limit = float(last)
-    except ValueError:
-        limit = math.nan
+    limit = as_number(last)
     if not (what and 0 < limit < math.inf):
         raise SpecError(
             f"{text!r} is no demand; give a quantity and its largest error, such as a:1e-3, "

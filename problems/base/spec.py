@@ -50,6 +50,14 @@ def is_name(value: object) -> bool:
     return isinstance(value, str) and re.fullmatch(_NAME, value) is not None
 
 
+def as_number(value: Any) -> float:
+    """Return what text or an object says as a number, NaN if it says none."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return math.nan
+
+
 def split_spec(text: str) -> tuple[str, dict[str, str]]:
     """Split ``name[a=1,b=two]`` into the name and its options as text.
 

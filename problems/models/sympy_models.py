@@ -286,10 +286,7 @@ def _read(where: str, value: Any) -> Any:
 
 
 def _number(where: str, value: Any) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = math.nan
+    number = spec.as_number(value)
     if not math.isfinite(number):
         raise SpecError(f"{where}={value} is not a finite number.")
     return number
