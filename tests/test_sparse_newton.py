@@ -109,9 +109,9 @@ Failing = toy(
 )  # fmt: skip
 
 
-def adaptive(scene, kind="sparse", **options):
+def adaptive(scene, kind="sparse", t_end=1.0, **options):
     method = GeneralizedAlphaAdaptive(newton="modified", linear_solver=kind, **options)
-    return method.prepare(scene, 1.0, Tolerances(1e-3))
+    return method.prepare(scene, t_end, Tolerances(1e-3))
 
 
 def too_few(newton):
@@ -198,10 +198,7 @@ def test_a_factorisation_of_another_matrix_is_given_up():
 @pytest.mark.long
 def test_chosen_steps_with_sparse_tangents_are_those_with_dense_ones():
     sparse, dense = (
-        GeneralizedAlphaAdaptive(newton="modified", linear_solver=kind)
-        .prepare(Chain(links=4), 0.2, Tolerances(1e-3))
-        .measure()
-        for kind in ("sparse", "dense")
+        adaptive(Chain(links=4), kind, t_end=0.2).measure() for kind in ("sparse", "dense")
     )
     assert sparse.work.steps == dense.work.steps
     assert sparse.q[-1] == pytest.approx(dense.q[-1], abs=1e-9)

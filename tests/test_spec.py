@@ -99,15 +99,6 @@ def test_free_parameters_round_trip_and_reach_the_scheme(gamma, alpha_m, beta):
     assert (s.alpha_f, s.theta) == (by_rule.alpha_f, by_rule.theta)
 
 
-def test_the_weights_follow_from_free_alphas():
-    text = "generalized_alpha[alpha_m=3/10,alpha_f=2/5,delta_m=3/10,delta_f=2/5]"
-    method = read(GeneralizedAlpha, text)  # one set for q and x
-    assert read(GeneralizedAlpha, method.spec) == method
-    s = method.scheme()
-    assert (s.gamma, s.theta) == (pytest.approx(0.6), pytest.approx(0.6))
-    assert s.beta == pytest.approx(1.1**2 / 4)
-
-
 def test_claims_follow_the_free_parameters():
     def claims(scene, **options):
         return GeneralizedAlpha(**options).claims(scene)
