@@ -138,11 +138,11 @@ def short_name(label: str) -> str:
     return _written(*_parts(label))
 
 
-def short_names(labels: Iterable[str], told: str = "") -> dict[str, str]:
+def short_names(labels: Iterable[str]) -> dict[str, str]:
     """A short name for each label, in their order; no two are the same.
 
     Left out are options that all members of a family have in common, those that always come with
-    another one (but ``told``), and the way of Newton's method if all that state one state the same.
+    another one, and the way of Newton's method if all that state one state the same.
     """
     parts = {label: _parts(label) for label in dict.fromkeys(labels)}
     families: dict[str, dict[str, Options]] = {}
@@ -153,7 +153,7 @@ def short_names(labels: Iterable[str], told: str = "") -> dict[str, str]:
     common = {"newton"} if len(stated) > 1 and len({*stated}) == 1 else set()
     found = {}
     for members in families.values():
-        needless = (common | _needless([*members.values()])) - {told}
+        needless = common | _needless([*members.values()])
         for label, options in members.items():
             name, _, steps = parts[label]
             kept = {key: value for key, value in options.items() if key not in needless}

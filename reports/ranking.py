@@ -20,6 +20,8 @@ from bench.results.timings import by_round, quotient
 from reports.questions import TARGETS, Question
 from reports.series import Series, groups_of, ok_runs, reference_error
 
+#: Luck with the places of its steps saves an integrator up to a tolerance, half a decade, in cost.
+_LUCK = 3.0
 #: The cheapest run of an integrator with its cost.
 _Cheapest = tuple[float, Record]
 #: The errors of an integrator's runs, rising, and the cheapest run up to each of them.
@@ -191,9 +193,10 @@ class _Field:
         ladders = self._ladders(question.group, cost, question.norm)
         cheapest, *later = [_cheapest(own, target) for own in ladders]
         now = self._tied(cheapest, cost)
-        # One that is first from a later start of the motion ties: luck decides between them.
-        winners = now.union(*(self._tied(own, cost) for own in later))
         best = min((value for value, _ in cheapest.values()), default=0.0)
+        # One that is first from a later start of the motion ties: luck decides between them.
+        lucky = set[str]().union(*(self._tied(own, cost) for own in later)) & cheapest.keys()
+        winners = now | {k for k in lucky if cheapest[k][0] <= _LUCK * best}
         entries = {}
         for s in self.series:
             reached = bisect_right(ladders[0][s.label][0], target) > 0
@@ -202,8 +205,7 @@ class _Field:
             if value is not None and value != best:
                 ratio = value / best if best else math.inf
             entries[s.label] = RankEntry(s.label, s, reached, run, value, ratio)
-        known = (k for k in entries if k in winners and k in cheapest)
-        tied = sorted(known, key=lambda k: cheapest[k][0])
+        tied = sorted((k for k in entries if k in winners), key=lambda k: cheapest[k][0])
         return SceneAnswer(question, entries, tied, {*tied} - now)
 
     def _ladders_of(self, group: str, cost: str, norm: str) -> list[dict[str, _Ladder]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from operator import itemgetter
@@ -82,6 +82,16 @@ def series_of(records: Iterable[Record]) -> list[Series]:
         Series(label, rs[0].family, rs[0].controls, tuple(sorted(rs, key=lambda r: -r.size)))
         for label, rs in groups.items()
     ]
+
+
+def with_starts(series: Sequence[Series], names: Mapping[str, str]) -> dict[str, str]:
+    """Names of integrators that say the start of a family that has two: 'gα 0.8 · plain start'."""
+    corrected = {s.label: "start=corrected" in s.label for s in series}
+    both = {s.family for s in series if corrected[s.label]}
+    bare = [s.label for s in series if s.family in both and "start" not in names[s.label]]
+    return {**names} | {
+        k: f"{names[k]} · {'corrected' if corrected[k] else 'plain'} start" for k in bare
+    }
 
 
 def ok_runs(series: Iterable[Series]) -> list[Record]:

@@ -26,7 +26,7 @@ from reports.questions import (
 from reports.ranking import Answer, RankEntry, SceneAnswer, by_cost
 from reports.scenes import StoredRuns
 from reports.series import label_of
-from reports.wrong import Wrong, wrong_runs, wrong_sentences
+from reports.wrong import SILENT, Wrong, wrong_runs, wrong_sentences
 
 #: Headlines; question.js fills in the same ones. ``who`` are one integrator or several.
 HEADLINES = {
@@ -42,7 +42,7 @@ WRONG_A = "its acceleration is wrong in every run"
 
 
 def headline(found: Answer, names: Names, of: Answer | None = None) -> Sentence:
-    """'A is cheapest on 6 of 9 scenes; nobody reaches 2.'
+    """'A is cheapest on 6 of 9 scenes; 2 unreached.'
 
     Where the leader of ``of``, by another cost, does not lead, its count is told: '; B on 1'.
     """
@@ -57,7 +57,10 @@ def headline(found: Answer, names: Names, of: Answer | None = None) -> Sentence:
     lead = [s for s in rows if s.alone + s.tied == count]
     alone = max(s.alone for s in lead)
     on = every if count == judged else f"{count} of {judged} scenes"
-    kind, but = "one" if len(lead) == 1 else "several", f"; nobody reaches {missed}" * bool(missed)
+    kind, but = (
+        "one" if len(lead) == 1 else "several",
+        f"; {missed} unreached" * bool(missed),
+    )
     if any(s.tied for s in lead):
         many = " (ties)" if alone else " (all tied)"
         but = f" ({alone} alone, {count - alone} tied)" if kind == "one" else many
@@ -205,9 +208,9 @@ def stored_card(label: str, found: Answer, stored: StoredRuns) -> list[Sentence]
 
 #: How many of an integrator's runs on a scene are wrong, as `Wrong.kind` calls it.
 _WHERE = {
-    "every": "At every step and tolerance",
-    "some": "At some",
-    "coarsest": "At the coarsest alone",
+    "every": "at every step and tolerance",
+    "some": "at some",
+    "coarsest": "at the coarsest alone",
 }
 
 
@@ -217,10 +220,13 @@ def failings(label: str, group: str, stored: StoredRuns, known: Iterable[Wrong])
     runs = [r for s in series for r in s.records if r.status not in NOT_TRIED]
     failed = sum(r.status != "ok" for r in runs)
     found = [w for w in known if w.label == label]
-    wrong = [part for said in wrong_sentences(found, group, stored.names)[:1] for part in said]
+    wrong: Sentence = []
     for kind, lead in _WHERE.items():
         where = [[scene_ref(w.scene)] for w in found if w.kind == kind and w.silent]
-        wrong += [f" {lead}: ", *listed(where, 9), "."] if where else []
+        before = f"; {lead}: " if wrong else f"Wrong without warning {lead}: "
+        wrong += [before, *listed(where, 9)] if where else []
+    for (said,) in wrong_sentences(found, group, stored.names)[:1]:
+        wrong += [f". These are {str(said).removeprefix(SILENT)}" if wrong else said]
     ends: Sentence = [] if wrong else ["All of its runs reached the end."]
     if failed:
         ends = [f"{failed} of its {counted(len(runs), 'run')} failed."]

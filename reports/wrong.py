@@ -30,6 +30,8 @@ POLICIES = {"hit": "", "interpolate": OVER, "ignore": IGNORED}
 STUCK = "does not converge"
 #: Options that change how equations are solved, not what a method computes.
 _SOLVING = {"newton", "linear_solver", "callbacks", "max_calls"}
+#: How a sentence on wrong runs begins.
+SILENT = "Wrong without warning: "
 #: Results of experiments by name.
 Atlas = Mapping[str, ExperimentResult]
 #: The pairs of a method and a scene by their wrong runs, with captions of their tables.
@@ -145,10 +147,10 @@ def wrong_sentences(
     if not silent + warned:
         return []
     judged = counted(sum(w.judged for w in found), "run")
-    count = f"{silent or 'none'} of {judged} that reached the end"
-    about = f"error in {quantity(group)} above {WRONG:g}, {NORMS[NORM]}"
-    more = f"; {warned} more with a warning" if warned else ""
-    said: list[Sentence] = [[f"Wrong without warning: {count} ({about}){more}."]]
+    about = f"of {judged} that reached the end (error in {quantity(group)} above {WRONG:g}"
+    more = f"; {warned} more with a warning" if silent and warned else ""
+    how = SILENT if silent else "Wrong with a warning: "
+    said: list[Sentence] = [[f"{how}{silent or warned} {about}, {NORMS[NORM]}){more}."]]
     where: dict[str, list[Sentence]] = {}
     for w in found:
         if w.kind == "every" and w.silent and w.best:

@@ -202,7 +202,7 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
     assert said() == [head.format(2, "; 1 more with a warning"), never.format("s: ")]
     for record in (*series[0].records, *series[1].records):
         record.message = "It may be wrong."
-    assert said() == [head.format("none", "; 3 more with a warning")]
+    assert said() == [head.format(3, "").replace("without warning", "with a warning")]
     assert silent_tables(found(), "a", stored) == []
 
 
@@ -266,7 +266,7 @@ def test_pages_and_terminal_say_the_same(store):
     for page in ("report.md", "report/failures.html"):
         assert count.partition("(")[0] in (store / page).read_text(encoding="utf-8"), page
     own = method_card(store, "ringing[rho_inf=1]")
-    assert "Wrong without warning: 6 of 6 runs" in " ".join(own)
+    assert "pendulum. These are 6 of 6 runs" in " ".join(own)
     assert "without warning" not in " ".join(method_card(store, "adaptive"))
 
 
@@ -279,4 +279,4 @@ def test_the_cause_leads_to_the_chapter_of_the_atlas(store):
     assert (pages / "atlas.html").read_text().count(f'id="atlas-{UNDAMPED}"') == 1
     failures = (pages / "failures.html").read_text()
     assert f'href="atlas.html#atlas-{UNDAMPED}"' in failures
-    assert "2 · 8 wrong</span>" in failures
+    assert "2 · 8 wrong in a</span>" in failures

@@ -12,7 +12,7 @@ from reports.charts.line_styles import LineStyle
 from reports.formatting import order_text, symbols
 from reports.names import scene_name
 from reports.questions import Question
-from reports.series import Series, ok_runs, reference_error
+from reports.series import Series, ok_runs, reference_error, with_starts
 
 #: Titles of what errors are shown against.
 _ACROSS = {name: cost.title for name, cost in COSTS.items()} | {"h": "step size h in s"}
@@ -34,10 +34,12 @@ def convergence_chart(
 ) -> vl.Spec | None:
     """Error against step size, a panel per group; the legend names the fitted orders."""
     own, notes = [s for s in series if s.controls == "step" and s.ok], {}
+    names = with_starts(own, {s.label: styles[s.label].name for s in own})
     for s in own:
         fits = {symbols(group): s.fit(group, norm) for group in groups}
         known = [f"{g} {order_text(f.order)}" for g, f in fits.items() if f.order is not None]
-        notes[s.label] = f": order {', '.join(known)}" if known else ": order not determined"
+        start = names[s.label].removeprefix(styles[s.label].name)
+        notes[s.label] = f"{start}: order {', '.join(known) or 'not determined'}"
     return error_charts(own, groups, ["h"], styles, norm, notes)
 
 

@@ -11,7 +11,7 @@ from bench.results.studies import LongRun
 from reports.charts.errors import error_against_cost
 from reports.charts.line_styles import line_styles
 from reports.charts.work import size_charts
-from reports.formatting import file_name, number
+from reports.formatting import file_name, number, symbols
 from reports.names import scene_name
 from reports.pages.method_page import method_page
 from reports.pages.page import Figure, Page, Section, Text
@@ -115,8 +115,8 @@ class Report:
         learn = "Runs that did not reach the end, with the message of the method; runs that did, "
         learn += "and are wrong; and errors that fall with a lower order than the method claims."
         count = sum(w.silent for w in self.wrong_runs)
-        bad = f"{self.failed} · {count} wrong" if count else self.failed
-        found = {"words": " ".join(sorted({r.status.replace("_", " ") for r in runs}))}
+        bad = f"{self.failed} · {count} wrong in {symbols(group)}" if count else self.failed
+        found = {"words": " ".join(sorted({"silent", *(r.status.replace("_", " ") for r in runs)}))}
         about = {"heading": "Answer", "count": bad, "values": found}
         return Page("failures.html", "Failures", learn, sections, **about)
 
@@ -132,15 +132,16 @@ class Report:
         atlas = f"The failure atlas: {held[0]} numbers came as theory or a publication predicts, "
         atlas += f"and {held[1]} as they were measured earlier."
         reasons = [
+            f"The largest error of a reference is {number(errors.get(worst))} in "
+            f"{quantity(group)} ({scene_name(worst)}); accuracies within {TRUST:g} times that of a "
+            "scene get no answer.",
+            *[atlas] * bool(cases),
+            "A winner by time is named alone if the difference is significant; else methods tie.",
+            f"A limit: {self.times[0].lower()}{self.times[1:]}",
+            "The page of a scene has the command that repeats a run, and published digits if any.",
             "A reference is a closed form, with the error that one rounding of time and values "
             "makes; or Gauss collocation of order 24, at steps as short as round-off allows, whose "
-            "error is the distance from Radau IIA of order 23 with other steps. The largest error "
-            f"is {number(errors.get(worst))} in {quantity(group)} ({scene_name(worst)}).",
-            f"Accuracies within {TRUST:g} times that error get no answer.",
-            *[atlas] * bool(cases),
-            f"A limit: {self.times[0].lower()}{self.times[1:]}",
-            "A winner by time is named alone if the difference is significant; else methods tie.",
-            "The page of a scene has the command that repeats a run, and published digits if any.",
+            "error is the distance from Radau IIA of order 23 with other steps.",
         ]
         machines = [
             {

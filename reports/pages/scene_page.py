@@ -57,8 +57,7 @@ _TABS = {
     ),
     "steps": (
         "Steps and γ",
-        "The steps that methods with a tolerance choose, and the weights of the recurrence at "
-        "each.",
+        "The steps of native methods with a tolerance, and the weights of the recurrence at each.",
     ),
     "runs": ("All runs", ""),
 }

@@ -277,9 +277,9 @@ def _failed(scene: str, report: Report) -> list[Sentence]:
         words = _ENDS.get(end) or end.replace("_", " ")
         how += ["; " if how else "", *listed(who, len(whose)), f" {words}"]
     hard = report.stored.scenes.get(scene, NO_SCENE).difficulties[:1]
-    lead = f"Failed: {len(failed)} of {counted(len(runs), 'run')}: "
-    why = [f". Hard here: {hard[0]}."] if hard else ["."]
-    return [[lead, *how, " (", Ref("failed", scene, "reasons"), ")", *why]]
+    why = f". Hard here: {hard[0]}. " if hard else ": "
+    lead = f"Failed: {len(failed)} of {counted(len(runs), 'run')}{why}"
+    return [[lead, *how, " (", Ref("failed", scene, "reasons"), ")."]]
 
 
 def _wrong(report: Report, group: str, chosen: Filters, methods: Sequence[Ref]) -> dict[str, Any]:

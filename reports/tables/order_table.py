@@ -12,7 +12,7 @@ from bench.results.table import Table
 from reports.formatting import NO_VALUE, number, order_text, symbols
 from reports.names import short_names
 from reports.scenes import NO_SCENE, StoredRuns
-from reports.series import Series, groups_of, ok_runs, series_of
+from reports.series import Series, groups_of, ok_runs, series_of, with_starts
 from reports.wrong import STUCK, Atlas, explained
 
 #: The figure of a study that asks for the table.
@@ -47,12 +47,8 @@ def order_table(series: Sequence[Series], title: str, scenes: Sequence[str] = ()
 
     ``scenes`` names the rows of one method instead, a scene for each of the series.
     """
-    short = short_names((s.label for s in series), told="start")
-    starts = {s.family for s in series if "start=corrected" in s.label}
-    names = scenes or [
-        short[s.label] + " · plain start" * (s.family in starts and "start=" not in s.label)
-        for s in series
-    ]
+    named = with_starts(series, short_names(s.label for s in series))
+    names = scenes or [named[s.label] for s in series]
     stepped = [(name, s) for name, s in zip(names, series, strict=True) if s.controls == "step"]
     shown = [(name, s) for name, s in stepped if len(s.ok) > 2]
     groups = groups_of(ok_runs(s for _, s in shown))

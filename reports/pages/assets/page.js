@@ -110,10 +110,10 @@
     const links = [...side.querySelectorAll("li")], none = html("p", { class: "about", role: "status" });
     const looks = { placeholder: "find …", title: "a scene, a method or a word", "aria-label": "filter the contents" };
     if (links.length > FEW) side.querySelector(".about").after(search(looks, (typed, wanted) => {
-      // What is found has the most words that begin with those that are typed.
+      // What is found has the most words that begin with those that are typed, in its title above all.
       const words = latin(wanted).split(/[^\p{L}\d.]+/u).filter(Boolean);
-      const count = (link) => words.filter((word) => plain(link).includes(` ${word}`)).length, most = Math.max(1, ...links.map(count));
-      for (const link of links) link.hidden = words.length > 0 && count(link) < most;
+      const count = (node) => words.filter((word) => plain(node).includes(` ${word}`)).length, score = (link) => count(link) + count(link.firstElementChild.firstChild) / 10, most = Math.max(1, ...links.map(score));
+      for (const link of links) link.hidden = words.length > 0 && score(link) < most;
       for (const part of side.querySelectorAll("div"))
         part.hidden = "searched" in part.dataset && !wanted || !part.querySelector("li:not([hidden])");
       none.textContent = links.every((link) => link.hidden) ? `Nothing is called “${typed}”.` : "";

@@ -153,7 +153,7 @@
     return [...rows.values()].sort((one, two) => two[1] + two[2] - one[1] - one[2] || two[1] - one[1] || two[3] - one[3] || one[4] - two[4]);
   };
 
-  // 'A is cheapest on 6 of 9 scenes; nobody reaches 2.': `headline` of reports/verdicts.py.
+  // 'A is cheapest on 6 of 9 scenes; 2 unreached.': `headline` of reports/verdicts.py.
   // With the leader by another cost, ``of``, its count is told where it does not lead: '; B on 1'.
   stepbench.headline = (question, of) => {
     const scenes = judged(question), rows = stepbench.standings(question), count = scenes.length;
@@ -162,7 +162,7 @@
     const lead = rows.filter(([, alone, tied]) => alone + tied === most).map(([m]) => [stepbench.methodRef(m)]);
     const kind = !most ? missed < count ? "unpriced" : count ? "nobody" : "unjudged" : lead.length > 1 ? "several" : "one";
     const alike = lead.length > 1 ? one ? " (ties)" : " (all tied)" : ` (${one} alone, ${two} tied)`;
-    const but = rows.some(([, alone, tied]) => tied && alone + tied === most) ? alike : missed ? `; nobody reaches ${missed}` : "";
+    const but = rows.some(([, alone, tied]) => tied && alone + tied === most) ? alike : missed ? `; ${missed} unreached` : "";
     const any = count === 1 ? "the scene" : `any of the ${count} scenes judged`, on = most && most < count ? `${most} of ${count} scenes` : every;
     const [before, after] = data.headlines[kind].replace(/\{(on|but|target|any)\}/g, (_, name) => ({ on, but, target: question.target, any })[name]).split("{who}");
     const [leader] = of ? stepbench.standings(of) : [], own = leader && rows.find(([m]) => m === leader[0]);

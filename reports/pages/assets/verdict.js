@@ -83,7 +83,7 @@
     const mine = reaching(scene, m), first = best(scene), near = nearest([runs], question), next = near && data.targets.findLast((target) => Number(target) >= near.error);
     if (mine) return [[stepbench.methodRef(m), `: ${stepbench.costWithUnit(own.states[m][2], question.cost)} at ${runs.resolutions[mine.k]}, `,
       `${compared(scene, question, m, first.index)}, beside `, stepbench.methodRef(first.index), "; ",
-      button("compare with all", () => document.querySelector("[data-methods]").scrollIntoView({ block: "center" })), "."].map(part)];
+      button("compare with all", () => document.querySelector("[data-methods]").closest("section").scrollIntoView()), "."].map(part)];
     return [[part(stepbench.methodRef(m)), " does not reach it", ...(near ? [`: its least error is ${number(near.error)}`] : []), ...(next ? ["; ", button(`ask for ${next}`, () => stepbench.ask({ target: next }))] : []), "."]];
   };
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
