@@ -25,20 +25,7 @@ from problems.base.runtime import jax
 from problems.base.spec import SpecError
 from problems.equations.compiled import compiled
 from problems.equations.initial_values import InconsistentStart, NoConsistentStart, consistent_start
-from problems.hybrid.phases import (
-    Cut,
-    EndlessEvents,
-    Fall,
-    Samples,
-    crossing,
-    events_at_start,
-    falls,
-    followed,
-    march,
-    on_constraints,
-    same_instant,
-    steps_over,
-)
+from problems.hybrid import phases
 from problems.system import MechatronicSystem
 from problems.variables import ROW_GROUPS, VARIABLES, State, Variables
 
@@ -61,7 +48,7 @@ def prepared(
         If the scene, or its policy at samples, cannot be used with this resolution.
     """
     ignored = scene.has("sample") and scene.sampling == "ignore"
-    inner = followed(scene) if ignored else scene
+    inner = phases.followed(scene) if ignored else scene
     if inner.is_hybrid:
         return PhasedRun(prepare, inner, t_end, resolution)
     return ChangedRun(prepare(inner, t_end, resolution), partial(_follow, scene=scene))
@@ -77,13 +64,13 @@ class PhasedRun(PreparedRun):
         self._resolution, self._over = resolution, scene.sampling == "interpolate"
         if self._over and scene.has("events"):
             raise SpecError(f"{scene.spec}: a scene with events takes sampling=hit alone.")
-        self._samples = Samples.of(scene)
+        self._samples = phases.Samples.of(scene)
         #: Rows, number and held values of phases, or of parts of them.
         self._pieces: list[tuple[Trajectory, int, np.ndarray]] = []
         #: All runs in the order in which they were made, those that located events among them.
         self._runs: list[tuple[PreparedRun, Trajectory]] = []
         # The first phase compiles what all phases use.
-        march(scene, self._t_end, lambda phase, stop: self._run_of(phase, stop) and None)
+        phases.march(scene, self._t_end, lambda phase, stop: self._run_of(phase, stop) and None)
 
     def execute(self) -> Any:
         if not self._runs:
@@ -105,8 +92,8 @@ class PhasedRun(PreparedRun):
         self._phase, self._events = 0, []
         status, message = "ok", ""
         try:
-            march(self._scene, self._t_end, self._flow)
-        except EndlessEvents as error:
+            phases.march(self._scene, self._t_end, self._flow)
+        except phases.EndlessEvents as error:
             able = advice(self._scene, "moreau_jean") if self._scene.has("gaps") else ""
             status, message = "step_too_small", f"{error}{able}."
         except (InconsistentStart, NoConsistentStart) as error:
@@ -134,31 +121,31 @@ class PhasedRun(PreparedRun):
         held = np.array([*phase.held_values().values()])
         self._pieces.append((rows, self._phase, held))
 
-    def _flow(self, phase: MechatronicSystem, stop: float) -> Cut | None:
+    def _flow(self, phase: MechatronicSystem, stop: float) -> phases.Cut | None:
         cut = (self._to_event if phase.has("events") else self._to_sample)(phase, stop)
         self._phase += 1
         return cut
 
-    def _to_sample(self, phase: MechatronicSystem, stop: float) -> Cut | None:
+    def _to_sample(self, phase: MechatronicSystem, stop: float) -> phases.Cut | None:
         end = stop
         if self._over:
             length = self._t_end - self._scene.interval[0]
             h = length / self._resolution.count(self._scene.interval[0], self._t_end)
-            end = min(self._t_end, steps_over(self._scene, stop, h))
+            end = min(self._t_end, phases.steps_over(self._scene, stop, h))
         rows = self._measured(phase, end)
         self._keep(phase, rows)
         if rows.status != "ok":
             return None
         if not self._over:
-            return Cut(_row(rows, -1))
+            return phases.Cut(_row(rows, -1))
         while self._samples and (later := self._samples.following(stop)) <= rows.t[-1]:
             stop = later  # of several samples in a step the last one counts
         part = (stop - rows.t[-2]) / (rows.t[-1] - rows.t[-2])  # of the step in which it lies
         ends = _row(rows, -2), _row(rows, -1)
         seen = jax.tree.map(lambda a, b: (1 - part) * a + part * b, *ends)
-        return Cut(ends[1], seen=seen)
+        return phases.Cut(ends[1], seen=seen)
 
-    def _to_event(self, phase: MechatronicSystem, stop: float) -> Cut | None:
+    def _to_event(self, phase: MechatronicSystem, stop: float) -> phases.Cut | None:
         t, tried = phase.interval[0], _TRIED * self._scene.nominal_step
         while True:
             end = stop if t + 2 * tried >= stop else t + tried
@@ -171,22 +158,22 @@ class PhasedRun(PreparedRun):
         if found is None:
             self._runs.append((run, rows))
             self._keep(phase, rows)
-            return Cut(_row(rows, -1)) if rows.status == "ok" else None
+            return phases.Cut(_row(rows, -1)) if rows.status == "ok" else None
         kept, before, event, at = found
         if kept is not None:
             self._keep(phase, kept)
             if kept.status != "ok":
                 return None
         rows = self._measured(before, at) if at > before.interval[0] else None
-        if rows is None or (rows.status != "ok" and same_instant(before.interval[0], at)):
+        if rows is None or (rows.status != "ok" and phases.same_instant(before.interval[0], at)):
             # Events that accumulate: no time is left to this one.
             self._events.append((at, event))
-            return Cut(jax.tree.map(np.asarray, consistent_start(before).z), event)
+            return phases.Cut(jax.tree.map(np.asarray, consistent_start(before).z), event)
         self._keep(phase, rows)
         if rows.status != "ok":
             return None
         self._events.append((at, event))
-        return Cut(_row(rows, -1), event)
+        return phases.Cut(_row(rows, -1), event)
 
     def _first_event(
         self, phase: MechatronicSystem, rows: Trajectory
@@ -200,7 +187,7 @@ class PhasedRun(PreparedRun):
             rows.message = f"A function of `events` is not finite at t={t:.6g} s."
         first: tuple[Trajectory | None, MechatronicSystem, int, float] | None = None
         row, kept, before = 1, None, phase
-        for fall in falls(rows.t, values, rates):
+        for fall in phases.falls(rows.t, values, rates):
             if fall.row != row:
                 if first:
                     break
@@ -211,11 +198,11 @@ class PhasedRun(PreparedRun):
 
             def value(t: float, before: Any = before, event: int = fall.event) -> float:
                 if t <= before.interval[0]:
-                    return float(events_at_start(before)[0][event])
+                    return float(phases.events_at_start(before)[0][event])
                 return float(_watched(phase, self._measured(before, t))[0][-1, event])
 
             ends = _ends(fall, rows.t, values)
-            times = (crossing(value, before.interval[0], until) for until in ends)
+            times = (phases.crossing(value, before.interval[0], until) for until in ends)
             at = next((time for time in times if time is not None), None)
             if at is not None and (first is None or at < first[3]):
                 first = kept, before, fall.event, at
@@ -281,10 +268,10 @@ def _from_end(phase: MechatronicSystem, rows: Trajectory) -> MechatronicSystem:
     """The phase from the end of a run on."""
     z = _row(rows, -1)
     state = State(np.asarray(z.q), np.asarray(z.v), np.asarray(z.x))
-    return on_constraints(phase.phase(float(z.t), state, {}))
+    return phases.on_constraints(phase.phase(float(z.t), state, {}))
 
 
-def _ends(fall: Fall, t: np.ndarray, values: np.ndarray) -> Iterator[float]:
+def _ends(fall: phases.Fall, t: np.ndarray, values: np.ndarray) -> Iterator[float]:
     """Times in s by which the repeated step falls: it may do so a little later than the step did,
     by the method's error."""
     yield fall.until

@@ -86,12 +86,10 @@ def series_of(records: Iterable[Record]) -> list[Series]:
 
 def with_starts(series: Sequence[Series], names: Mapping[str, str]) -> dict[str, str]:
     """Names of integrators that say the start of a family that has two: 'gα 0.8 · plain start'."""
-    corrected = {s.label: "start=corrected" in s.label for s in series}
-    both = {s.family for s in series if corrected[s.label]}
+    start = {s.label: "corrected" if "start=corrected" in s.label else "plain" for s in series}
+    both = {s.family for s in series if start[s.label] == "corrected"}
     bare = [s.label for s in series if s.family in both and "start" not in names[s.label]]
-    return {**names} | {
-        k: f"{names[k]} · {'corrected' if corrected[k] else 'plain'} start" for k in bare
-    }
+    return {**names} | {k: f"{names[k]} · {start[k]} start" for k in bare}
 
 
 def ok_runs(series: Iterable[Series]) -> list[Record]:

@@ -26,7 +26,7 @@ from reports.questions import (
 from reports.ranking import Answer, RankEntry, SceneAnswer, by_cost
 from reports.scenes import StoredRuns
 from reports.series import label_of
-from reports.wrong import SILENT, Wrong, wrong_runs, wrong_sentences
+from reports.wrong import Wrong, wrong_runs, wrong_sentences
 
 #: Headlines; question.js fills in the same ones. ``who`` are one integrator or several.
 HEADLINES = {
@@ -226,7 +226,7 @@ def failings(label: str, group: str, stored: StoredRuns, known: Iterable[Wrong])
         before = f"; {lead}: " if wrong else f"Wrong without warning {lead}: "
         wrong += [before, *listed(where, 9)] if where else []
     for (said,) in wrong_sentences(found, group, stored.names)[:1]:
-        wrong += [f". These are {str(said).removeprefix(SILENT)}" if wrong else said]
+        wrong += [f". These are {str(said).partition(': ')[2]}" if wrong else said]
     ends: Sentence = [] if wrong else ["All of its runs reached the end."]
     if failed:
         ends = [f"{failed} of its {counted(len(runs), 'run')} failed."]

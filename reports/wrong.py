@@ -30,8 +30,6 @@ POLICIES = {"hit": "", "interpolate": OVER, "ignore": IGNORED}
 STUCK = "does not converge"
 #: Options that change how equations are solved, not what a method computes.
 _SOLVING = {"newton", "linear_solver", "callbacks", "max_calls"}
-#: How a sentence on wrong runs begins.
-SILENT = "Wrong without warning: "
 #: Results of experiments by name.
 Atlas = Mapping[str, ExperimentResult]
 #: The pairs of a method and a scene by their wrong runs, with captions of their tables.
@@ -149,7 +147,7 @@ def wrong_sentences(
     judged = counted(sum(w.judged for w in found), "run")
     about = f"of {judged} that reached the end (error in {quantity(group)} above {WRONG:g}"
     more = f"; {warned} more with a warning" if silent and warned else ""
-    how = SILENT if silent else "Wrong with a warning: "
+    how = "Wrong without warning: " if silent else "Wrong with a warning: "
     said: list[Sentence] = [[f"{how}{silent or warned} {about}, {NORMS[NORM]}){more}."]]
     where: dict[str, list[Sentence]] = {}
     for w in found:

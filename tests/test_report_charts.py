@@ -122,6 +122,19 @@ def test_the_legend_names_the_fitted_orders_by_short_names():
     assert {"gα 0.8: order q 2.00, λ 1.00", "n: order q 2.00, λ 0.00"} <= set(text)
     assert "two: order not determined" in text
     assert {row["series"] for row in chart_rows(chart, "runs")} == {label, "n", "two"}
+    # Of a family with both starts each is told.
+    other = f"{label[:-1]},formulation=stabilised_index2,start=corrected]"
+    records = [r for r in records if r.integrator == label]
+    records += [planted("pendulum", other, {"q": (1.0, 2.0)}, h=h) for h in steps]
+    records += [planted("pendulum", "n", {"q": (1, 2)}, h=h, family="newmark") for h in steps]
+    series = series_of(records)
+    chart = convergence_chart(series, ["q"], line_styles(s.label for s in series))
+    names = chart["concat"][0]["layer"][-1]["encoding"]["color"]["legend"]["labelExpr"]
+    assert [*json.loads(names.partition("[datum")[0].lstrip("(")).values()] == [
+        "gα 0.8 · plain start: order q 2.00",
+        "gα 0.8 · GGL · corrected start: order q 2.00",
+        "n: order q 2.00",
+    ]
 
 
 def test_error_against_cost_has_a_panel_for_each_scene_with_several_integrators():
