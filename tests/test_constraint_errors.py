@@ -17,6 +17,7 @@ from problems.scenes.oscillators import Oscillator
 from problems.scenes.pendulums import Pendulum
 from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven
 from problems.truth.reference import Reference
+from reports.formatting import NO_VALUE
 from reports.pages.html_report import write_html_report
 from reports.questions import FIRST, Question, plain
 from reports.ranking import answers
@@ -180,7 +181,7 @@ def test_tables_of_winners_have_a_column_of_violations_for_each_cost():
     found = answers({"s": series, "f": free}, [FIRST.group], [FIRST.target])
     table = winners_table({q: found[q] for q in asked}, {})
     assert table.head[-1] == "|Φ| of the winners, largest over time"
-    assert {row[0]: row[-1] for row in table.rows} == {"s": OFF, "f": ""}
+    assert {row[0]: row[-1] for row in table.rows} == {"s": OFF, "f": NO_VALUE}
     own = {row[0]: row[-1] for row in targets_table(series, {}).rows}
     assert own["a to 1e-2"] == HELD_TO
     assert "|Φ|" not in " ".join(targets_table(free, {}).head)

@@ -18,7 +18,8 @@ from reports.verdicts import unjudged, verdict, violation_text
 #: When costs tie.
 _TIES = (
     "".join(f"Ties in {cost.words}: {tie_text(name)}. " for name, cost in COSTS.items())
-    + "One that is among the cheapest from a later start on the same motion ties, too."
+    + "One that is among the cheapest from a later start on the same motion ties, too, if it costs "
+    "three times as much at most."
 )
 
 
@@ -34,14 +35,13 @@ def _verdicts(rows: Mapping[str, tuple[str, Sequence[Answer]]], names: Names) ->
             target = by_cost[0].question.target
             held = [violation_text((s.run for s in a.first), target) or NO_VALUE for a in judged]
             shown = held if len({*held}) > 1 else held[:1]
-            said = "" if {*held} == {NO_VALUE} else " · ".join(shown)
-            cells.append([name, *(verdict(own, names) for own in judged), said])
+            cells.append([name, *(verdict(own, names) for own in judged), " · ".join(shown)])
         else:
             reason = f"cannot be judged: {unjudged(by_cost[0], scene)}"
             cells.append([name, reason, *[""] * len(by_cost)])
     _, first = next(iter(rows.values()))
     costs = [COSTS[found.question.cost].least for found in first]
-    count = len(costs) + 1 + any(row[-1] for row in cells)
+    count = len(costs) + 1 + any(row[-1] not in ("", NO_VALUE) for row in cells)
     head = ["", *costs, f"|Φ| of the winners, {NORMS[NORM]}"]
     return [row[:count] for row in (head, *cells)]
 
