@@ -105,7 +105,7 @@ def _facts(name: str, series: Series, facts: MethodFacts) -> dict[str, str]:
         "Full name": series.label,
         "Options": own,
         "Formulation": form_name(series.ok) or facts.formulation,
-        "Orders claimed": claims_text(facts),
+        "Orders claimed in general": claims_text(facts),
         "Steps": steps,
         "Source": facts.source,
     }

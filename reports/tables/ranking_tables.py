@@ -96,7 +96,7 @@ def standings_table(found: Answer) -> Table | None:
 
 def claims_text(facts: MethodFacts) -> str:
     """The orders that an integrator claims in general, by group."""
-    return "; ".join(f"{g} {p}" for g, p in facts.orders.items())
+    return "; ".join(f"{g} {p}" for g, p in facts.orders.items()) or "none stated"
 
 
 def integrators_table(labels: Sequence[str], known: Mapping[str, MethodFacts]) -> Table | None:
@@ -105,5 +105,5 @@ def integrators_table(labels: Sequence[str], known: Mapping[str, MethodFacts]) -
     for label in labels:
         facts = known.get(label.partition(" x ")[0], NO_FACTS)
         rows.append([label, facts.title.rstrip("."), claims_text(facts), facts.source])
-    head = ["integrator", "what it is", "orders claimed", "source"]
+    head = ["integrator", "what it is", "orders claimed in general", "source"]
     return Table("Integrators", head, rows) if rows else None
