@@ -66,7 +66,7 @@
     const step = 15, most = Math.floor((y1 - y0) / step) + 1, rest = own.length > most, x = x1 + 16;
     const shown = rest ? [...own.filter((item) => item.kind !== "other"), ...own.filter((item) => item.kind === "other")]
       .slice(0, most - 1).sort((one, two) => one.end.y - two.end.y) : own;
-    let next = y0, least = y1 + (rest ? 0 : step / 2);
+    let next = y0, least = y1 - (rest ? 0 : 2);
     for (const item of shown) next = (item.at = Math.max(next, item.end.y)) + step;
     for (const item of [...shown].reverse()) least = (item.at = Math.min(item.at, least)) - step;
     const entry = (item) => {
@@ -245,7 +245,7 @@
       svg("rect", { class: "band", x: inside.x0, y: size.top + BAND * k + 1, width: inside.x1 - inside.x0, height: BAND - 2 }),
       text(inside.x0 - 6, size.top + BAND * k + 11, name, { "text-anchor": "end" })));
     chart.append(...stepbench.axes(inside, ticksOf(at.x, size.ticks).map((cost) => [at.onX(cost), stepbench.costTick(cost, question.cost)]),
-      ticksOf(at.y, size.ticks).map((error) => [at.onY(error), error.toExponential(0).replace("e+", "e")]), stepbench.costName(question)),
+      ticksOf(at.y, size.ticks).filter((error) => !at.bands.length || at.onY(error) > inside.y0 + 8).map((error) => [at.onY(error), error.toExponential(0).replace("e+", "e")]), stepbench.costName(question)),
     text(2, size.top - 8, `error in ${data.group_names[question.group].split(" ").at(-1)}`, { class: "title" }));
     const y = at.onY(Number(question.target));
     chart.append(svg("path", { class: "asked", d: `M${inside.x0} ${y}H${inside.x1}` }));
