@@ -55,7 +55,7 @@ _LEAST = 1e-40
 _SIGNS = {"unknown": "?", "far": "-", "failed": "!"}
 #: Ends of runs that failed, in words; others are called as records have them.
 _ENDS = {
-    "budget_exceeded": "exceeded the budget of calls, steps or time",
+    "budget_exceeded": "exceeded the budget",
     "newton_failed": "failed in Newton's method",
     "step_too_small": "came to too small a step",
 }
@@ -276,10 +276,9 @@ def _failed(scene: str, report: Report) -> list[Sentence]:
         who = ([method_ref(label, report.names), f" ({n})"] for label, n in whose.most_common())
         words = _ENDS.get(end) or end.replace("_", " ")
         how += ["; " if how else "", *listed(who, len(whose)), f" {words}"]
-    hard = report.stored.scenes.get(scene, NO_SCENE).difficulties[:1]
-    why = f". Hard here: {hard[0]}. " if hard else ": "
-    lead = f"Failed: {len(failed)} of {counted(len(runs), 'run')}{why}"
-    return [[lead, *how, " (", Ref("failed", scene, "reasons"), ")."]]
+    hard = map(" Hard here: {}.".format, report.stored.scenes.get(scene, NO_SCENE).difficulties[:1])
+    lead = f"Failed: {len(failed)} of {counted(len(runs), 'run')}: "
+    return [[lead, *how, " (", Ref("failed", scene, "reasons"), ").", *hard]]
 
 
 def _wrong(report: Report, group: str, chosen: Filters, methods: Sequence[Ref]) -> dict[str, Any]:

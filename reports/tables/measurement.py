@@ -61,7 +61,8 @@ def method_of_measurement(plan: Plan) -> list[str]:
         f"rounds lies on one side of 1 and the median is beyond {LEAST_QUOTIENT:g}; with fewer "
         f"than {FEWEST} common rounds the quotients must be beyond {LEAST_OF_FEW:g}.",
         f"Operations count as different beyond a factor of {COSTS[COST].tie:g}: the cost model is "
-        "no more exact. Other counts tie where they are equal.",
+        "no more exact. Other counts tie where they are equal. A method that is among the "
+        "cheapest from a later start of the motion ties, too, at three times the cost at most.",
         "A run ends as 'budget exceeded' at the suite's processor time, or at the limit of its own "
         "method, in calls (max_calls: IDA, CVODE, SciPy) or in steps (max_steps: others), which "
         "are not equal work. Finer runs of a method may end there before others do.",

@@ -104,6 +104,7 @@ def integrators_table(labels: Sequence[str], known: Mapping[str, MethodFacts]) -
     rows = []
     for label in labels:
         facts = known.get(label.partition(" x ")[0], NO_FACTS)
-        rows.append([label, facts.title.rstrip("."), claims_text(facts), facts.source])
+        what = " [".join([facts.title.rstrip("."), *label.replace(",", ", ").split("[")[1:]])
+        rows.append([label, what, claims_text(facts), facts.source])
     head = ["integrator", "what it is", "orders claimed in general", "source"]
     return Table("Integrators", head, rows) if rows else None

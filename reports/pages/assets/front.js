@@ -136,7 +136,7 @@
       (ranked.length ? ranked : [...data.methods.keys()]).map((m) => html("tr", { class: data.methods[m].label === question.highlight && "mine" },
         stepbench.head(data.methods[m]), ...each((k, starts) => cell(m, k, starts, question)))));
   });
-  const samples = { reached: ["1.0", "multiple of the cheapest: the more colour, the cheaper"], ...STATES };
+  const samples = { reached: ["1.0", "multiple of the cheapest: the more colour, the cheaper; bold: the cheapest, or tied with it"], ...STATES };
   document.getElementById("heat-legend").append(...Object.entries(samples).map(([state, [sign, meaning]]) => html("span", {},
     html("i", { class: state, "aria-hidden": "true", style: "--near: 100%" }, sign), meaning)));
 
