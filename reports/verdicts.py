@@ -57,10 +57,8 @@ def headline(found: Answer, names: Names, of: Answer | None = None) -> Sentence:
     lead = [s for s in rows if s.alone + s.tied == count]
     alone = max(s.alone for s in lead)
     on = every if count == judged else f"{count} of {judged} scenes"
-    kind, but = (
-        "one" if len(lead) == 1 else "several",
-        f"; {missed} unreached" * bool(missed),
-    )
+    kind = "one" if len(lead) == 1 else "several"
+    but = f"; {missed} unreached" * bool(missed)
     if any(s.tied for s in lead):
         many = " (ties)" if alone else " (all tied)"
         but = f" ({alone} alone, {count - alone} tied)" if kind == "one" else many
