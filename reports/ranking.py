@@ -21,7 +21,7 @@ from reports.questions import TARGETS, Question
 from reports.series import Series, groups_of, ok_runs, reference_error
 
 #: Luck with the places of its steps saves an integrator up to a tolerance, half a decade, in cost.
-_LUCK = 3.0
+LUCK = 3.0
 #: The cheapest run of an integrator with its cost.
 _Cheapest = tuple[float, Record]
 #: The errors of an integrator's runs, rising, and the cheapest run up to each of them.
@@ -196,7 +196,7 @@ class _Field:
         best = min((value for value, _ in cheapest.values()), default=0.0)
         # One that is first from a later start of the motion ties: luck decides between them.
         lucky = set[str]().union(*(self._tied(own, cost) for own in later)) & cheapest.keys()
-        winners = now | {k for k in lucky if cheapest[k][0] <= _LUCK * best}
+        winners = now | {k for k in lucky if cheapest[k][0] <= LUCK * best}
         entries = {}
         for s in self.series:
             reached = bisect_right(ladders[0][s.label][0], target) > 0

@@ -183,8 +183,7 @@ def stored_card(label: str, found: Answer, stored: StoredRuns) -> list[Sentence]
     names, question = stored.names, found.question
     me, by = method_ref(label, names), COSTS[question.cost].words
     own = {name: s for name, s in found.scenes.items() if label in s.entries}
-    wrong = wrong_runs(stored, question.group)
-    amiss = failings(label, question.group, stored, wrong)
+    amiss = failings(label, question.group, stored, wrong_runs(stored, question.group, label))
     if not own:
         return [[me, " was tried on no scene on which this can be judged."], *amiss[1:]]
     entries = {name: s.entries[label] for name, s in own.items()}

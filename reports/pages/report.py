@@ -131,10 +131,11 @@ class Report:
         held = [f"{sum(bool(c.as_expected) for c in own)} of {len(own)}" for own in (told, again)]
         atlas = f"The failure atlas: {held[0]} numbers came as theory or a publication predicts, "
         atlas += f"and {held[1]} as they were measured earlier."
+        least = f"The largest error of a reference is {number(errors.get(worst))} in "
+        least += f"{quantity(group)} ({scene_name(worst)}); accuracies within {TRUST:g} times that "
+        least += "of a scene get no answer."
         reasons = [
-            f"The largest error of a reference is {number(errors.get(worst))} in "
-            f"{quantity(group)} ({scene_name(worst)}); accuracies within {TRUST:g} times that of a "
-            "scene get no answer.",
+            *[least] * bool(errors),
             *[atlas] * bool(cases),
             "A winner by time is named alone if the difference is significant; else methods tie.",
             f"A limit: {self.times[0].lower()}{self.times[1:]}",

@@ -32,7 +32,8 @@ _DEFINITIONS = {
     "Controller state": "An unknown x with a differential equation of first order, such as the "
     "integral of a controller.",
     "Corrected start, start=corrected, plain start": "A shifted acceleration with which a "
-    "generalized-α method begins for full order in the first steps; the plain start is exact.",
+    "generalized-α method begins, so that its first steps have full order; the plain start, the "
+    "exact acceleration, costs them one.",
     "Damping ratio, numerical damping": "The part of critical damping that a method adds to an "
     "oscillation that has none.",
     "Drift": "The growth of what should stay constant: the constraint residual, or the energy of a "

@@ -7,6 +7,7 @@ from bench.results.quantities import COST, COSTS
 from bench.results.records import Plan, counted
 from bench.results.timings import FEWEST, LEAST_OF_FEW, LEAST_QUOTIENT, REPEATABLE, Repeatability
 from reports.formatting import number
+from reports.ranking import LUCK
 from reports.scenes import NO_PLAN, StoredRuns
 
 
@@ -62,7 +63,7 @@ def method_of_measurement(plan: Plan) -> list[str]:
         f"than {FEWEST} common rounds the quotients must be beyond {LEAST_OF_FEW:g}.",
         f"Operations count as different beyond a factor of {COSTS[COST].tie:g}: the cost model is "
         "no more exact. Other counts tie where they are equal. A method that is among the "
-        "cheapest from a later start of the motion ties, too, at three times the cost at most.",
+        f"cheapest from a later start of the motion ties, too, at {LUCK:g} times the cost at most.",
         "A run ends as 'budget exceeded' at the suite's processor time, or at the limit of its own "
         "method, in calls (max_calls: IDA, CVODE, SciPy) or in steps (max_steps: others), which "
         "are not equal work. Finer runs of a method may end there before others do.",

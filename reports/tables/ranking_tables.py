@@ -10,7 +10,7 @@ from bench.results.records import MethodFacts
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, tie_text
 from reports.questions import TABLE_GROUPS, TABLE_TARGETS, Names, Question
-from reports.ranking import Answer, answers
+from reports.ranking import LUCK, Answer, answers
 from reports.scenes import NO_FACTS
 from reports.series import Series
 from reports.verdicts import unjudged, verdict, violation_text
@@ -19,7 +19,7 @@ from reports.verdicts import unjudged, verdict, violation_text
 _TIES = (
     "".join(f"Ties in {cost.words}: {tie_text(name)}. " for name, cost in COSTS.items())
     + "One that is among the cheapest from a later start on the same motion ties, too, if it costs "
-    "three times as much at most."
+    f"{LUCK:g} times as much at most."
 )
 
 
