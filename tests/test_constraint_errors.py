@@ -14,7 +14,7 @@ from bench.running.measure import constraint_unit
 from integrators.contract import Trajectory, Work
 from problems import jnp
 from problems.scenes.oscillators import Oscillator
-from problems.scenes.pendulums import Pendulum
+from problems.scenes.pendulums import Chain, Pendulum
 from problems.scenes.slider_crank import SliderCrank, SliderCrankDriven
 from problems.truth.reference import Reference
 from reports.formatting import NO_VALUE
@@ -168,7 +168,8 @@ def test_the_unit_of_constraints_follows_from_their_multipliers():
     for scene, unit in [
         (Pendulum(), "m²"),
         (SliderCrank(), "m"),
-        (SliderCrankDriven(), ""),
+        (SliderCrankDriven(), "m² or rad"),
+        (Chain(links=2), "m²"),
         (Oscillator(), ""),
     ]:
         assert constraint_unit(scene) == unit

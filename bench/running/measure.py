@@ -59,9 +59,9 @@ def violations(scene: MechatronicSystem, run: Trajectory) -> dict[str, Float[np.
 
 
 def constraint_unit(scene: MechatronicSystem) -> str:
-    """Return the unit of Phi; nothing where rows differ in it or state none."""
+    """Return the unit of Phi, or those of its rows ("m or rad"); nothing where one states none."""
     units = {_UNITS.get(component.unit, "") for component in scene.components("lam")}
-    return units.pop() if len(units) == 1 else ""
+    return "" if "" in units else " or ".join(sorted(units))
 
 
 def invariant_changes(

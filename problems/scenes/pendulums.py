@@ -239,6 +239,10 @@ class Chain(PointMasses):
     th0: float = parameter(np.pi / 4, "rad", "initial angle from the downward vertical")
     w0: float = parameter(1.0, "rad/s", "initial angular velocity of the whole chain")
 
+    @property
+    def multipliers(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return tuple(f"link {k} [N/m]" for k in range(1, self.links + 1))
+
     def mass_product(self, q: jax.Array, a: jax.Array) -> jax.Array:
         return self.m * a
 
