@@ -28,13 +28,14 @@ from reports.scenes import StoredRuns
 from reports.series import label_of
 from reports.wrong import Wrong, wrong_runs, wrong_sentences
 
-#: Headlines; question.js fills in the same ones. ``who`` are one integrator or several.
+#: Headlines, which question.js fills in, too; ``who`` are one integrator or several.
 HEADLINES = {
     "unjudged": "No scene here can be judged.",
     "nobody": "No method reaches {target} on {any}.",
     "unpriced": "It is reached, but no costs can be compared.",
     "one": "{who} is cheapest on {on}{but}.",
     "several": "{who} are each cheapest on {on}{but}.",
+    "fine": "All of its runs reached the end.",
 }
 #: A winner that other starts of the motion make one, and one with wrong accelerations.
 LATER = "a tie, as it is among the cheapest if the same motion is run from a later instant"
@@ -185,7 +186,7 @@ def stored_card(label: str, found: Answer, stored: StoredRuns) -> list[Sentence]
     own = {name: s for name, s in found.scenes.items() if label in s.entries}
     amiss = failings(label, question.group, stored, wrong_runs(stored, question.group, label))
     if not own:
-        return [[me, " was tried on no scene on which this can be judged."], *amiss[1:]]
+        return [[me, " was tried on no scene on which this can be judged."], *amiss]
     entries = {name: s.entries[label] for name, s in own.items()}
     form = form_name(e.run for e in entries.values())
     aim = f"{question.accuracy} in {question.quantity} ("
@@ -205,14 +206,14 @@ def stored_card(label: str, found: Answer, stored: StoredRuns) -> list[Sentence]
 
 #: How many of an integrator's runs on a scene are wrong, as `Wrong.kind` calls it.
 _WHERE = {
-    "every": "at every step and tolerance",
-    "some": "at some",
-    "coarsest": "at the coarsest alone",
+    "every": "in every run",
+    "some": "in some",
+    "coarsest": "in the coarsest alone",
 }
 
 
 def failings(label: str, group: str, stored: StoredRuns, known: Iterable[Wrong]) -> list[Sentence]:
-    """How many runs of an integrator failed, and which of the ``known`` are wrong silently."""
+    """How many runs of an integrator failed, and where those of ``known`` are wrong silently."""
     series = [s for each in stored.series.values() for s in each if s.label == label]
     runs = [r for s in series for r in s.records if r.status not in NOT_TRIED]
     failed = sum(r.status != "ok" for r in runs)
@@ -221,13 +222,13 @@ def failings(label: str, group: str, stored: StoredRuns, known: Iterable[Wrong])
     for kind, lead in _WHERE.items():
         where = [[scene_ref(w.scene)] for w in found if w.kind == kind and w.silent]
         before = f"; {lead}: " if wrong else f"Wrong without warning {lead}: "
-        wrong += [before, *listed(where, 9)] if where else []
+        many = kind == "coarsest" and len(where) > 2  # finer runs are right: no name is needed
+        shown = [f"{len(where)} scenes"] if many else listed(where, 9)
+        wrong += [before, *shown] if where else []
     for (said,) in wrong_sentences(found, group, stored.names)[:1]:
         wrong += [f". These are {str(said).partition(': ')[2]}" if wrong else said]
-    ends: Sentence = [] if wrong else ["All of its runs reached the end."]
-    if failed:
-        ends = [f"{failed} of its {counted(len(runs), 'run')} failed."]
-    return [own for own in (ends, wrong) if own]
+    ends: Sentence = [f"{failed} of its {counted(len(runs), 'run')} on all scenes failed."]
+    return [*[ends] * bool(failed), *[wrong] * bool(wrong)] or [[HEADLINES["fine"]]]
 
 
 def _detail(place: str, entry: RankEntry, answer: SceneAnswer, names: Names) -> Sentence:

@@ -270,7 +270,7 @@ def test_a_scene_tells_whom_to_avoid(browser, folder):
         (
             "broken",
             "operations",
-            "Failed: 1 of 2 runs: two (1) failed in Newton's method (reasons).",
+            "1 of 2 runs failed: two failed in Newton's method (reasons).",
         ),
         ("near", "operations", ""),
     ):

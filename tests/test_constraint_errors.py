@@ -203,7 +203,9 @@ def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_viol
     browser, tmp_path
 ):
     records = [won("pendulum"), won("pendulum", "two", cost=300, size=1e-9, error=1e-9)]
-    records += [won("spring_mass", **FREE, formulation="unconstrained")]
+    records += [won("spring_mass", **FREE, formulation="unconstrained"), won("slider_crank")]
+    records += [won("slider_crank", name, error=1e-9) for name in ("two", "three", "four")]
+    records += [won("slider_crank", "five", error=1e-9, formulation="index3")]
     write_html_report(plant(tmp_path, records))
 
     def asked(scene, question):
@@ -217,6 +219,10 @@ def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_viol
         "To 1e-3 (relative) in constraints Φ: two (3000 operations at h=0.01; violation of Φ"
     )
     assert " ".join(rows[-1].split()).startswith("one index 2 not reached")
+    ((said, *_),) = [
+        text.split("\n") for text in asked("slider_crank", "#group=constraint&target=1e-3")[0]
+    ]
+    assert said == "1e-3 (relative) is held in all runs by five and all of index 2 but one."
     _, (head, one, two) = asked("pendulum", "#group=a&target=1e-4&cost=operations")
     assert "violation of Φ" in head
     assert one.startswith("one index 2\t")

@@ -141,7 +141,7 @@ def test_the_address_restores_the_view_and_a_method_is_put_in_front(browser, sit
     assert link.endswith("report/scene-spring_mass.html" + fragment)
     visit(browser, site / "report.html", "#group=a&target=1e-2&highlight=poor")
     (said,) = each(browser, "#answer > .wrong", "node.innerText")
-    assert said.startswith("poor: Wrong without warning at some: spring mass. These are 2 of 6 ")
+    assert said.startswith("poor: Wrong without warning in some: spring mass. These are 2 of 6 ")
     assert each(browser, "#answer > .wrong .scene", "node.pathname.split('/').at(-1)") == [
         "scene-spring_mass.html"
     ]
@@ -171,7 +171,7 @@ def test_keys_walk_through_the_runs_and_say_the_numbers_of_the_store(browser, si
     assert len(said) == len(records)
     for r in records:
         at = r.h if r.controls == "step" else r.rtol
-        (first, cost, _) = said[r.integrator, float(f"{at:.4g}")]
+        first, cost = said[r.integrator, float(f"{at:.4g}")]
         if r.status == "ok":
             error = re.search(r"error (\S+) in acceleration", first).group(1)
             assert float(error) == pytest.approx(r.errors["a"]["max"], rel=0.05)

@@ -23,7 +23,7 @@ _LOOKS = {
     "far": ("not reached", "#80808030"),
     "failed": ("no run reaches the end", "#c0543c"),
     "wrong": ("runs wrong without warning", "#8e2a6b"),
-    "warned": ("runs wrong with a warning", "#d3a6c4"),
+    "warned": ("runs wrong with a warning", "#ad7c9e"),
 }
 #: Colours of maps up to these radii, and above: green ones are stable, red ones grow.
 _BORDERS = (0.25, 0.5, 0.75, 0.9, 0.99, 1 + 1e-9, 1.001, 1.1, 2.0)

@@ -145,7 +145,7 @@ def _scene(
         "name": scene_name(name),
         "command": shlex.quote(name),
         "kind": kind_of(scene.tags),
-        "about": " · ".join([*filter(None, [options]), *map(tag_name, scene.tags[:3])]),
+        "about": " · ".join([*filter(None, [options]), *map(tag_name, scene.tags[:2])]),
         "page": page_file("scene", name),
         "groups": groups,
         "wrong_a": [places[s.label] for s in series if s.never_right("a")],
@@ -273,11 +273,11 @@ def _failed(scene: str, report: Report) -> list[Sentence]:
         ends.setdefault(r.status, Counter())[label_of(r)] += 1
     how: Sentence = []
     for end, whose in sorted(ends.items(), key=lambda item: -item[1].total()):
-        who = ([method_ref(label, report.names), f" ({n})"] for label, n in whose.most_common())
+        who = ([method_ref(label, report.names)] for label, _ in whose.most_common())
         words = _ENDS.get(end) or end.replace("_", " ")
         how += ["; " if how else "", *listed(who, len(whose)), f" {words}"]
     hard = map(" Hard here: {}.".format, report.stored.scenes.get(scene, NO_SCENE).difficulties[:1])
-    lead = f"Failed: {len(failed)} of {counted(len(runs), 'run')}: "
+    lead = f"{len(failed)} of {counted(len(runs), 'run')} failed: "
     return [[lead, *how, " (", Ref("failed", scene, "reasons"), ").", *hard]]
 
 

@@ -162,15 +162,11 @@ class AdaptiveRun(LoopRun):
                 windows.append(window)
                 first, full = first + self._slots, window[-1, 0] > 0
         self._turns = [*map(int, end[4 + len(COUNTS) :])]
-        rows = in_order(np.concatenate([*windows, last[None]]))
+        found = np.concatenate([*windows, last[None]])
+        _, places = np.unique(found[:, 0], return_index=True)  # in the order of steps, each once
+        rows = found[places[found[places, 0] > 0]]
         work = Work(*map(int, end[2 : 4 + len(COUNTS)]))
         return self._trajectory(rows, end, float(self._span.t_end), work, int(self._span.max_steps))
-
-
-def in_order(rows: np.ndarray) -> np.ndarray:
-    """The stored rows of a kernel in the order of steps, without repetitions and empty rows."""
-    _, places = np.unique(rows[:, 0], return_index=True)
-    return rows[places[rows[places, 0] > 0]]
 
 
 class _Progress(NamedTuple):

@@ -13,6 +13,8 @@ window.stepbench = (() => {
   const html = (name, attributes = {}, ...children) => filled(document.createElement(name), attributes, children);
   const svg = (name, attributes = {}, ...children) => filled(document.createElementNS("http://www.w3.org/2000/svg", name), attributes, children);
 
+  const button = (looks, ...content) => html("button", { type: "button", ...looks }, ...content);
+
   const key = `question of ${location.pathname.replace(/(report\/)?[^/]*$/, "")}`;
   const asks = (text) => /(^|&)(group|target|norm|cost|scenes|highlight)=/.test(text);
   // A browser without memory has the links.
@@ -34,5 +36,5 @@ window.stepbench = (() => {
     }
   };
   if (said()) keep(said());
-  return { html, svg, said, keep };
+  return { html, svg, button, said, keep };
 })();

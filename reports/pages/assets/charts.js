@@ -30,8 +30,7 @@
     const place = document.getElementById(node.dataset.chart);
     if (place.dataset.drawn) return;
     place.dataset.drawn = "yes";
-    const chart = JSON.parse(node.textContent, plain);
-    const data = html("p", { class: "data" }, "Data: ");
+    const chart = JSON.parse(node.textContent, plain), data = html("p", { class: "data" }, "Data: ");
     for (const [name, text] of Object.entries(chart.datasets)) {
       const file = `${name}.csv`, href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
       data.append(html("a", { href, download: file }, file), " ");

@@ -1,7 +1,7 @@
 // The front page: answer, standings, a chart per scene, heat table, and the profile over all accuracies.
 "use strict";
 (() => {
-  const { html, svg, data, part, columns, fill } = stepbench;
+  const { html, svg, button, data, part, columns, fill } = stepbench;
   const card = document.getElementById("answer"), place = document.getElementById("profile");
   if (!card) return;
 
@@ -19,7 +19,7 @@
         html("td", { title: `reached on ${reached} of ${tried} scenes tried` }, `${reached}`, html("small", {}, ` of ${tried}`)));
     });
     if (rest > 0 || !folded) lines.push(html("tr", {}, html("td", { colspan: 5 },
-      html("button", { type: "button", class: "more", click() { folded = !folded; standings(rows, of); } }, folded ? `${rest} more` : "fewer"))));
+      button({ class: "more", click() { folded = !folded; standings(rows, of); } }, folded ? `${rest} more` : "fewer"))));
     const heads = columns("method", "alone", "tied", "reached");
     heads.firstChild.after(html("td"));
     const scenes = `${of} ${of === 1 ? "scene" : "scenes"}${of < stepbench.chosen().length ? " that can be judged" : ""}`;
@@ -27,8 +27,8 @@
     fill(table, `Cheapest alone or tied, and reached, of ${scenes}${none ? `, ${none} of them reached by none` : ""}`, [heads], lines);
   };
   stepbench.onChange((question) => {
-    document.querySelector("main h1").textContent =
-      `Which integrator, for an error in the ${data.group_names[question.group].replace(/ \S+$/, "")} of at most ${question.target}?`;
+    document.querySelector("main h1").replaceChildren(`Which integrator, for an error in the ${data.group_names[question.group].replace(/ \S+$/, "")} of at most `,
+      html("span", { style: "white-space: nowrap" }, `${question.target}?`));
     const open = card.querySelector("details")?.open, here = stepbench.answer(), own = stepbench.wrong("methods", data.methods.findIndex((m) => m.label === question.highlight));
     const line = (name, ...parts) => html("p", { class: name }, ...parts.map(part)), [wrong, ...which] = stepbench.wrong("filters", question.scenes);
     const worst = stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make"
@@ -48,7 +48,7 @@
   });
 
   // ---- one chart per chosen scene, with its picture; one of them may be large ----
-  const panels = document.getElementById("panels"), button = (looks, ...content) => html("button", { type: "button", ...looks }, ...content);
+  const panels = document.getElementById("panels");
   let broad = 0, large = null, wide = innerWidth;
   const picture = (lines) => svg("svg", { class: "picture", viewBox: "-6 -6 112 112", width: 44, height: 44, "aria-hidden": "true" },
     ...lines.map((line) => svg("path", { d: "M" + line.map((p) => p.join(" ")).join("L") })));
@@ -179,7 +179,7 @@
     const ticks = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].filter((_, k) => !narrow || k % 3 === 0);
     chart.append(...stepbench.axes(inside, ticks.map((m) => [onX(m), `${m}×`]), [0, .25, .5, .75, 1].map((share) => [onY(share), percent(share)]),
       narrow ? `multiple of the least ${data.cost_words[question.cost]} (${pairs} pairs)`
-        : `at most so many times the least ${stepbench.costName(question)} (${pairs} pairs of scene and accuracy)`));
+        : `at most so many times the least ${stepbench.costName(question)} (${pairs} pairs of scene and accuracy that can be judged)`));
     lines.forEach((line, rank) => {
       const points = line.parts.map((share, k) => ({ x: onX(multiples[k]), y: onY(share) }));
       line.kind = stepbench.kindOf(line.method, line === first || line === best);

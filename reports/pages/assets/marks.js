@@ -32,7 +32,7 @@
   };
   // Sentences on runs that reach the end and are wrong, as paragraphs.
   const wrong = (of, which) => (data.wrong[stepbench.question.group]?.[of][which] || []).map(
-    (parts) => html("p", { class: "wrong" }, ...parts.map(part)));
+    (parts) => html("p", { class: parts.at(-1) !== data.headlines.fine && "wrong" }, ...parts.map(part)));
   const columns = (...names) => html("tr", {}, ...names.map((name) => html("th", { scope: "col" }, name)));
   const fill = (table, caption, heads, rows) => table.replaceChildren(
     html("caption", {}, html("span", {}, caption)), html("thead", {}, ...heads), html("tbody", {}, ...rows));

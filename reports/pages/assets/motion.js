@@ -4,8 +4,7 @@ for (const place of document.querySelectorAll(".motion")) {
   const [path, slider, button, label, data] = ["path", "input", "button", "output", "script"].map((name) => place.querySelector(name));
   const frames = JSON.parse(data.textContent), end = frames.length - 1, length = frames[end].t - frames[0].t;
   // Short motions are slowed down and long ones sped up: a play takes two to twelve seconds.
-  const seconds = Math.min(Math.max(length, 2), 12);
-  const digits = Math.max(2, 2 - Math.floor(Math.log10(length || 1)));
+  const seconds = Math.min(Math.max(length, 2), 12), digits = Math.max(2, 2 - Math.floor(Math.log10(length || 1)));
   let playing = false, part = 0, last = null;
   const draw = () => {
     const { t, lines } = frames[slider.value];

@@ -1,9 +1,8 @@
 // Tables that sort, filter and fold; tabs; contents that filter. Without it all stands one below the other.
 "use strict";
 (() => {
-  const { html } = stepbench, FOLDED = 12, FILTERED = 8, FEW = 5;
+  const { html, button } = stepbench, FOLDED = 12, FILTERED = 8, FEW = 5;
   const reveals = [];  // each shows a place that it has; null: everything
-  const button = (looks, ...content) => html("button", { type: "button", ...looks }, ...content);
   // A field that tells what is typed in it, and how that is to be compared.
   const search = (looks, tell) => html("input", {
     type: "search", class: "filter", ...looks, input: ({ target: { value } }) => tell(value.trim(), value.trim().toLowerCase()),

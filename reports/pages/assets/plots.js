@@ -188,7 +188,6 @@
         p.resolution,
         p.failed ? `ended with ${p.ending}` : `error ${stepbench.number(p.error)} in ${data.group_names[question.group]}, ${stepbench.norm()}`,
         stepbench.costWithUnit(p.cost, question.cost),
-        p.failed ? "it did not reach the end" : "it reached the end",
       ], box().left + scale() * p.x, box().top + scale() * p.y);
     };
     chart.addEventListener("pointermove", (event) => {
@@ -201,8 +200,7 @@
       if (best) show(best);
       else hide();
     });
-    chart.addEventListener("pointerleave", hide);
-    chart.addEventListener("blur", hide);
+    for (const end of ["pointerleave", "blur"]) chart.addEventListener(end, hide);
     chart.addEventListener("keydown", (event) => {
       const all = seen(), at = all.indexOf(now), from = Math.max(at, 0);
       const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key], way = { ArrowDown: 1, ArrowUp: -1 }[event.key];

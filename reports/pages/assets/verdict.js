@@ -1,7 +1,7 @@
 // The verdict on a scene in words, and tables of costs: of each method on a scene, of a method on each scene.
 "use strict";
 (() => {
-  const { html, data, part, runsOf, columnOf, number, columns, fill } = stepbench;
+  const { html, button, data, part, runsOf, columnOf, number, columns, fill } = stepbench;
   const STATES = { far: "not reached", failed: "no run reached the end", unknown: "reached, cost not measured", refused: "the method does not take the scene" };
   // The run of the least error of some methods on a scene: its method, place and error.
   const nearest = (all, { group }) => {
@@ -42,13 +42,18 @@
     return [...stepbench.listed(own.first.map(run)),
       own.first.length > 1 ? " tie" : own.votes && next === null ? " alone reaches it" : " is cheapest", ...rest];
   };
-  // Whom to avoid on a scene: those that cost ten times the least or more, and those that do not reach the accuracy.
+  // Whom to avoid on a scene: those that cost ten times the least or more, and those that do not reach the accuracy. Of constraints who holds them, as 'all of index 3, all of GGL but A'.
   const avoided = (scene, { first, second, states }, question) => {
     const of = (is) => [...states.entries()].filter(([, state]) => state !== null && is(state)), { listed, methodRef, multiple } = stepbench;
     const how = ([m]) => columnOf(runsOf(scene, m), question.group).some((error) => error > Number(question.target)) ? "in some runs" : "in all runs";
     const dear = of(([ratio]) => ratio >= 10).sort(([, [one]], [, [two]]) => two - one).map(([m, [ratio]]) => [methodRef(m), ` (${multiple(ratio)} ×)`]);
     const far = of((state) => state === "far" || state === "failed").map(([m]) => [methodRef(m)]);
-    if (stepbench.violation(question)) return [`${question.target} (relative) is held `, ...Object.entries(Object.groupBy(of(stepbench.reaches), how)).flatMap(([said, own], k) => [`${k ? "; " : ""}${said} by `, ...listed(own.map(([m]) => [methodRef(m)]), 99)]), "."];
+    const forms = Object.groupBy(of(() => true).map(([m]) => m), (m) => data.methods[m].form), refs = (own) => own.map((m) => [methodRef(m)]), many = (item) => typeof item[0] === "string" ? item.length : 0;
+    const by = (own) => Object.entries(forms).flatMap(([form, all]) => {
+      const mine = all.filter((m) => own.includes(m)), but = all.filter((m) => !own.includes(m));
+      return mine.length < 3 || but.length > 2 ? refs(mine) : [[`all of ${form}`, ...(but.length ? [" but ", ...listed(refs(but))] : [])]];
+    });
+    if (stepbench.violation(question)) return [`${question.target} (relative) is held `, ...Object.entries(Object.groupBy(of(stepbench.reaches), how)).flatMap(([said, own], k) => [`${k ? "; " : ""}${said} by `, ...listed(by(own.map(([m]) => m)).sort((one, two) => many(one) - many(two)), 99)]), "."];
     return second !== null ? [...(dear.length ? ["Costly: ", ...listed(dear), ". "] : []), ...(far.length ? ["Not reached by ", ...listed(far), "."] : [])] : [];
   };
   // The median of values with its interval, and the quotient of the times of two runs, as bench/results/timings.py has them.
@@ -75,7 +80,6 @@
     return `${sizes}${ends.length > 1 ? ` (${ends.join(" to ")})` : ""}, ${tied || word}${found?.few === false ? "" : " (few samples)"}`;
   };
   const placeOf = (label) => data.methods.findIndex((method) => method.label === label), best = (scene) => reaching(scene, stepbench.answer()[scene]?.states.findIndex((own) => own?.[0] === 1));
-  const button = (text, click) => html("button", { type: "button", class: "more", click }, text);
   // The highlighted method beside the best on a scene, or the accuracy that it reaches there.
   const beside = (scene, question) => {
     const m = placeOf(question.highlight), own = stepbench.answer()[scene], runs = m >= 0 && own && runsOf(scene, m);
@@ -83,8 +87,8 @@
     const mine = reaching(scene, m), first = best(scene), near = nearest([runs], question), next = near && data.targets.findLast((target) => Number(target) >= near.error);
     if (mine) return [[stepbench.methodRef(m), `: ${stepbench.costWithUnit(own.states[m][2], question.cost)} at ${runs.resolutions[mine.k]}, `,
       `${compared(scene, question, m, first.index)}, beside `, stepbench.methodRef(first.index), "; ",
-      button("compare with all", () => document.querySelector("[data-methods]").closest("section").scrollIntoView()), "."].map(part)];
-    return [[part(stepbench.methodRef(m)), " does not reach it", ...(near ? [`: its least error is ${number(near.error)}`] : []), ...(next ? ["; ", button(`ask for ${next}`, () => stepbench.ask({ target: next }))] : []), "."]];
+      button({ class: "more", click: () => document.querySelector("[data-methods]").closest("section").scrollIntoView() }, "compare with all"), "."].map(part)];
+    return [[part(stepbench.methodRef(m)), " does not reach it", ...(near ? [`: its least error is ${number(near.error)}`] : []), ...(next ? ["; ", button({ class: "more", click: () => stepbench.ask({ target: next }) }, `ask for ${next}`)] : []), "."]];
   };
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
     const scene = Number(place.dataset.verdict), own = stepbench.answer()[scene], relative = stepbench.violation(question);
