@@ -32,8 +32,7 @@ class RankEntry(NamedTuple):
     """One integrator that was tried on one scene, for one question.
 
     ``reached`` says whether a run reaches the target, ``run`` is the cheapest of those whose cost
-    is known, ``value`` its cost, ``ratio`` that cost relative to the least of all: infinite where
-    only that one is 0.
+    is known, ``value`` its cost, ``ratio`` its multiple of the least of all (`compared`).
     """
 
     label: str
@@ -184,7 +183,7 @@ class _Field:
         known = {run.key: run for run in runs}
         self._starts = range(1 + max((len(r.later) for r in runs), default=0))
         self._ladders = cache(self._ladders_of)
-        self._apart = cache(lambda one, two, cost: told_apart(known[one], known[two], cost))
+        self._compared = cache(lambda one, two, cost: compared(known[one], known[two], cost))
         self.floor = cache(partial(reference_error, runs))
 
     def answer(self, question: Question) -> SceneAnswer:
@@ -193,17 +192,15 @@ class _Field:
         ladders = self._ladders(question.group, cost, question.norm)
         cheapest, *later = [_cheapest(own, target) for own in ladders]
         now = self._tied(cheapest, cost)
-        best = min((value for value, _ in cheapest.values()), default=0.0)
+        best = min(cheapest.values(), key=itemgetter(0), default=(0.0, None))
         # One that is first from a later start of the motion ties: luck decides between them.
-        lucky = set[str]().union(*(self._tied(own, cost) for own in later)) & cheapest.keys()
-        winners = now | {k for k in lucky if cheapest[k][0] <= LUCK * best}
+        lucky = {k for own in later for k in self._tied(own, cost) if own[k][1].later}
+        winners = now | {k for k in lucky & cheapest.keys() if cheapest[k][0] <= LUCK * best[0]}
         entries = {}
         for s in self.series:
             reached = bisect_right(ladders[0][s.label][0], target) > 0
             value, run = cheapest.get(s.label, (None, None))
-            ratio = 1.0 if value == best else None
-            if value is not None and value != best:
-                ratio = value / best if best else math.inf
+            ratio = self._compared(best[1].key, run.key, cost)[0] if run and best[1] else None
             entries[s.label] = RankEntry(s.label, s, reached, run, value, ratio)
         tied = sorted((k for k in entries if k in winners), key=lambda k: cheapest[k][0])
         return SceneAnswer(question, entries, tied, {*tied} - now)
@@ -218,7 +215,7 @@ class _Field:
         if not cheapest:
             return set()
         _, best = min(cheapest.values(), key=itemgetter(0))
-        return {k for k, (_, r) in cheapest.items() if not self._apart(best.key, r.key, cost)}
+        return {k for k, (_, r) in cheapest.items() if not self._compared(best.key, r.key, cost)[1]}
 
 
 def _ladder(runs: Sequence[Record], cost: str, group: str, norm: str, start: int) -> _Ladder:
@@ -242,13 +239,14 @@ def _cheapest(ladders: Mapping[str, _Ladder], target: float) -> dict[str, _Cheap
     return {label: best for label, best in able.items() if best}
 
 
-def told_apart(one: Record, two: Record, cost: str) -> bool:
-    """Whether the costs of two runs differ beyond what is known of them.
+def compared(one: Record, two: Record, cost: str) -> tuple[float, bool]:
+    """How many times the cost of one run another has, and whether that is more than is unknown.
 
-    Times by their quotient within rounds (`bench.results.timings`), others by `Cost.tie`.
+    Times are compared within rounds (`bench.results.timings`), others differ beyond `Cost.tie`; a
+    multiple of nothing is infinite.
     """
-    if cost == "seconds":
-        found = quotient(by_round(one), by_round(two))
-        return found is not None and found.differs
-    values = [v for r in (one, two) if (v := r.cost(cost)) is not None]
-    return len(values) == 2 and max(values) > COSTS[cost].tie * min(values)
+    if cost == "seconds" and (found := quotient(by_round(one), by_round(two))):
+        return found.value, found.differs
+    least, other, tie = one.cost(cost) or 0.0, two.cost(cost) or 0.0, COSTS[cost].tie
+    times = 1.0 if other == least else other / least if least else math.inf
+    return times, cost != "seconds" and not 1 / tie <= times <= tie

@@ -134,12 +134,8 @@ def violation_text(runs: Iterable[Record | None], target: float) -> str:
 
     '0.0022 m, relative 0.0073: 73 times the accuracy'; nothing without constraints.
     """
-    held = [
-        (r.error("constraint", NORM) or 0.0, r.constraint.get("position") or 0.0, shown)
-        for r in runs
-        if r and (shown := violation_size(r))
-    ]
-    worst, _, shown = max(held, default=(0.0, 0.0, ""))
+    held = ((r.error("constraint", NORM) or 0.0, violation_size(r)) for r in runs if r)
+    worst, shown = max(held, default=(0.0, ""))
     off = f": {worst / target:.3g} times the accuracy" if worst > target else ""
     return f"{shown}, relative {number(worst)}{off}" if worst else shown
 
@@ -158,11 +154,12 @@ def _near(found: SceneAnswer, names: Names) -> str:
     """The smallest error of those that do not reach the accuracy, with the run."""
     group, norm = found.question.group, found.question.norm
     others = [e.series for e in found.entries.values() if not e.reached]
-    known = [(*own, s.finest) for s in others if (own := s.nearest(group, norm))]
+    known = [(*own, s) for s in others if (own := s.nearest(group, norm))]
     if not known:
         return ""
-    error, run, finest = min(known, key=lambda own: own[0])
-    name, last = names.get(label_of(run), label_of(run)), ", its finest run" * (run is finest)
+    error, run, s = min(known, key=lambda own: own[0])
+    name, last = names.get(s.label, s.label), ", its finest run" * (run is s.finest)
+    last += " to the end" * (run is s.finest and run is not s.records[-1])
     return f" (nearest: {name}, {number(error)} at {run.resolution.split(',')[0]}{last})"
 
 
@@ -219,16 +216,18 @@ def failings(label: str, group: str, stored: StoredRuns, known: Iterable[Wrong])
     failed = sum(r.status != "ok" for r in runs)
     found = [w for w in known if w.label == label]
     wrong: Sentence = []
-    for kind, lead in _WHERE.items():
+    for kind, place in _WHERE.items():
         where = [[scene_ref(w.scene)] for w in found if w.kind == kind and w.silent]
-        before = f"; {lead}: " if wrong else f"Wrong without warning {lead}: "
-        many = kind == "coarsest" and len(where) > 2  # finer runs are right: no name is needed
-        shown = [f"{len(where)} scenes"] if many else listed(where, 9)
-        wrong += [before, *shown] if where else []
+        if kind == "coarsest" and len(where) > 2:  # finer runs are right: no name is needed
+            where = [[Ref("wrong", label, f"{len(where)} scenes")]]
+        lead = "; " if wrong else "Wrong without warning "
+        wrong += [f"{lead}{place}: ", *listed(where, 9)] if where else []
+    sentences = [[*wrong, "."]] if wrong else []
     for (said,) in wrong_sentences(found, group, stored.names)[:1]:
-        wrong += [f". These are {str(said).partition(': ')[2]}" if wrong else said]
-    ends: Sentence = [f"{failed} of its {counted(len(runs), 'run')} on all scenes failed."]
-    return [*[ends] * bool(failed), *[wrong] * bool(wrong)] or [[HEADLINES["fine"]]]
+        sentences.append([f"These are {str(said).partition(': ')[2]}" if wrong else said])
+    if failed:
+        sentences.append([f"{failed} of its {counted(len(runs), 'run')} on all scenes failed."])
+    return sentences or [[HEADLINES["fine"]]]
 
 
 def _detail(place: str, entry: RankEntry, answer: SceneAnswer, names: Names) -> Sentence:

@@ -115,17 +115,17 @@ def test_page_markdown_and_terminal_take_the_same_cost_first(folders, name):
 def test_the_front_page_says_how_well_times_repeat(folders):
     many = "(median of 12 runs"
     for name, sentence in (
-        ("quiet", f"4.9 % {many}), so this report ranks by seconds first."),
+        ("quiet", f"4.9 % {many}), so this report asks for seconds first."),
         (
             "noisy",
-            f"26 % {many}; at most 20 % is asked for), so this report ranks by operations first.",
+            f"26 % {many}; at most 20 % is asked for), so this report asks for operations first.",
         ),
     ):
         for file, place in (("report.html", 'id="panels-head"'), ("report.md", "## Answer")):
             text = (folders[name] / file).read_text(encoding="utf-8")
             assert f"Repeated times scatter by {sentence}" in text.partition(place)[0]
     said = times_sentence(Repeatability(0.05, 3, 2))  # of two machines
-    assert said.endswith("cannot be compared, so this report ranks by operations first.")
+    assert said.endswith("cannot be compared, so this report asks for operations first.")
     none = times_sentence(Repeatability(None, 0, 1))
     assert none.startswith("No run has the 6 timing samples")
-    assert none.endswith("so this report ranks by operations first.")
+    assert none.endswith("so this report asks for operations first.")

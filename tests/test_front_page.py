@@ -140,8 +140,9 @@ def test_the_address_restores_the_view_and_a_method_is_put_in_front(browser, sit
     link = each(browser, ".panel h3 a", "node.href")[0]
     assert link.endswith("report/scene-spring_mass.html" + fragment)
     visit(browser, site / "report.html", "#group=a&target=1e-2&highlight=poor")
-    (said,) = each(browser, "#answer > .wrong", "node.innerText")
-    assert said.startswith("poor: Wrong without warning in some: spring mass. These are 2 of 6 ")
+    said, count = each(browser, "#answer > .wrong", "node.innerText")
+    assert said == "poor: Wrong without warning in some: spring mass."
+    assert count.startswith("These are 2 of 6 runs that reached the end ")
     assert each(browser, "#answer > .wrong .scene", "node.pathname.split('/').at(-1)") == [
         "scene-spring_mass.html"
     ]

@@ -11,7 +11,7 @@ from planted import answer, everything, planted
 
 from bench.results.records import UNSUPPORTED, MethodFacts
 from reports.questions import ALL, FIRST, TABLE_TARGETS, Question, filters, kind_of, plain
-from reports.ranking import answers, by_cost, told_apart
+from reports.ranking import answers, by_cost, compared
 from reports.series import series_of
 from reports.tables.ranking_tables import integrators_table, targets_table, winners_table
 from reports.verdicts import LATER, WRONG_A, differing_costs, headline, headlines, verdict
@@ -223,8 +223,8 @@ def test_an_integrator_ties_by_its_own_cheapest_run_alone():
     best = run("one", "best", 0.01, 1.0, 10, run_s=[1.0] * 9)
     near = run("one", "noisy", 0.01, 2.0, 10, run_s=[2.0] * 9)
     wild = run("one", "noisy", 0.005, 3.0, 10, run_s=[0.5, 9.0] * 4 + [3.0])
-    assert told_apart(best, near, "seconds")
-    assert not told_apart(best, wild, "seconds")
+    assert compared(best, near, "seconds")[1]
+    assert not compared(best, wild, "seconds")[1]
     table = targets_table(series_of([best, near, wild]), {})
     assert table
     seconds = table.rows[0][table.head.index("least time")]

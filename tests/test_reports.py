@@ -78,7 +78,7 @@ def test_every_number_of_the_summary_is_one_of_the_store(folder: Path, page: Doc
                 best = min(own, key=lambda r: r.errors["q"]["max"])
                 assert row["residual evaluations"] == str(best.work["residuals"])
                 assert row["time in ms"] == milliseconds(median(best.run_s))
-                assert row["most accurate run"] == best.resolution
+                assert row["run most accurate in q"] == best.resolution
 
 
 def test_exponents_have_neither_plus_nor_zeros():

@@ -69,9 +69,8 @@ class Site:
         for p in self.report.chapters:
             for s in p.sections:
                 if s.anchor:
-                    sections.append(
-                        Link(root + self.address(s.anchor, ""), s.title, words=s.found_by)
-                    )
+                    place = root + self.address(s.anchor, "")
+                    sections.append(Link(place, s.title, words=s.found_by))
         place = (root + self.link(self.glossary)).partition("#")[0]
         signs = {"Multiplier": "λ lambda"}
         words += [Link(f"{place}#{t.anchor}", t.title, words=signs.get(t.name, "")) for t in TERMS]

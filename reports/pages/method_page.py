@@ -67,14 +67,13 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
         f"Error in {answer.question.quantity} ({NORMS[NORM]}) at most so large, by "
         f"{COSTS[answer.question.cost].words}; numbers are multiples of the least cost. Runs with "
         f"an error above {WRONG:g} are counted behind: without a warning as 'wrong', with one as "
-        "'warned'.",
+        "'warned'. Where nothing can be judged a cell is empty.",
         {f"chart-{file_name(label)}-strip": method_strip(label, over, found)},
     )
     unsupported, atlas = unsupported_table(runs), atlas_table(name, [*stored.atlas.values()])
     wrong = "; some are wrong" * any(r.wrong(group) for r in runs for group in GROUPS)
     fine = f"All its runs{' on scenes that it supports' * bool(unsupported)} reached the end"
     failed = failures_table(runs) or Text(f"{fine}{wrong}.")
-    silent = silent_tables(found, asked, stored)
     orders = order_table([*by_scene.values()], "Its orders, scene by scene", [*by_scene])
     values = {
         "key": label,
@@ -84,10 +83,11 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
         "facts": Section("What it is", [_facts(name, first, facts)]),
         "scenes": Section("On all scenes", [strip, _scenes_table(by_scene)]),
     }
+    parts = [*silent_tables(found, asked, stored), failed, notes_table(runs), unsupported]
     sections = [
         Section("Orders", [orders]),
         Section("Failures of the atlas", [atlas]),
-        Section("Where it fails", [*silent, failed, notes_table(runs), unsupported]),
+        Section("Where it fails", parts, f"wrong-{file_name(label)}"),
     ]
     title, file = stored.names[label], page_file("method", label)
     return Page(file, title, sections=sections, heading="", kind="method", values=values)

@@ -129,6 +129,7 @@ def scene_page(
         drawn = part.over_time(read_rows) if "trajectory" in study.figures else {}
         for topic, own in drawn.items():
             parts[topic].append(Section(title if len(studies) > 1 else "", own))
+    parts["cost"].append(Section("Fitted orders", [order_table(series, "Orders")], folded=True))
     tabs = []
     for (topic, own), (title, learn) in zip(parts.items(), _TABS.values(), strict=True):
         lead = [Text(learn, "learn")] if learn else []
@@ -238,7 +239,6 @@ class _Study:
             Text(self.study.note) if self.study.note else None,
             *figures,
             Text(_USE, "note") if any(figures) else None,
-            Section("Fitted orders", [order_table(series, "Orders")], folded=True),
         ]
 
     def over_time(self, read_rows: Callable[[str], Rows]) -> dict[str, list[Any]]:

@@ -23,7 +23,7 @@ from bench.results.records import (
 from bench.results.table import short_exponent
 from bench.results.timings import FEWEST, LEAST_OF_FEW, by_round, median_interval
 from reports.charts.mechanism import little_picture
-from reports.formatting import tie_text
+from reports.formatting import file_name, tie_text
 from reports.names import FAMILIES, form_name, scene_name
 from reports.pages.method_page import plugin_option
 from reports.pages.page import page_file
@@ -277,8 +277,8 @@ def _failed(scene: str, report: Report) -> list[Sentence]:
         words = _ENDS.get(end) or end.replace("_", " ")
         how += ["; " if how else "", *listed(who, len(whose)), f" {words}"]
     hard = map(" Hard here: {}.".format, report.stored.scenes.get(scene, NO_SCENE).difficulties[:1])
-    lead = f"{len(failed)} of {counted(len(runs), 'run')} failed: "
-    return [[lead, *how, " (", Ref("failed", scene, "reasons"), ").", *hard]]
+    count = f" ({len(failed)} of {counted(len(runs), 'run')}; "
+    return [["Failed: ", *how, count, Ref("failed", scene, "reasons"), ").", *hard]]
 
 
 def _wrong(report: Report, group: str, chosen: Filters, methods: Sequence[Ref]) -> dict[str, Any]:
@@ -296,6 +296,8 @@ def _wrong(report: Report, group: str, chosen: Filters, methods: Sequence[Ref]) 
             page = f"{page_file('scene', scenes[piece.key])}#{ids[piece.key]}"
         elif piece.kind == "failed":
             page = f"{page_file('scene', piece.key)}#{anchors[piece.key]}-failed"
+        elif piece.kind == "wrong":
+            page = f"{page_file('method', piece.key)}#wrong-{file_name(piece.key)}"
         else:
             page = page_file(piece.kind, piece.key)
         return {"kind": piece.kind, "key": piece.key, "text": piece.text, "page": page}
@@ -310,7 +312,6 @@ def _wrong(report: Report, group: str, chosen: Filters, methods: Sequence[Ref]) 
         "filters": {key: said(names) for key, (_, names) in chosen.items()},
         "scenes": [said([name], name) for name in report.measured],
         "methods": [
-            [[linked(m), ": ", *map(linked, own)] for own in failings(m.key, group, stored, wrong)]
-            for m in methods
+            [[*map(linked, own)] for own in failings(m.key, group, stored, wrong)] for m in methods
         ],
     }

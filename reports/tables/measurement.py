@@ -37,7 +37,7 @@ def missing_data(stored: StoredRuns) -> list[str]:
 
 def times_sentence(times: Repeatability) -> str:
     """The cost by which integrators are ranked first, and the reason."""
-    first = f"so this report ranks by {times.cost} first"
+    first = f"so this report asks for {times.cost} first"
     if times.width is None:
         return f"No run has the {FEWEST} timing samples that an interval takes, {first}."
     if times.machines > 1:
@@ -63,7 +63,8 @@ def method_of_measurement(plan: Plan) -> list[str]:
         f"than {FEWEST} common rounds the quotients must be beyond {LEAST_OF_FEW:g}.",
         f"Operations count as different beyond a factor of {COSTS[COST].tie:g}: the cost model is "
         "no more exact. Other counts tie where they are equal. A method that is among the "
-        f"cheapest from a later start of the motion ties, too, at {LUCK:g} times the cost at most.",
+        f"cheapest from a later start of the motion ties, too, at {LUCK:g} times the cost at most; "
+        "beside it, a run that was not started later has its own error.",
         "A run ends as 'budget exceeded' at the suite's processor time, or at the limit of its own "
         "method, in calls (max_calls: IDA, CVODE, SciPy) or in steps (max_steps: others), which "
         "are not equal work. Finer runs of a method may end there before others do.",

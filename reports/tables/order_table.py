@@ -27,7 +27,8 @@ _NOTE = (
     "for the time after the start transient. Settled: measured, of the largest error in the last "
     "quarter of the interval. With transient: measured, of the largest error over time; 0: errors "
     f"do not fall. * settled order less than claimed by more than {_SHORT:g}. † without the "
-    f"finest steps, at which errors hardly fall. {NO_VALUE}: no claim, or no order can be fitted."
+    f"finest steps, at which errors hardly fall. {NO_VALUE}: no claim, no order can be fitted, "
+    "or smaller steps help no group of variables."
 )
 
 

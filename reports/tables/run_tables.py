@@ -26,7 +26,7 @@ def summary_table(series: Sequence[Series]) -> Table:
             if error is not None:
                 sure[g].append((error, i))
         row |= {**_costs(run), "runs": s.statuses}
-        rows.append(row | {"most accurate run": run.resolution if run else NO_VALUE})
+        rows.append(row | {"run most accurate in q": run.resolution if run else NO_VALUE})
     several = len(rows) > 1
     best = {(min(own)[1], j) for j, own in enumerate(sure.values(), 1) if own and several}
     note = f"Smallest error over the runs. {ERROR_MEANING} Time and counts: of the run that is "

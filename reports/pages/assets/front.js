@@ -29,7 +29,8 @@
   stepbench.onChange((question) => {
     document.querySelector("main h1").replaceChildren(`Which integrator, for an error in the ${data.group_names[question.group].replace(/ \S+$/, "")} of at most `,
       html("span", { style: "white-space: nowrap" }, `${question.target}?`));
-    const open = card.querySelector("details")?.open, here = stepbench.answer(), own = stepbench.wrong("methods", data.methods.findIndex((m) => m.label === question.highlight));
+    const open = card.querySelector("details")?.open, here = stepbench.answer(), mine = data.methods.findIndex((m) => m.label === question.highlight), own = stepbench.wrong("methods", mine);
+    own[0]?.prepend(part(stepbench.methodRef(mine)), ": ");
     const line = (name, ...parts) => html("p", { class: name }, ...parts.map(part)), [wrong, ...which] = stepbench.wrong("filters", question.scenes);
     const worst = stepbench.violation(question) ? "of the worst constraint, relative to the change that positions and velocities of their size make"
       : "of the worst component, relative to its natural size, or else to its largest value in the reference";
@@ -50,7 +51,7 @@
   // ---- one chart per chosen scene, with its picture; one of them may be large ----
   const panels = document.getElementById("panels");
   let broad = 0, large = null, wide = innerWidth;
-  const picture = (lines) => svg("svg", { class: "picture", viewBox: "-6 -6 112 112", width: 44, height: 44, "aria-hidden": "true" },
+  const picture = (lines) => svg("svg", { class: "picture", viewBox: "-6 -6 112 112", width: 38, height: 38, "aria-hidden": "true" },
     ...lines.map((line) => svg("path", { d: "M" + line.map((p) => p.join(" ")).join("L") })));
   const cards = data.scenes.map((scene, index) => {
     const own = { index, place: html("div", { class: "chart" }) };
@@ -111,7 +112,7 @@
   const cell = (m, index, starts, { cost: by }) => {
     const scene = data.scenes[index], own = stepbench.answer()[index], runs = stepbench.runsOf(index, m);
     const known = own?.states[m] ?? (runs && !own ? "unjudged" : "untried"), reached = Array.isArray(known), state = reached ? "reached" : known;
-    const [ratio, k, cost] = reached ? known : [], near = 1 - Math.min(Math.log(ratio) / Math.log(PALE), 1);
+    const [ratio, k, cost] = reached ? known : [], near = 1 - Math.min(Math.max(Math.log(ratio), 0) / Math.log(PALE), 1);
     const lines = [`${data.methods[m].short} on ${scene.name}`, reached ? `${stepbench.multiple(ratio)} times the cheapest`
       : state === "unjudged" ? stepbench.unjudged(index, stepbench.question) : STATES[state][1]];
     if (cost > 0) lines.push(`${stepbench.costWithUnit(cost, by)} at ${runs.resolutions[k]}`);
@@ -163,10 +164,7 @@
   };
   const profile = (question) => {
     const { pairs, lines } = stepbench.profile(question), room = Math.max(320, place.clientWidth), narrow = room < 520, high = 400;
-    if (!pairs) {
-      place.replaceChildren(html("p", {}, "No pair of scene and target can be judged."));
-      return;
-    }
+    if (!pairs) return place.replaceChildren(html("p", {}, "No pair of scene and target can be judged."));
     lines.sort((a, b) => b.parts.at(-1) - a.parts.at(-1) || b.parts[0] - a.parts[0]);
     const inside = { x0: 52, x1: room - (narrow ? 12 : 26 + stepbench.room(lines.map((line) => line.name))), y0: 12, y1: high - 44, low: high - 6 };
     const onX = (m) => inside.x0 + Math.log(m) / Math.log(widest) * (inside.x1 - inside.x0);
@@ -179,7 +177,7 @@
     const ticks = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].filter((_, k) => !narrow || k % 3 === 0);
     chart.append(...stepbench.axes(inside, ticks.map((m) => [onX(m), `${m}×`]), [0, .25, .5, .75, 1].map((share) => [onY(share), percent(share)]),
       narrow ? `multiple of the least ${data.cost_words[question.cost]} (${pairs} pairs)`
-        : `at most so many times the least ${stepbench.costName(question)} (${pairs} pairs of scene and accuracy that can be judged)`));
+        : `at most so many times the least ${stepbench.costName(question)} (${pairs} pairs that can be judged)`));
     lines.forEach((line, rank) => {
       const points = line.parts.map((share, k) => ({ x: onX(multiples[k]), y: onY(share) }));
       line.kind = stepbench.kindOf(line.method, line === first || line === best);

@@ -64,6 +64,16 @@
   // A multiple in a cell with little room.
   const times = (value) => value > 1e35 ? "∞" : value < 10 ? value.toFixed(1) : value < 9999.5 ? value.toFixed(0) : value.toExponential(0).replace("e+", "e");
 
+  // The median of values with its interval, and the quotient of the times of two runs, as bench/results/timings.py has them.
+  const middle = (values) => {
+    const own = values.toSorted((one, two) => one - two), n = own.length, cut = data.cuts[n];
+    return { value: (own[(n - 1) >> 1] + own[n >> 1]) / 2, low: own[cut], high: own[n - 1 - cut], few: n < data.fewest, precise: n > 1 || own[0] > data.long };
+  };
+  const quotient = (one, two) => {
+    const all = [one, two].map(Object.values), shared = Object.keys(one).filter((k) => k in two).map((k) => two[k] / one[k]), [a, b] = all.map(middle);
+    if (shared.length && shared.length >= Math.min(all[0].length, all[1].length)) return middle(shared);
+    return a.precise && b.precise ? { value: b.value / a.value, low: b.low / a.high, high: b.high / a.low, few: a.few || b.few } : null;
+  };
   // Names in a margin: cut if they are long, and the room that they take.
   const LONGEST = 30;
   const cut = (name) => name.length > LONGEST ? `${name.slice(0, LONGEST - 1)}…` : name;
@@ -97,6 +107,6 @@
 
   Object.assign(stepbench, {
     to, head, part, wrong, columns, fill, shape, colour, badge, cut, room, tip,
-    number, costText, costTick, costWithUnit, multiple, times, violation, ownError, unjudged,
+    number, costText, costTick, costWithUnit, multiple, times, quotient, violation, ownError, unjudged,
   });
 })();

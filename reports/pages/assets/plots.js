@@ -220,10 +220,7 @@
 
   stepbench.draw = (place, index, { large = false, wide: known = 0 } = {}) => {
     const scene = data.scenes[index], { question } = stepbench;
-    if (!scene.groups.includes(question.group)) {
-      place.replaceChildren(html("p", { class: "note" }, large ? "" : stepbench.unjudged(index, question)));
-      return;
-    }
+    if (!scene.groups.includes(question.group)) return place.replaceChildren(html("p", { class: "note" }, large ? "" : stepbench.unjudged(index, question)));
     const answer = stepbench.answer()[index], floor = stepbench.floor(index), rank = { other: 0, first: 1, mine: 2 };
     const curves = pointsOf(index, question).map((own) =>
       ({ ...own, name: own.method.short, kind: kindOf(own.method, answer?.first.includes(own.places)) }));
@@ -233,11 +230,11 @@
     if (names) size.right = 26 + stepbench.room(curves.filter((own) => own.points.some((p) => p.error > 0 && p.cost > 0)).map((own) => own.name));
     const at = layoutOf(curves, size, wide, question, floor), { inside } = at;
     const chart = stepbench.frame(wide, size.high, large ? " large" : "", curves.length,
-      { role: names ? "group" : "img", tabindex: 0, "aria-label": words(scene, curves, question, answer) });
+      { role: names ? "group" : "img", tabindex: 0, "aria-label": words(scene, curves, question, answer) }), below = [];
     if (at.floor !== null && at.floor < inside.y1) {
       chart.append(svg("rect", { class: "floor", x: inside.x0, y: at.floor, width: inside.x1 - inside.x0, height: inside.y1 - at.floor }));
       const own = `${stepbench.violation(question) ? "rounding" : "the reference's own error"}, ${stepbench.ownError(index, question.group)}`;
-      if (large) chart.append(text(inside.x0 + 6, at.floor + 14, `below: within ${data.trust} times ${own}`, { class: "floor-name" }));
+      if (large) below.push(text(inside.x0 + 6, at.floor + 14, `below: within ${data.trust} times ${own}`, { class: "floor-name" }));
     }
     at.bands.forEach((name, k) => chart.append(
       svg("rect", { class: "band", x: inside.x0, y: size.top + BAND * k + 1, width: inside.x1 - inside.x0, height: BAND - 2 }),
@@ -276,7 +273,7 @@
     }
     if (names) chart.append(legend(drawn, inside, true));
     const looks = { class: "asked-name", "text-anchor": beside ? "end" : "start" };
-    if (large) chart.append(text(beside ? inside.x1 - 4 : inside.x0 + 6, y - 5, `asked: ${question.target}`, looks));
+    if (large) chart.append(...below, text(beside ? inside.x1 - 4 : inside.x0 + 6, y - 5, `asked: ${question.target}`, looks));
     const why = !curves.length ? "not run" : curves.every((own) => own.points.every((p) => p.failed)) ? "no run reached the end" : `no ${data.cost_words[question.cost]} known`;
     if (all.every((p) => p.failed)) chart.append(text(wide / 2, size.high / 2, why, { class: "nothing", "text-anchor": "middle" }));
     listen(chart, all, question, size, large ? null : stepbench.page(scene.page));

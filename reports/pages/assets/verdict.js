@@ -1,7 +1,7 @@
 // The verdict on a scene in words, and tables of costs: of each method on a scene, of a method on each scene.
 "use strict";
 (() => {
-  const { html, button, data, part, runsOf, columnOf, number, columns, fill } = stepbench;
+  const { html, button, data, part, runsOf, columnOf, number, quotient, columns, fill } = stepbench;
   const STATES = { far: "not reached", failed: "no run reached the end", unknown: "reached, cost not measured", refused: "the method does not take the scene" };
   // The run of the least error of some methods on a scene: its method, place and error.
   const nearest = (all, { group }) => {
@@ -17,7 +17,7 @@
     return Array.isArray(state) ? { index, k: state[1] } : null;
   };
   // The step or tolerance of a run, told to be the finest of its method that reached the end.
-  const last = (runs) => runs.endings?.lastIndexOf("ok") ?? runs.resolutions.length - 1, size = (runs, k) => runs.resolutions[k] + (k === last(runs) ? ", its finest run" : "");
+  const last = (runs) => runs.endings?.lastIndexOf("ok") ?? runs.resolutions.length - 1, size = (runs, k) => runs.resolutions[k] + (k !== last(runs) ? "" : ", its finest run" + (k < runs.resolutions.length - 1 ? " to the end" : ""));
   const times = (off, { target }) => off > Number(target) ? `: ${number(off / target)} times the accuracy` : "";
   const quantity = ({ group }) => data.group_names[group];
   // 'A (100 at h=0.1) and B (105 at h=0.2) tie; next: C, 2 times', as `verdict` of reports/verdicts.py says it.
@@ -42,7 +42,7 @@
     return [...stepbench.listed(own.first.map(run)),
       own.first.length > 1 ? " tie" : own.votes && next === null ? " alone reaches it" : " is cheapest", ...rest];
   };
-  // Whom to avoid on a scene: those that cost ten times the least or more, and those that do not reach the accuracy. Of constraints who holds them, as 'all of index 3, all of GGL but A'.
+  // Whom to avoid on a scene: those that cost ten times the least or more, and those that do not reach the accuracy. Of constraints who holds them, as 'index 3, GGL but A'.
   const avoided = (scene, { first, second, states }, question) => {
     const of = (is) => [...states.entries()].filter(([, state]) => state !== null && is(state)), { listed, methodRef, multiple } = stepbench;
     const how = ([m]) => columnOf(runsOf(scene, m), question.group).some((error) => error > Number(question.target)) ? "in some runs" : "in all runs";
@@ -51,20 +51,10 @@
     const forms = Object.groupBy(of(() => true).map(([m]) => m), (m) => data.methods[m].form), refs = (own) => own.map((m) => [methodRef(m)]), many = (item) => typeof item[0] === "string" ? item.length : 0;
     const by = (own) => Object.entries(forms).flatMap(([form, all]) => {
       const mine = all.filter((m) => own.includes(m)), but = all.filter((m) => !own.includes(m));
-      return mine.length < 3 || but.length > 2 ? refs(mine) : [[`all of ${form}`, ...(but.length ? [" but ", ...listed(refs(but))] : [])]];
+      return mine.length < 3 || but.length > 2 ? refs(mine) : [[form, ...(but.length ? [" but ", ...listed(refs(but))] : [])]];
     });
-    if (stepbench.violation(question)) return [`${question.target} (relative) is held `, ...Object.entries(Object.groupBy(of(stepbench.reaches), how)).flatMap(([said, own], k) => [`${k ? "; " : ""}${said} by `, ...listed(by(own.map(([m]) => m)).sort((one, two) => many(one) - many(two)), 99)]), "."];
+    if (stepbench.violation(question)) return [`Held to ${question.target} (relative) `, ...Object.entries(Object.groupBy(of(stepbench.reaches), how)).flatMap(([said, own], k) => [`${k ? "; " : ""}${said}: `, ...listed(by(own.map(([m]) => m)).sort((one, two) => many(one) - many(two)), 99)]), "."];
     return second !== null ? [...(dear.length ? ["Costly: ", ...listed(dear), ". "] : []), ...(far.length ? ["Not reached by ", ...listed(far), "."] : [])] : [];
-  };
-  // The median of values with its interval, and the quotient of the times of two runs, as bench/results/timings.py has them.
-  const middle = (values) => {
-    const own = values.toSorted((one, two) => one - two), n = own.length, cut = data.cuts[n];
-    return { value: (own[(n - 1) >> 1] + own[n >> 1]) / 2, low: own[cut], high: own[n - 1 - cut], few: n < data.fewest, precise: n > 1 || own[0] > data.long };
-  };
-  const quotient = (one, two) => {
-    const all = [one, two].map(Object.values), shared = Object.keys(one).filter((k) => k in two).map((k) => two[k] / one[k]), [a, b] = all.map(middle);
-    if (shared.length && shared.length >= Math.min(all[0].length, all[1].length)) return middle(shared);
-    return a.precise && b.precise ? { value: b.value / a.value, low: b.low / a.high, high: b.high / a.low, few: a.few || b.few } : null;
   };
   // What a method costs over another one on a scene, at the finest accuracy of at least that of the question that both reach; of times the median quotient in rounds with its interval, and whether it is significant.
   const compared = (scene, question, ...two) => {
@@ -117,7 +107,8 @@
   const row = (lead, scene, index, state, question, mine, held) => {
     const runs = runsOf(scene, index), than = mine ?? best(scene), beyond = than && compared(scene, question, index, than.index) || "";
     if (!Array.isArray(state)) {
-      const near = state === "far" && nearest([runs], question), far = near ? ` down to ${runs.resolutions[last(runs)]}; least error: ${number(near.error)}` : "";
+      const near = state === "far" && nearest([runs], question), lost = near ? (runs.endings ?? []).filter((end) => end !== "ok").length : 0,
+        far = near ? ` down to ${runs.resolutions[last(runs)]}${lost ? ` (${lost} failed)` : ""}; least error: ${number(near.error)}` : "";
       const told = { far, failed: `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}`, refused: `: ${runs.refused}` };
       const text = state ? STATES[state] + (told[state] ?? "") : stepbench.unjudged(scene, question);
       return html("tr", { class: "out" }, ...lead, html("td", { colspan: mine ? 1 : 3 + 2 * held }, text), ...(mine ? [html("td", {}, beyond), html("td", { colspan: 1 + 2 * held })] : []));
