@@ -218,6 +218,14 @@ def test_the_ranking_equals_a_direct_query():
         assert not ratios or min(ratios) == 1
 
 
+def test_a_multiple_of_times_is_the_median_of_quotients_in_rounds():
+    one = run("one", "steady", 0.01, None, 10, run_s=[1.0, 2.0, 3.0, 4.0, 5.0])
+    two = run("one", "swings", 0.01, None, 10, run_s=[5.0, 8.0, 9.0, 8.0, 5.0])
+    entries = judged(one, two)["seconds"].entries
+    assert [entry.ratio for entry in entries.values()] == [1.0, 3.0]
+    assert compared(two, one, "residuals") == (1.0, False)
+
+
 def test_an_integrator_ties_by_its_own_cheapest_run_alone():
     # The dearer run of "noisy" cannot be told apart from the best; its cheapest one can.
     best = run("one", "best", 0.01, 1.0, 10, run_s=[1.0] * 9)
@@ -304,6 +312,8 @@ def test_a_verdict_says_who_ties_by_a_later_start_and_whose_accelerations_are_wr
     ):
         records[0].later = later
         assert answer(scenes_of(records), COUNTS).scenes["s"].tied == tied
+    records[0].later, records[1].later = [{"a": 1e-2}], []  # nor does it tie there
+    assert answer(scenes_of(records), COUNTS).scenes["s"].tied == ["one"]
     for record in records:
         record.errors = {"q": {"max": 1e-5}, "a": {"max": 0.2}}
     (own,) = answer(scenes_of(records[:1]), Question("q", 1e-4, "residuals")).scenes.values()
