@@ -279,4 +279,4 @@ def test_the_cause_leads_to_the_chapter_of_the_atlas(store):
     assert (pages / "atlas.html").read_text().count(f'id="atlas-{UNDAMPED}"') == 1
     failures = (pages / "failures.html").read_text()
     assert f'href="atlas.html#atlas-{UNDAMPED}"' in failures
-    assert "2 · 8 wrong in a</span>" in failures
+    assert "2 · 8 wrong</span>" in failures

@@ -11,7 +11,7 @@ from bench.results.studies import LongRun
 from reports.charts.errors import error_against_cost
 from reports.charts.line_styles import line_styles
 from reports.charts.work import size_charts
-from reports.formatting import file_name, number, symbols
+from reports.formatting import file_name, number
 from reports.names import scene_name
 from reports.pages.method_page import method_page
 from reports.pages.page import Figure, Page, Section, Text
@@ -115,7 +115,7 @@ class Report:
         learn = "Runs that did not reach the end, with the message of the method; runs that did, "
         learn += "and are wrong; and errors that fall with a lower order than the method claims."
         count = sum(w.silent for w in self.wrong_runs)
-        bad = f"{self.failed} · {count} wrong in {symbols(group)}" if count else self.failed
+        bad = f"{self.failed} · {count} wrong" if count else self.failed
         found = {"words": " ".join(sorted({"silent", *(r.status.replace("_", " ") for r in runs)}))}
         about = {"heading": "Answer", "count": bad, "values": found}
         return Page("failures.html", "Failures", learn, sections, **about)

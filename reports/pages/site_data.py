@@ -56,7 +56,7 @@ _SIGNS = {"unknown": "?", "far": "-", "failed": "!"}
 #: Ends of runs that failed, in words; others are called as records have them.
 _ENDS = {
     "budget_exceeded": "exceeded the budget",
-    "newton_failed": "failed in Newton's method",
+    "newton_failed": "did not converge in Newton's method",
     "step_too_small": "came to too small a step",
 }
 
