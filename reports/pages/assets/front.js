@@ -176,7 +176,7 @@
     const chart = stepbench.frame(room, high, " profile", lines.length, { role: "img", "aria-label": spoken });
     const ticks = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].filter((_, k) => !narrow || k % 3 === 0);
     chart.append(...stepbench.axes(inside, ticks.map((m) => [onX(m), `${m}×`]), [0, .25, .5, .75, 1].map((share) => [onY(share), percent(share)]),
-      narrow ? `multiple of the least ${data.cost_words[question.cost]} (${pairs} pairs)`
+      room < 700 ? `multiple of the least ${data.cost_words[question.cost]} (${pairs} pairs)`
         : `at most so many times the least ${stepbench.costName(question)} (${pairs} pairs that can be judged)`));
     lines.forEach((line, rank) => {
       const points = line.parts.map((share, k) => ({ x: onX(multiples[k]), y: onY(share) }));

@@ -111,7 +111,7 @@
         far = near ? ` down to ${runs.resolutions[last(runs)]}${lost ? ` (${lost} failed)` : ""}; least error: ${number(near.error)}` : "";
       const told = { far, failed: `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}`, refused: `: ${runs.refused}` };
       const text = state ? STATES[state] + (told[state] ?? "") : stepbench.unjudged(scene, question);
-      return html("tr", { class: "out" }, ...lead, html("td", { colspan: mine ? 1 : 3 + 2 * held }, text), ...(mine ? [html("td", {}, beyond), html("td", { colspan: 1 + 2 * held })] : []));
+      return html("tr", { class: "out" }, ...lead, html("td", { colspan: mine && beyond ? 1 : 3 + 2 * held }, text), ...(mine && beyond ? [html("td", {}, beyond), html("td", { colspan: 1 + 2 * held })] : []));
     }
     const [, k, cost] = state, off = held ? columnOf(runs, "constraint")[k] : NaN;
     const cells = [stepbench.costText(cost, question.cost), than.index === index ? "1 ×" : beyond, number(columnOf(runs, question.group)[k]), ...(held ? [runs.phi[k], number(off) + times(off, question)] : [])];
