@@ -326,7 +326,7 @@ def test_each_is_compared_with_the_highlighted_method_or_else_with_the_best(brow
     said = each(browser, "[data-verdict] p", "node.innerText")[1]
     assert said == "far does not reach it: its least error is 0.01; ask for 1e-2."
     rows = each(browser, ".methods tbody tr", "node.innerText.split('\t')")
-    beyond = {row[0]: row[2] for row in rows}
+    beyond = {row[0]: row[2] if row[2:] else "" for row in rows}
     visit(browser, folder / "report" / "scene-won.html", "#group=a&target=1e-2&highlight=far")
     rows = each(browser, ".methods tbody tr", "node.innerText.split('\t')")
     assert beyond == {row[0]: row[2] and f"at 1e-2: {row[2]}" for row in rows} | {"far": ""}

@@ -188,7 +188,7 @@ def test_a_method_follows_the_question_on_all_its_scenes_and_reset_returns_to_th
         own = [r for r in store.records().values() if r.integrator == "good[rho_inf=0.8]"]
     for scene, row in zip(("spring_mass", "pendulum"), rows, strict=True):
         errors = [r.errors["q"]["max"] for r in own if r.problem == scene and r.status == "ok"]
-        assert f"not reached down to h=0.003125; least error: {number(min(errors))}" in row
+        assert f"not reached: least error {number(min(errors))}, down to h=0.003125" in row
     reset.click()
     assert "target=1e-9" not in browser.execute_script(address)
     assert not reset.is_displayed()

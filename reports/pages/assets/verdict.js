@@ -108,7 +108,7 @@
     const runs = runsOf(scene, index), than = mine ?? best(scene), beyond = than && compared(scene, question, index, than.index) || "";
     if (!Array.isArray(state)) {
       const near = state === "far" && nearest([runs], question), lost = near ? (runs.endings ?? []).filter((end) => end !== "ok").length : 0,
-        far = near ? ` down to ${runs.resolutions[last(runs)]}${lost ? ` (${lost} failed)` : ""}; least error: ${number(near.error)}` : "";
+        far = near ? `: least error ${number(near.error)}, down to ${runs.resolutions[last(runs)]}${lost ? `, ${lost} failed` : ""}` : "";
       const told = { far, failed: `: ${[...new Set(runs.endings)].join(", ").replaceAll("_", " ")}`, refused: `: ${runs.refused}` };
       const text = state ? STATES[state] + (told[state] ?? "") : stepbench.unjudged(scene, question);
       return html("tr", { class: "out" }, ...lead, html("td", { colspan: mine && beyond ? 1 : 3 + 2 * held }, text), ...(mine && beyond ? [html("td", {}, beyond), html("td", { colspan: 1 + 2 * held })] : []));
