@@ -13,7 +13,7 @@ from bench.results.studies import ExperimentResult, spared
 from bench.results.table import Table
 from reports.charts.maps import method_strip
 from reports.formatting import file_name
-from reports.names import form_name
+from reports.names import form_name, scene_name
 from reports.pages.page import Figure, Page, Section, Text, page_file
 from reports.ranking import Answer
 from reports.scenes import NO_FACTS, StoredRuns
@@ -74,7 +74,7 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
     wrong = "; some are wrong" * any(r.wrong(group) for r in runs for group in GROUPS)
     fine = f"All its runs{' on scenes that it supports' * bool(unsupported)} reached the end"
     failed = failures_table(runs) or Text(f"{fine}{wrong}.")
-    orders = order_table([*by_scene.values()], "Its orders, scene by scene", [*by_scene])
+    orders = order_table([*by_scene.values()], "Its orders", [*map(scene_name, by_scene)])
     values = {
         "key": label,
         "title": facts.title.rstrip("."),

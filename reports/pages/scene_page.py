@@ -211,8 +211,8 @@ class _Study:
             norms = [NORM, *["end"] * any(r.constraint for r in self.records.values())]
             groups = groups_of(ok)
             caption = (
-                f"Error {named(NORMS[norm] for norm in norms)} against step size; thin grey lines "
-                f"have the slope of a whole order. {self._own_error(groups)}{left_out}"
+                f"Error {named(NORMS[norm] for norm in norms)} against constant steps; a thin grey "
+                f"line marks a fitted order that is whole. {self._own_error(groups)}{left_out}"
             )
             made = {n: convergence_chart(shown, groups, self.styles, n) for n in norms}
             charts = {f"{self.name}-convergence-{n}": chart for n, chart in made.items()}

@@ -57,7 +57,7 @@ def order_table(series: Sequence[Series], title: str, scenes: Sequence[str] = ()
         return None
     rows = []
     for name, s in shown:
-        claims = s.finest.claims or {}
+        claims = {g: n for g, n in (s.finest.claims or {}).items() if g in groups_of(s.ok)}
         rows.append([name, "claimed", *(str(claims.get(g, NO_VALUE)) for g in groups)])
         for norm, said in _MEASURED.items():
             rows.append([name, said])
