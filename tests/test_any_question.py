@@ -270,7 +270,7 @@ def test_a_scene_tells_whom_to_avoid(browser, folder):
         (
             "broken",
             "operations",
-            "Failed: two did not converge in Newton's method (1 of 2 runs; reasons).",
+            "Failed: two did not converge in Newton's method. Reasons of 1 of 2 runs.",
         ),
         ("near", "operations", ""),
     ):

@@ -105,15 +105,15 @@ class DrivenSprings(MechatronicSystem):
     Tests methods on a frequency that their steps cannot resolve: the stiff spring stands for a
     rigid connection. In the exact solution the vibration dies out within milliseconds, because of
     a weak damper that the published model does not have; undamped methods have accelerations off
-    by many times their size, while positions look right. Left out: the massless driven point, whose
-    motion is given.
+    by many times their size, while positions look right. Left out: the massless driven point.
     """
 
     interval = (0.0, 10.0)
     nominal_step = 0.25
     tags = ("linear", "stiff", "closed form", "driven")
     difficulties = (
-        "BDF of orders 3 to 5 needs short steps for the vibration (3162 rad/s, damped by 5 %)",
+        "BDF of orders 3 to 5 needs short steps for the vibration of the stiff spring",
+        "this vibration has 3162 rad/s and is damped by 5 %; the motion has 1.2 rad/s",
         "the start excites the stiff spring: undamped methods keep a spurious acceleration",
     )
     # The start makes an acceleration of thousands of m/s^2 for milliseconds; errors are relative to

@@ -277,8 +277,8 @@ def _failed(scene: str, report: Report) -> list[Sentence]:
         words = _ENDS.get(end) or end.replace("_", " ")
         how += ["; " if how else "", *listed(who, len(whose)), f" {words}"]
     hard = map(" Hard here: {}.".format, report.stored.scenes.get(scene, NO_SCENE).difficulties[:1])
-    count = f" ({len(failed)} of {counted(len(runs), 'run')}; "
-    return [["Failed: ", *how, count, Ref("failed", scene, "reasons"), ").", *hard]]
+    count = f"Reasons of {len(failed)} of {counted(len(runs), 'run')}"
+    return [["Failed: ", *how, ".", *hard, " ", Ref("failed", scene, count), "."]]
 
 
 def _wrong(report: Report, group: str, chosen: Filters, methods: Sequence[Ref]) -> dict[str, Any]:

@@ -166,7 +166,7 @@
     const { pairs, lines } = stepbench.profile(question), room = Math.max(320, place.clientWidth), narrow = room < 520, high = 400;
     if (!pairs) return place.replaceChildren(html("p", {}, "No pair of scene and target can be judged."));
     lines.sort((a, b) => b.parts.at(-1) - a.parts.at(-1) || b.parts[0] - a.parts[0]);
-    const inside = { x0: 52, x1: room - (narrow ? 12 : 26 + stepbench.room(lines.map((line) => line.name))), y0: 12, y1: high - 44, low: high - 6 };
+    const inside = { x0: 52, x1: room - (narrow ? 22 : 26 + stepbench.room(lines.map((line) => line.name))), y0: 12, y1: high - 44, low: high - 6 };
     const onX = (m) => inside.x0 + Math.log(m) / Math.log(widest) * (inside.x1 - inside.x0);
     const onY = (share) => inside.y1 - share * (inside.y1 - inside.y0);
     const best = lines[0], first = [...lines].sort((a, b) => b.parts[0] - a.parts[0])[0], percent = (share) => `${Math.round(100 * share)} %`;
