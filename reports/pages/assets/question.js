@@ -25,7 +25,7 @@
   // Beside a typed accuracy: the one that is taken in its place, or why it is none.
   const tell = (typed, value = accuracy(typed)) => {
     bar.querySelector("output").textContent = typed === null || Number(value) === Number(typed) ? ""
-      : value ? `The next accuracy of the table: ${value}.` : `“${typed}” is no accuracy: type a number from ${data.targets.at(-1)} to 1, such as 2e-4.`;
+      : value ? `The next accuracy of the table: ${value}.` : `“${typed}” is no accuracy: type a number from ${data.targets.at(-1)} to 1e-1, such as 2e-4.`;
   };
   // The norm is told where it is not the usual one.
   const address = (question = stepbench.question) => "#" + new URLSearchParams(Object.keys(choices)
