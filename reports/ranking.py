@@ -32,7 +32,7 @@ class RankEntry(NamedTuple):
     """One integrator that was tried on one scene, for one question.
 
     ``reached`` says whether a run reaches the target, ``run`` is the cheapest of those whose cost
-    is known, ``value`` its cost, ``ratio`` its multiple of the least of all (`compared`).
+    is known, ``value`` its cost, ``ratio`` its multiple of the least (`compared`), 1 at least.
     """
 
     label: str
@@ -192,15 +192,15 @@ class _Field:
         ladders = self._ladders(question.group, cost, question.norm)
         cheapest, *later = [_cheapest(own, target) for own in ladders]
         now = self._tied(cheapest, cost)
-        best = min(cheapest.values(), key=itemgetter(0), default=(0.0, None))
+        best, top = min(cheapest.values(), key=itemgetter(0), default=(0.0, None))
         # One that is first from a later start of the motion ties: luck decides between them.
         lucky = {k for own in later for k in self._tied(own, cost) if own[k][1].later}
-        winners = now | {k for k in lucky & cheapest.keys() if cheapest[k][0] <= LUCK * best[0]}
+        winners = now | {k for k in lucky & cheapest.keys() if cheapest[k][0] <= LUCK * best}
         entries = {}
         for s in self.series:
             reached = bisect_right(ladders[0][s.label][0], target) > 0
             value, run = cheapest.get(s.label, (None, None))
-            ratio = self._compared(best[1].key, run.key, cost)[0] if run and best[1] else None
+            ratio = max(1.0, self._compared(top.key, run.key, cost)[0]) if run and top else None
             entries[s.label] = RankEntry(s.label, s, reached, run, value, ratio)
         tied = sorted((k for k in entries if k in winners), key=lambda k: cheapest[k][0])
         return SceneAnswer(question, entries, tied, {*tied} - now)

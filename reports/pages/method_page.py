@@ -12,7 +12,7 @@ from bench.results.records import TOLD, MethodFacts
 from bench.results.studies import ExperimentResult, spared
 from bench.results.table import Table
 from reports.charts.maps import method_strip
-from reports.formatting import file_name
+from reports.formatting import file_name, symbols
 from reports.names import form_name, scene_name
 from reports.pages.page import Figure, Page, Section, Text, page_file
 from reports.ranking import Answer
@@ -71,9 +71,9 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
         {f"chart-{file_name(label)}-strip": method_strip(label, over, found)},
     )
     unsupported, atlas = unsupported_table(runs), atlas_table(name, [*stored.atlas.values()])
-    wrong = "; some are wrong" * any(r.wrong(group) for r in runs for group in GROUPS)
+    bad = ", ".join(symbols(g) for g in GROUPS if any(r.wrong(g) for r in runs))
     fine = f"All its runs{' on scenes that it supports' * bool(unsupported)} reached the end"
-    failed = failures_table(runs) or Text(f"{fine}{wrong}.")
+    failed = failures_table(runs) or Text(f"{fine}{bad and f'; some are wrong in {bad}'}.")
     orders = order_table([*by_scene.values()], "Its orders", [*map(scene_name, by_scene)])
     values = {
         "key": label,

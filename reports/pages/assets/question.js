@@ -121,7 +121,7 @@
     });
     const known = [...states.keys()].filter((m) => Array.isArray(states[m])).sort((one, two) => states[one][2] - states[two][2]);
     const samples = (m) => stepbench.runsOf(index, m).samples[states[m][1]];
-    for (const m of known.slice(1)) states[m][0] = cost === "seconds" && stepbench.quotient(samples(known[0]), samples(m))?.value || states[m][2] / states[known[0]][2];
+    for (const m of known.slice(1)) states[m][0] = cost === "seconds" && Math.max(1, stepbench.quotient(samples(known[0]), samples(m))?.value) || states[m][2] / states[known[0]][2];
     // One that ties from a later start of the motion alone has -1 minus its place.
     const [counts, ...ties] = tie, later = ties.filter((m) => m < 0).map((m) => -1 - m), winners = ties.map((m) => m < 0 ? -1 - m : m);
     const order = all.map(({ method }) => method).filter((m) => states[m]);

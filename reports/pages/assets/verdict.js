@@ -120,9 +120,9 @@
   const refused = (runs) => runs.refused !== undefined && "refused";
   for (const table of document.querySelectorAll("[data-methods]")) stepbench.onChange((question) => {
     const scene = Number(table.dataset.methods), states = stepbench.answer()[scene]?.states;
-    const multiple = ([, state]) => Array.isArray(state) ? state[0] : Infinity;
+    const dear = ([, state]) => Array.isArray(state) ? state[2] : Infinity;
     const others = states ? data.runs_of[scene].filter(refused).map((runs) => [runs.method, "refused"]) : [];
-    const found = [...(states || []).entries(), ...others].filter(([, state]) => state !== null).sort((one, two) => multiple(one) - multiple(two) || 0);
+    const found = [...(states || []).entries(), ...others].filter(([, state]) => state !== null).sort((one, two) => dear(one) - dear(two) || 0);
     table.closest("section").hidden = !found.length;
     const held = data.scenes[scene].groups.includes("constraint"), own = placeOf(question.highlight), mine = runsOf(scene, own) ? { index: own } : null;
     const why = own < 0 ? "; highlight a method to compare all with it" : reaching(scene, own) ? "" : `; ${data.methods[own].short} does not reach it, and is compared where both do`;
