@@ -206,7 +206,7 @@ def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_viol
     records += [won("spring_mass", **FREE, formulation="unconstrained"), won("slider_crank")]
     records += [won("slider_crank", name, error=1e-9) for name in ("two", "three", "four")]
     records += [won("slider_crank", "five", error=1e-9, formulation="index3")]
-    records += [won("slider_crank", "six", status="diverged")]
+    records += [won("slider_crank", "six", status="diverged"), won("chain", "six")]
     write_html_report(plant(tmp_path, records))
 
     def asked(scene, question):
