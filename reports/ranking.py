@@ -240,7 +240,7 @@ def _cheapest(ladders: Mapping[str, _Ladder], target: float) -> dict[str, _Cheap
 
 
 def compared(one: Record, two: Record, cost: str) -> tuple[float, bool]:
-    """How many times the cost of one run another has, and whether that is more than is unknown.
+    """How many times the cost of one run another has, and whether they surely differ.
 
     Times are compared within rounds (`bench.results.timings`), others differ beyond `Cost.tie`; a
     multiple of nothing is infinite.

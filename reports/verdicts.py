@@ -28,7 +28,7 @@ from reports.scenes import StoredRuns
 from reports.series import label_of
 from reports.wrong import Wrong, wrong_runs, wrong_sentences
 
-#: Headlines, which question.js fills in, too; ``who`` are one integrator or several.
+#: Headlines for Python and scripts, and good news; ``who`` are one integrator or several.
 HEADLINES = {
     "unjudged": "No scene here can be judged.",
     "nobody": "No method reaches {target} on {any}.",

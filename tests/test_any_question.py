@@ -290,6 +290,7 @@ def test_times_are_told_apart_as_in_the_ranking(browser, folder):
         fragment = f"#group=a&target=1e-4&cost=seconds&highlight={one}"
         visit(browser, folder / "report" / "scene-noisy.html", fragment)
         rows = each(browser, ".methods tbody tr", "node.innerText.split('\t')")
+        assert [row[0] for row in rows] == sorted(noisy, key=lambda k: own.entries[k].value)
         told = {row[0]: row[2].replace("\N{MULTIPLICATION SIGN}", "times") for row in rows}
         for two in noisy.keys() - {one}:
             found = quotient(by_round(noisy[one]), by_round(noisy[two]))

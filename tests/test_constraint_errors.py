@@ -215,7 +215,7 @@ def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_viol
 
     (verdict,), rows = asked("pendulum", "#group=constraint&target=1e-3&cost=operations")
     held, cheapest = verdict.split("\n")[::2]
-    assert held == "Held in every run: two."
+    assert held == "Held to 1e-3 (relative) in every run that ended: two."
     assert cheapest.startswith(
         "To 1e-3 (relative) in constraints Φ: two (3000 operations at h=0.01; violation of Φ"
     )
@@ -223,7 +223,8 @@ def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_viol
     ((said, *_),) = [
         text.split("\n") for text in asked("slider_crank", "#group=constraint&target=1e-3")[0]
     ]
-    assert said == "Held in every run: five, index 2 but one."
+    held = "Held to 1e-3 (relative) in every run that ended"
+    assert said == f"{held}: five, index 2 but one."
     _, (head, one, two) = asked("pendulum", "#group=a&target=1e-4&cost=operations")
     assert "violation of Φ" in head
     assert one.startswith("one index 2\t")

@@ -49,6 +49,7 @@ def test_equations_are_those_that_the_scene_has():
     assert equations(CarAxis()) == ["M(q) a = g(q, v, t) - Phi_q^T lam", "0 = Phi(q, t)"]
     assert equations(SpringMass())[0] == "M(q) a = g(q, v, t) + L y"
     assert len(equations(SpringMass())) == 3
+    assert not any("lam" in text for text in equations(SpringMass()))
 
 
 def test_drawings_follow_the_motion():

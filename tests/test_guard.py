@@ -206,7 +206,7 @@ def test_use_of_this_process_and_its_children_is_seen():
         seconds, size = usage(os.getpid()) or before
         return seconds > before[0] + 0.3 and size > before[1] + 2**26
 
-    with subprocess.Popen([sys.executable, "-c", "x = [0] * 10**8\nwhile True: pass"]) as child:
+    with subprocess.Popen([sys.executable, "-c", "x = [0] * 3 * 10**7\nwhile True: pass"]) as child:
         assert comes(grown)
         child.kill()
     assert usage(2**22 + 1) is None

@@ -125,8 +125,8 @@ def equations(scene: MechatronicSystem) -> list[str]:
     motion += " - A^T lam" if scene.has("velocity_constraint") else ""
     motion += " + L y" if scene.has("output") else ""
     motion += " + g_c(q, v, lam, x, y, t)" if scene.has("coupled_force") else ""
-    found = (text for block, text in _BLOCKS.items() if scene.has(block))
-    return [motion, *(text.replace("lam, ", "lam, " * (scene.sizes.nl > 0)) for text in found)]
+    found = [motion, *(text for block, text in _BLOCKS.items() if scene.has(block))]
+    return [text.replace("lam, ", "lam, " * (scene.sizes.nl > 0)) for text in found]
 
 
 def frames(scene: MechatronicSystem, reference: Reference) -> list[dict[str, Any]]:
