@@ -95,11 +95,11 @@ def tag_name(tag: str) -> str:
 class Ref(NamedTuple):
     """Text that stands for something a page can lead to.
 
-    ``key`` is the label of a method, also of its "wrong" runs, the name of a scene, also of its
-    "failed" runs, the key of a run, the term of the glossary, or the name of an experiment.
+    ``key`` is the label of a method, the name of a scene, also of its "failed" runs, the key of a
+    run, the term of the glossary, or the name of an experiment.
     """
 
-    kind: Literal["method", "scene", "run", "term", "atlas", "failed", "wrong"]
+    kind: Literal["method", "scene", "run", "term", "atlas", "failed"]
     key: str
     text: str
 

@@ -203,9 +203,9 @@ def stored_card(label: str, found: Answer, stored: StoredRuns) -> list[Sentence]
 
 #: How many of an integrator's runs on a scene are wrong, as `Wrong.kind` calls it.
 _WHERE = {
-    "every": "in every run",
-    "some": "in some",
-    "coarsest": "in the coarsest alone",
+    "every": "always",
+    "some": "sometimes",
+    "coarsest": "coarsest run",
 }
 
 
@@ -218,9 +218,7 @@ def failings(label: str, group: str, stored: StoredRuns, known: Iterable[Wrong])
     wrong: Sentence = []
     for kind, place in _WHERE.items():
         where = [[scene_ref(w.scene)] for w in found if w.kind == kind and w.silent]
-        if kind == "coarsest" and len(where) > 2:  # finer runs are right: no name is needed
-            where = [[Ref("wrong", label, f"{len(where)} scenes")]]
-        lead = "; " if wrong else "Wrong without warning "
+        lead = "; " if wrong else "Wrong without warning, "
         wrong += [f"{lead}{place}: ", *listed(where, 9)] if where else []
     sentences = [[*wrong, "."]] if wrong else []
     for (said,) in wrong_sentences(found, group, stored.names)[:1]:

@@ -26,7 +26,7 @@ from reports.questions import plain
 from reports.scenes import NO_SCENE, StoredRuns
 from reports.series import series_of
 from reports.tables.run_tables import notes_table
-from reports.verdicts import method_card
+from reports.verdicts import failings, method_card
 from reports.wrong import STIFF, UNDAMPED, silent_tables, wrong_on, wrong_sentences
 
 
@@ -192,6 +192,10 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
     assert said() == [head.format(3, ""), never.format("s: ")]
     assert plain(wrong_sentences(found(), "a", {}, "s")[-1]) == never.format("")
     assert said("lam") == []
+    for label, when in {"wrong": "always", "late": "coarsest run"}.items():
+        first, count, *_ = map(plain, failings(label, "a", stored, found()))
+        assert first == f"Wrong without warning, {when}: s."
+        assert count.startswith("These are ")
     every, coarsest = silent_tables(found(), "a", stored)
     assert every.caption == "Wrong at every resolution, in acceleration: 2 runs"
     assert every.rows == [["wrong", "s", "2 of 2", "0.2 at h=0.05", "hard here: It is stiff."]]

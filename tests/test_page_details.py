@@ -167,7 +167,7 @@ def test_the_card_of_a_method_says_where_it_wins_loses_and_fails(tmp_path):
     assert method_card(tmp_path, "poor") == [
         f"poor {reaches} 0 of 1 scene tried.",
         "Does not reach it: spring mass (smallest error: 0.00938).",
-        "Wrong without warning in some: spring mass.",
+        "Wrong without warning, sometimes: spring mass.",
         "These are 2 of 6 runs that reached the end (error in acceleration above 0.1, "
         "largest over time).",
     ]

@@ -112,7 +112,7 @@ class DrivenSprings(MechatronicSystem):
     nominal_step = 0.25
     tags = ("linear", "stiff", "closed form", "driven")
     difficulties = (
-        "BDF of orders 3 to 5 needs short steps for the stiff vibration",
+        "BDF above order 2 and corrected starts need short steps for the stiff vibration",
         "this vibration has 3162 rad/s and is damped by 5 %; the motion has 1.2 rad/s",
         "the start excites the stiff spring: undamped methods keep a spurious acceleration",
     )

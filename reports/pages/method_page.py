@@ -87,7 +87,7 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
     sections = [
         Section("Orders", [orders]),
         Section("Failures of the atlas", [atlas]),
-        Section("Where it fails", parts, f"wrong-{file_name(label)}"),
+        Section("Where it fails", parts),
     ]
     title, file = stored.names[label], page_file("method", label)
     return Page(file, title, sections=sections, heading="", kind="method", values=values)

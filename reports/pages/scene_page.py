@@ -34,6 +34,7 @@ from reports.tables.ranking_tables import targets_table
 from reports.tables.run_tables import (
     events_table,
     failures_table,
+    held_table,
     invariants_table,
     runs_table,
     summary_table,
@@ -157,6 +158,7 @@ def scene_page(
         "facts": scene_facts(scene),
         "beside": [
             Section("Picture", [motion(scene.drawings)]),
+            Section("Violation of Φ, relative", [held_table(series, names)]),
             Section("What is hard here", [scene.difficulties]),
         ],
         "equations": [*map(mathml, scene.equations)],

@@ -23,7 +23,7 @@ from bench.results.records import (
 from bench.results.table import short_exponent
 from bench.results.timings import FEWEST, LEAST_OF_FEW, by_round, median_interval
 from reports.charts.mechanism import little_picture
-from reports.formatting import file_name, tie_text
+from reports.formatting import tie_text
 from reports.names import FAMILIES, form_name, scene_name
 from reports.pages.method_page import plugin_option
 from reports.pages.page import page_file
@@ -296,8 +296,6 @@ def _wrong(report: Report, group: str, chosen: Filters, methods: Sequence[Ref]) 
             page = f"{page_file('scene', scenes[piece.key])}#{ids[piece.key]}"
         elif piece.kind == "failed":
             page = f"{page_file('scene', piece.key)}#{anchors[piece.key]}-failed"
-        elif piece.kind == "wrong":
-            page = f"{page_file('method', piece.key)}#wrong-{file_name(piece.key)}"
         else:
             page = page_file(piece.kind, piece.key)
         return {"kind": piece.kind, "key": piece.key, "text": piece.text, "page": page}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from statistics import median_low
 
 from bench.results.quantities import ERROR_MEANING, LEVELS, NORM, TRUST, VIOLATIONS
 from bench.results.records import UNSUPPORTED, Record
@@ -110,6 +111,28 @@ def invariants_table(series: Sequence[Series]) -> Table | None:
         note="Largest over time; relative: divided by the change of Φ that positions or velocities "
         "of their size make; the energy relative to the motion's largest kinetic energy.",
     )
+
+
+def held_table(series: Sequence[Series], names: Mapping[str, str]) -> Table | None:
+    """How far each formulation violates the constraints, in its worst run and in its best one.
+
+    A method whose worst run does so ten thousand times more than most of its formulation has its
+    own row.
+    """
+    forms: dict[str, list[tuple[float, float, str]]] = {}
+    for s in series:
+        sizes = [e for r in s.ok if (e := r.error("constraint", NORM)) is not None]
+        if sizes:
+            forms.setdefault(form_name(s.ok), []).append((max(sizes), min(sizes), s.label))
+    rows = []
+    for form, own in forms.items():
+        usual = [m for m in own if m[0] <= 1e4 * median_low(worst for worst, _, _ in own)]
+        rows.append((max(usual)[0], min(best for _, best, _ in usual), form))
+        rows += [(*m[:2], f"{names[m[2]]} ({form})") for m in own if m not in usual]
+    cells = [[name, number(worst), number(best)] for worst, best, name in sorted(rows)]
+    about = "Violation of the constraints Φ, relative, of runs that reached the end"
+    head = ["formulation", "worst run", "best run"]
+    return Table(about, head, cells, code=()) if cells else None
 
 
 def events_table(series: Sequence[Series]) -> Table | None:

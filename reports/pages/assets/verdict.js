@@ -42,18 +42,11 @@
     return [...stepbench.listed(own.first.map(run)),
       own.first.length > 1 ? " tie" : own.votes && next === null ? " alone reaches it" : " is cheapest", ...rest];
   };
-  // Whom to avoid on a scene: those that cost ten times the least or more, and those that do not reach the accuracy. Of constraints who holds them, as 'index 3, GGL but A'.
-  const avoided = (scene, { first, second, states }, question) => {
+  // Whom to avoid on a scene: those that cost ten times the least or more, and those that do not reach the accuracy.
+  const avoided = ({ second, states }) => {
     const of = (is) => [...states.entries()].filter(([, state]) => state !== null && is(state)), { listed, methodRef, multiple } = stepbench;
-    const how = ([m]) => columnOf(runsOf(scene, m), question.group).some((error) => error > Number(question.target)) ? "in some" : "in every run that ended";
     const dear = of(([ratio]) => ratio >= 10).sort(([, [one]], [, [two]]) => two - one).map(([m, [ratio]]) => [methodRef(m), ` (${multiple(ratio)} ×)`]);
     const far = of((state) => state === "far" || state === "failed").map(([m]) => [methodRef(m)]);
-    const forms = Object.groupBy(of((state) => state !== "failed").map(([m]) => m), (m) => data.methods[m].form), refs = (own) => own.map((m) => [methodRef(m)]), many = (item) => typeof item[0] === "string" ? item.length : 0;
-    const by = (own) => Object.entries(forms).flatMap(([form, all]) => {
-      const mine = all.filter((m) => own.includes(m)), but = all.filter((m) => !own.includes(m));
-      return mine.length < 3 || but.length > 2 ? refs(mine) : [[form.replace(",", ""), ...(but.length ? [" but ", ...listed(refs(but))] : [])]];
-    });
-    if (stepbench.violation(question)) return [`Held to ${question.target} (relative) `, ...Object.entries(Object.groupBy(of(stepbench.reaches), how)).flatMap(([said, own], k) => [`${k ? "; " : ""}${said}: `, ...by(own.map(([m]) => m)).sort((one, two) => many(one) - many(two)).flatMap((item, k) => k ? [", ", ...item] : item)]), "."];
     return second !== null ? [...(dear.length ? ["Costly: ", ...listed(dear), ". "] : []), ...(far.length ? ["Not reached by ", ...listed(far), "."] : [])] : [];
   };
   // What a method costs over another one on a scene, at the finest accuracy of at least that of the question that both reach; of times the median quotient in rounds with its interval, and whether it is significant.
@@ -83,8 +76,8 @@
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
     const scene = Number(place.dataset.verdict), own = stepbench.answer()[scene], relative = stepbench.violation(question);
     const aim = own?.reached ? [`To ${question.target}${relative ? " (relative)" : ""} in ${quantity(question)}: `] : [];
-    const others = own?.reached ? avoided(scene, own, question).map(part) : [], verdict = [[...aim, ...stepbench.verdict(scene, question)].map(part), ...beside(scene, question)];
-    place.replaceChildren(...(relative ? [others, ...verdict] : [...verdict, others]).filter((parts) => parts.length).map((parts) => html("p", {}, ...parts)), ...stepbench.wrong("scenes", scene));
+    const others = own?.reached ? avoided(own).map(part) : [], verdict = [[...aim, ...stepbench.verdict(scene, question)].map(part), ...beside(scene, question)];
+    place.replaceChildren(...[...verdict, others].filter((parts) => parts.length).map((parts) => html("p", {}, ...parts)), ...stepbench.wrong("scenes", scene));
   });
 
   // A command that repeats the run of the verdict, or else the one that came nearest.
