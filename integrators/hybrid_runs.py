@@ -194,7 +194,9 @@ class PhasedRun(PreparedRun):
                 # The same steps, up to that in which the function falls: where a method takes
                 # others up to another end, the event is that of the rows that are kept.
                 row, kept = fall.row, self._measured(phase, float(rows.t[fall.row - 1]))
-                before = _from_end(phase, kept)
+                end = _row(kept, -1)
+                state = State(np.asarray(end.q), np.asarray(end.v), np.asarray(end.x))
+                before = phases.on_constraints(phase.phase(float(end.t), state, {}))
 
             def value(t: float, before: Any = before, event: int = fall.event) -> float:
                 if t <= before.interval[0]:
@@ -262,13 +264,6 @@ def _total(count: str, runs: list[Trajectory]) -> int | None:
 def _row(rows: Trajectory, k: int) -> Variables:
     z: Any = [getattr(rows, group)[k] for group in (*VARIABLES, "t")]
     return Variables(*z)
-
-
-def _from_end(phase: MechatronicSystem, rows: Trajectory) -> MechatronicSystem:
-    """The phase from the end of a run on."""
-    z = _row(rows, -1)
-    state = State(np.asarray(z.q), np.asarray(z.v), np.asarray(z.x))
-    return phases.on_constraints(phase.phase(float(z.t), state, {}))
 
 
 def _ends(fall: phases.Fall, t: np.ndarray, values: np.ndarray) -> Iterator[float]:

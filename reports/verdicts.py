@@ -202,11 +202,7 @@ def stored_card(label: str, found: Answer, stored: StoredRuns) -> list[Sentence]
 
 
 #: How many of an integrator's runs on a scene are wrong, as `Wrong.kind` calls it.
-_WHERE = {
-    "every": "always",
-    "some": "sometimes",
-    "coarsest": "coarsest run",
-}
+_WHERE = {"every": "always", "some": "sometimes", "coarsest": "coarsest run"}
 
 
 def failings(label: str, group: str, stored: StoredRuns, known: Iterable[Wrong]) -> list[Sentence]:

@@ -22,8 +22,7 @@ from reports.series import Series
 #: Names of experiments.
 PATTERN, TRANSIENT, UNDAMPED = "variable_steps", "start_transient", "undamped_index3"
 STIFF = "spurious_acceleration"
-#: Policies at samples (`problems.system.POLICIES`) in the order of columns, and experiments
-#: on them.
+#: Policies at samples (`problems.system.POLICIES`) in the order of columns; their experiments.
 IGNORED, OVER = "ignored_samples", "steps_over_samples"
 POLICIES = {"hit": "", "interpolate": OVER, "ignore": IGNORED}
 #: The verdict of a fit on errors that never fall.
@@ -136,10 +135,7 @@ def wrong_runs(stored: StoredRuns, group: str, label: str = "") -> list[Wrong]:
 def wrong_sentences(
     found: Iterable[Wrong], group: str, names: Names, here: str = ""
 ) -> list[Sentence]:
-    """How many runs are wrong without warning; who is so in every run on a scene.
-
-    The scene ``here`` is not named.
-    """
+    """How many runs are wrong without warning; who is so in every run on a scene but ``here``."""
     found = [*found]
     silent, warned = sum(w.silent for w in found), sum(w.warned for w in found)
     if not silent + warned:

@@ -69,6 +69,7 @@ def site_data(report: Report) -> dict[str, Any] | None:
     first, measured = report.stored.first, report.measured
     series = [s for own in measured.values() for s in own]
     families = {s.label: s.family for s in series}
+    samples = max((len(r.run_s) for s in series for r in s.records), default=0)
     places = {label: k for k, label in enumerate(families)}
     methods = [method_ref(label, report.names) for label in families]
     scenes = report.stored.scenes
@@ -91,7 +92,11 @@ def site_data(report: Report) -> dict[str, Any] | None:
         "wrong_a": WRONG_A,
         "units": {c: cost.unit for c, cost in COSTS.items()},
         "apart": {c: cost.tie for c, cost in COSTS.items()},
-        **_timing_rules([r for s in series for r in s.records]),
+        # Numbers of `bench.results.timings.quotient`; ``cuts``: samples left out at each end.
+        "cuts": [0, *(round(median_interval(range(n))[0]) for n in range(1, samples + 1))],
+        "fewest": FEWEST,
+        "few": LEAST_OF_FEW,
+        "long": TIMING_SECONDS,
         "ties": {cost: tie_text(cost) for cost in COSTS},
         "targets": [replace(first, target=t).accuracy for t in GRID],
         "first": {
@@ -178,14 +183,6 @@ def _runs(series: Series, places: Mapping[str, int], columns: Sequence[str]) -> 
         **({"endings": endings} if {*endings} != {"ok"} else {}),
         **({"refused": series.records[0].message} if refused else {}),
     }
-
-
-def _timing_rules(records: Sequence[Record]) -> dict[str, Any]:
-    """The numbers of `bench.results.timings.quotient`; ``cuts`` are, by the count of samples, how
-    many are left out at each end of an interval."""
-    most = max((len(r.run_s) for r in records), default=0)
-    cuts = [0, *(round(median_interval(range(n))[0]) for n in range(1, most + 1))]
-    return {"cuts": cuts, "fewest": FEWEST, "few": LEAST_OF_FEW, "long": TIMING_SECONDS}
 
 
 def _value(record: Record, name: str) -> float | None:

@@ -99,40 +99,34 @@ def invariants_table(series: Sequence[Series]) -> Table | None:
         columns[f"{name}, relative"] = [r.error(group, NORM) for _, r in runs]
     columns["energy drift"] = [r.energy_drift for _, r in runs]
     known = {name: own for name, own in columns.items() if any(x is not None for x in own)}
-    if not known:
-        return None
-    return Table(
-        "Constraint residuals and energy drift",
-        ["integrator", "formulation", "finest run", *known],
-        [
-            [s.label, form_name([run]) or run.formulation, run.resolution, *map(number, cells)]
-            for (s, run), *cells in zip(runs, *known.values(), strict=True)
-        ],
-        note="Largest over time; relative: divided by the change of Φ that positions or velocities "
-        "of their size make; the energy relative to the motion's largest kinetic energy.",
-    )
+    rows = [
+        [s.label, form_name([run]) or run.formulation, run.resolution, *map(number, cells)]
+        for (s, run), *cells in zip(runs, *known.values(), strict=True)
+    ]
+    note = "Largest over time; relative: divided by the change of Φ that positions or velocities "
+    note += "of their size make; the energy relative to the motion's largest kinetic energy."
+    head = ["integrator", "formulation", "finest run", *known]
+    return Table("Constraint residuals and energy drift", head, rows, note=note) if known else None
 
 
 def held_table(series: Sequence[Series], names: Mapping[str, str]) -> Table | None:
     """How far each formulation violates the constraints, in its worst run and in its best one.
 
-    A method whose worst run does so ten thousand times more than most of its formulation has its
-    own row.
+    A method that does so ten thousand times more than most of its formulation has its own row.
     """
     forms: dict[str, list[tuple[float, float, str]]] = {}
     for s in series:
-        sizes = [e for r in s.ok if (e := r.error("constraint", NORM)) is not None]
-        if sizes:
-            forms.setdefault(form_name(s.ok), []).append((max(sizes), min(sizes), s.label))
+        if sizes := [e for r in s.ok if (e := r.error("constraint", NORM)) is not None]:
+            forms.setdefault(form_name(s.ok), []).append((max(sizes), min(sizes), names[s.label]))
     rows = []
     for form, own in forms.items():
-        usual = [m for m in own if m[0] <= 1e4 * median_low(worst for worst, _, _ in own)]
+        most = 1e4 * median_low(own)[0]
+        usual = [m for m in own if m[0] <= most]
         rows.append((max(usual)[0], min(best for _, best, _ in usual), form))
-        rows += [(*m[:2], f"{names[m[2]]} ({form})") for m in own if m not in usual]
+        rows += [(worst, best, f"{name} ({form})") for worst, best, name in own if worst > most]
     cells = [[name, number(worst), number(best)] for worst, best, name in sorted(rows)]
-    about = "Violation of the constraints Φ, relative, of runs that reached the end"
-    head = ["formulation", "worst run", "best run"]
-    return Table(about, head, cells, code=()) if cells else None
+    about = "Violation of Φ, relative, of runs that reached the end"
+    return Table(about, ["formulation", "worst run", "best run"], cells, code=()) if cells else None
 
 
 def events_table(series: Sequence[Series]) -> Table | None:
@@ -154,7 +148,7 @@ def events_table(series: Sequence[Series]) -> Table | None:
 def failures_table(records: Sequence[Record]) -> Table | None:
     """Every run that its method supports and that did not reach the end, with its reason."""
     failed = [r for r in records if r.status not in ("ok", UNSUPPORTED)]
-    ends = [[r.status.replace("_", " "), r.message or "no message"] for r in failed]
+    ends = ((r.status.replace("_", " "), r.message or "no message") for r in failed)
     rows = [[r.integrator, r.problem, r.resolution, *e] for r, e in zip(failed, ends, strict=True)]
     head = ["integrator", "scene", "resolution", "status", "message"]
     return Table("Runs that did not reach the end", head, rows, code=(0, 1)) if rows else None

@@ -36,13 +36,12 @@ def unknowns(scene: SceneRecord) -> str:
 def scene_facts(scene: SceneRecord) -> dict[str, str]:
     """Texts by name: interval, size, reference, sensitivity, source, faults."""
     growth = f"a small change of the start grows up to {number(scene.growth)} times"
+    own = (f"{g} {number(e)}" for g, e in scene.reference_error.items())
     found = {
         "Interval": f"{number(scene.t0)} s to {number(scene.t_end)} s" * (scene.t_end > scene.t0),
         "Size": unknowns(scene),
         "Reference": scene.reference_method,
-        "Its own relative error": ", ".join(
-            f"{g} {number(e)}" for g, e in scene.reference_error.items()
-        ),
+        "Its own relative error": ", ".join(own),
         "Sensitivity": f"{growth} (2-norm, relative to sizes)" if scene.growth else "",
         "Source": scene.source,
         "Faults": " ".join(scene.faults),
