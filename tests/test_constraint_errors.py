@@ -226,6 +226,7 @@ def test_a_link_asks_for_the_constraints_and_the_table_of_methods_has_their_viol
         return [each(browser, part, "node.innerText") for part in ("[data-verdict]", ".methods tr")]
 
     (verdict,), rows = asked("pendulum", "#group=constraint&target=1e-3&cost=operations")
+    assert "1e-3" in each(browser, "[data-verdict] .whole", "node.innerText")
     assert verdict.startswith(
         "To 1e-3 (relative) in constraints Φ: two (3000 operations at h=0.01; violation of Φ"
     )
