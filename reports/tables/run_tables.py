@@ -11,6 +11,7 @@ from bench.results.records import UNSUPPORTED, Record
 from bench.results.table import Table
 from reports.formatting import NO_VALUE, component_text, cost_text, milliseconds, number
 from reports.names import form_name
+from reports.questions import named
 from reports.series import Series, groups_of, ok_runs, reference_error
 
 
@@ -110,10 +111,7 @@ def invariants_table(series: Sequence[Series]) -> Table | None:
 
 
 def held_table(series: Sequence[Series], names: Mapping[str, str]) -> Table | None:
-    """How far each formulation violates the constraints, in its worst run and in its best one.
-
-    A method that does so ten thousand times more than most of its formulation has its own row.
-    """
+    """Violations by formulation; a method ten thousand times above most of its own is apart."""
     forms: dict[str, list[tuple[float, float, str]]] = {}
     for s in series:
         if sizes := [e for r in s.ok if (e := r.error("constraint", NORM)) is not None]:
@@ -121,12 +119,14 @@ def held_table(series: Sequence[Series], names: Mapping[str, str]) -> Table | No
     rows = []
     for form, own in forms.items():
         most = 1e4 * median_low(own)[0]
-        usual = [m for m in own if m[0] <= most]
-        rows.append((max(usual)[0], min(best for _, best, _ in usual), form))
-        rows += [(worst, best, f"{name} ({form})") for worst, best, name in own if worst > most]
+        usual, odd = ([m for m in own if (m[0] > most) == far] for far in (False, True))
+        but = f" but {named(name for *_, name in odd)}" * bool(odd)
+        rows.append((max(usual)[0], min(best for _, best, _ in usual), form + but))
+        rows += [(worst, best, f"{name} ({form})") for worst, best, name in odd]
     cells = [[name, number(worst), number(best)] for worst, best, name in sorted(rows)]
-    about = "Violation of Φ, relative, of runs that reached the end"
-    return Table(about, ["formulation", "worst run", "best run"], cells, code=()) if cells else None
+    note = "Largest over time, of runs that reached the end; 1e-15 stands for less, too."
+    head = ["formulation", "worst run", "best run"]
+    return Table("Violation of Φ, relative", head, cells, code=(), note=note) if cells else None
 
 
 def events_table(series: Sequence[Series]) -> Table | None:

@@ -62,7 +62,7 @@
     const ends = found ? [...new Set([found.low, found.high].map(number))] : [], word = found && differs && (found.low > 1 || found.high < 1) ? "significant" : "not significant";
     return `${sizes}${ends.length > 1 ? ` (${ends.join(" to ")})` : ""}, ${tied || word}${found?.few === false ? "" : " (few samples)"}`;
   };
-  const placeOf = (label) => data.methods.findIndex((method) => method.label === label), best = (scene) => reaching(scene, stepbench.answer()[scene]?.states.findIndex((own) => own?.[0] === 1));
+  const placeOf = (label) => data.methods.findIndex((method) => method.label === label), best = (scene) => reaching(scene, stepbench.answer()[scene]?.first[0]);
   // The highlighted method beside the best on a scene, or the accuracy that it reaches there.
   const beside = (scene, question) => {
     const m = placeOf(question.highlight), own = stepbench.answer()[scene], runs = m >= 0 && own && runsOf(scene, m);
