@@ -92,7 +92,7 @@ def differing_costs(found: Mapping[Question, Answer], runs: Iterable[Record], na
         if label_of(run) in each and run.seconds and (count := run.cost("operations")):
             each[label_of(run)].append(1e9 * run.seconds / count)
     said = [f"{number(median(own))} ns in {names[k]}" for k, own in each.items() if own]
-    words = "Times rank otherwise, as they depend on machine and language: an operation takes "
+    words = "Times rank unlike operations: they depend on machine and language; an operation takes "
     words = f"{words}{named(said)} (medians). " if len(said) > 1 else ""
     return f"{words}Operations of libraries are estimates."
 
@@ -201,8 +201,12 @@ def stored_card(label: str, found: Answer, stored: StoredRuns) -> list[Sentence]
     return [*said, *amiss]
 
 
-#: How many of an integrator's runs on a scene are wrong, as `Wrong.kind` calls it.
-_WHERE = {"every": "always", "some": "sometimes", "coarsest": "coarsest run"}
+#: How many of an integrator's runs on scenes are wrong, as `Wrong.kind` calls it.
+_WHEN = {
+    "every": "always: ",
+    "some": "sometimes: ",
+    "coarsest": "in the coarsest run alone ({}): ",
+}
 
 
 def failings(label: str, group: str, stored: StoredRuns, known: Iterable[Wrong]) -> list[Sentence]:
@@ -212,13 +216,13 @@ def failings(label: str, group: str, stored: StoredRuns, known: Iterable[Wrong])
     failed = sum(r.status != "ok" for r in runs)
     found = [w for w in known if w.label == label]
     wrong: Sentence = []
-    for kind, place in _WHERE.items():
-        where = [[scene_ref(w.scene)] for w in found if w.kind == kind and w.silent]
-        lead = "; " if wrong else "Wrong without warning, "
-        wrong += [f"{lead}{place}: ", *listed(where, 9)] if where else []
+    for kind, word in _WHEN.items():
+        if where := [[scene_ref(w.scene)] for w in found if w.kind == kind and w.silent]:
+            lead = "; " if wrong else "Silently wrong, "
+            wrong += [lead + word.format(len(where)), *listed(where, 9)]
     sentences = [[*wrong, "."]] if wrong else []
     for (said,) in wrong_sentences(found, group, stored.names)[:1]:
-        sentences.append([f"These are {str(said).partition(': ')[2]}" if wrong else said])
+        sentences.append([f"These are {str(said).partition(': ')[2]}" if sentences else said])
     if failed:
         sentences.append([f"{failed} of its {counted(len(runs), 'run')} on all scenes failed."])
     return sentences or [[HEADLINES["fine"]]]
@@ -242,7 +246,7 @@ def method_card(folder: Path, integrator: str) -> list[str]:
     """The card of an integrator in plain text, from the store of a run folder.
 
     It is named as it is printed. Without a name the card is that of the run: its answer by both
-    costs, and how many runs are wrong without warning.
+    costs, and how many runs are silently wrong.
     """
     with Store(folder) as store:
         stored = StoredRuns.of(store)

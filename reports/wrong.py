@@ -135,7 +135,7 @@ def wrong_runs(stored: StoredRuns, group: str, label: str = "") -> list[Wrong]:
 def wrong_sentences(
     found: Iterable[Wrong], group: str, names: Names, here: str = ""
 ) -> list[Sentence]:
-    """How many runs are wrong without warning; who is so in every run on a scene but ``here``."""
+    """How many runs are silently wrong; who is so in every run on a scene but ``here``."""
     found = [*found]
     silent, warned = sum(w.silent for w in found), sum(w.warned for w in found)
     if not silent + warned:
@@ -143,7 +143,7 @@ def wrong_sentences(
     judged = counted(sum(w.judged for w in found), "run")
     about = f"of {judged} that reached the end (error in {quantity(group)} above {WRONG:g}"
     more = f"; {warned} more with a warning" if silent and warned else ""
-    how = "Wrong without warning: " if silent else "Wrong with a warning: "
+    how = "Silently wrong: " if silent else "Wrong with a warning: "
     said: list[Sentence] = [[f"{how}{silent or warned} {about}, {NORMS[NORM]}){more}."]]
     where: dict[str, list[Sentence]] = {}
     for w in found:
@@ -153,12 +153,12 @@ def wrong_sentences(
             own = where.setdefault(w.label, [])
             own.append([*place, Ref("run", run.key, number(error))])
     who = ([method_ref(k, names), " (", *listed(each), ")"] for k, each in where.items())
-    lead = "Wrong without warning at every step and tolerance (smallest error): "
+    lead = "Silently wrong at every step and tolerance (smallest error): "
     return said + ([[lead, *listed(who), "."]] if where else [])
 
 
 def silent_tables(found: Sequence[Wrong], group: str, stored: StoredRuns) -> list[Table]:
-    """The pairs of a method and a scene with runs that are wrong without warning, by kind."""
+    """The pairs of a method and a scene with runs that are silently wrong, by kind."""
     tables = []
     for kind, caption in _KINDS.items():
         rows, links, silent = [], {}, 0

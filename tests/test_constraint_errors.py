@@ -209,7 +209,7 @@ def test_who_holds_the_constraints_is_told_by_formulation_with_its_exceptions():
     assert held_table(series_of(records), names).rows == [
         ["index 3", "1e-11", "1e-11"],
         ["index 2 but ONE", "1e-9", "1e-12"],
-        ["ONE (index 2)", "0.5", "0.002"],
+        ["ONE", "0.5", "0.002"],
     ]
     assert held_table(series_of([won("s", **FREE)]), names) is None
 

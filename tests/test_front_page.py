@@ -141,7 +141,7 @@ def test_the_address_restores_the_view_and_a_method_is_put_in_front(browser, sit
     assert link.endswith("report/scene-spring_mass.html" + fragment)
     visit(browser, site / "report.html", "#group=a&target=1e-2&highlight=poor")
     said, count = each(browser, "#answer > .wrong", "node.innerText")
-    assert said == "poor: Wrong without warning, sometimes: spring mass."
+    assert said == "poor: Silently wrong, sometimes: spring mass."
     assert count.startswith("These are 2 of 6 runs that reached the end ")
     assert each(browser, "#answer > .wrong .scene", "node.pathname.split('/').at(-1)") == [
         "scene-spring_mass.html"

@@ -69,7 +69,7 @@ def test_policies_of_a_scene_stand_side_by_side_and_ignored_samples_are_wrong(st
     ]
     assert verdict.words == (
         "The samples are ignored by 2 runs: error in position of 1 to 1.2, however fine the steps; "
-        "they give the motion of the continuous controller. Wrong without warning (above 0.1): 2."
+        "they give the motion of the continuous controller. Silently wrong (above 0.1): 2."
     )
     assert verdict.kind == "missing"
     assert len(other.parts) == 2
@@ -104,8 +104,8 @@ def test_ignored_samples_are_the_cause_of_an_error_even_in_positions(stored):
     assert wrong_on("pd", s, "a", over, atlas).cause == ""
     wrong = [wrong_on("pd", s, "q", own, atlas)]
     count, who = map(plain, wrong_sentences(wrong, "q", {}, "pd"))
-    assert count.startswith("Wrong without warning: 2 of 2 runs that reached the end")
-    assert who == "Wrong without warning at every step and tolerance (smallest error): m (1)."
+    assert count.startswith("Silently wrong: 2 of 2 runs that reached the end")
+    assert who == "Silently wrong at every step and tolerance (smallest error): m (1)."
     assert [w.cause for w in wrong] == [IGNORED]
 
 

@@ -185,17 +185,23 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
         return [*map(plain, wrong_sentences([*found(group), *other], group, {}))]
 
     head = (
-        "Wrong without warning: {} of 4 runs that reached the end "
+        "Silently wrong: {} of 4 runs that reached the end "
         "(error in acceleration above 0.1, largest over time){}."
     )
-    never = "Wrong without warning at every step and tolerance (smallest error): wrong ({}0.2)."
+    never = "Silently wrong at every step and tolerance (smallest error): wrong ({}0.2)."
     assert said() == [head.format(3, ""), never.format("s: ")]
     assert plain(wrong_sentences(found(), "a", {}, "s")[-1]) == never.format("")
     assert said("lam") == []
-    for label, when in {"wrong": "always", "late": "coarsest run"}.items():
+    for label, when in {"wrong": "always", "late": "in the coarsest run alone (1)"}.items():
         first, count, *_ = map(plain, failings(label, "a", stored, found()))
-        assert first == f"Wrong without warning, {when}: s."
+        assert first == f"Silently wrong, {when}: s."
         assert count.startswith("These are ")
+    seldom = [w._replace(label="m", scene=w.kind or "t") for w in found()]
+    seldom.append(seldom[1]._replace(kind="some"))
+    assert plain(failings("m", "a", stored, seldom)[0]) == (
+        "Silently wrong, always: every; sometimes: coarsest; "
+        "in the coarsest run alone (1): coarsest."
+    )
     every, coarsest = silent_tables(found(), "a", stored)
     assert every.caption == "Wrong at every resolution, in acceleration: 2 runs"
     assert every.rows == [["wrong", "s", "2 of 2", "0.2 at h=0.05", "hard here: It is stiff."]]
@@ -206,7 +212,7 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
     assert said() == [head.format(2, "; 1 more with a warning"), never.format("s: ")]
     for record in (*series[0].records, *series[1].records):
         record.message = "It may be wrong."
-    assert said() == [head.format(3, "").replace("without warning", "with a warning")]
+    assert said() == [head.format(3, "").replace("Silently wrong", "Wrong with a warning")]
     assert silent_tables(found(), "a", stored) == []
 
 
@@ -260,18 +266,20 @@ def test_pages_and_terminal_say_the_same(store):
     assert operations.startswith("Fewest operations to 1e-4 in acceleration: ")
     assert operations.endswith("cheapest on 1 of 2 scenes.")
     assert time.startswith("Least time to 1e-4 in acceleration: good 0.8 is cheapest on both ")
-    assert count.startswith("Wrong without warning: ")
-    lead = "Wrong without warning at every step and tolerance (smallest error)"
+    assert count.startswith("Silently wrong: ")
+    lead = "Silently wrong at every step and tolerance (smallest error)"
     assert silent == f"{lead}: ringing 1 (pendulum: 9)."
     write_html_report(store)
     write_markdown_report(store)
     data = page_data(store)
     assert data["wrong"]["a"]["filters"]["all"][0] == [count]
     for page in ("report.md", "report/failures.html"):
-        assert count.partition("(")[0] in (store / page).read_text(encoding="utf-8"), page
+        assert count.partition(": ")[2].partition("(")[0] in (store / page).read_text(
+            encoding="utf-8"
+        ), page
     own = method_card(store, "ringing[rho_inf=1]")
     assert "pendulum. These are 6 of 6 runs" in " ".join(own)
-    assert "without warning" not in " ".join(method_card(store, "adaptive"))
+    assert "ilently wrong" not in " ".join(method_card(store, "adaptive"))
 
 
 def test_the_cause_leads_to_the_chapter_of_the_atlas(store):

@@ -148,7 +148,7 @@ def test_the_strip_has_a_state_for_each_scene_and_accuracy():
     }
     assert found["won", "1e-6"] == ("not reached", "")
     assert {k: v for k, v in found.items() if k[1] in ("wrong", "warned")} == {
-        ("lost", "wrong"): ("runs wrong without warning", "1 of 3"),
+        ("lost", "wrong"): ("runs silently wrong", "1 of 3"),
         ("lost", "warned"): ("runs wrong with a warning", "1 of 3"),
     }
     assert len(found) == 5 * 9 + 2
@@ -167,7 +167,7 @@ def test_the_card_of_a_method_says_where_it_wins_loses_and_fails(tmp_path):
     assert method_card(tmp_path, "poor") == [
         f"poor {reaches} 0 of 1 scene tried.",
         "Does not reach it: spring mass (smallest error: 0.00938).",
-        "Wrong without warning, sometimes: spring mass.",
+        "Silently wrong, sometimes: spring mass.",
         "These are 2 of 6 runs that reached the end (error in acceleration above 0.1, "
         "largest over time).",
     ]

@@ -112,8 +112,8 @@ class DrivenSprings(MechatronicSystem):
     nominal_step = 0.25
     tags = ("linear", "stiff", "closed form", "driven")
     difficulties = (
-        "BDF above order 2 and corrected starts need short steps for the stiff vibration",
-        "this vibration has 3162 rad/s and is damped by 5 %; the motion has 1.2 rad/s",
+        "BDF above order 2 and corrected starts need short steps for stiff springs",
+        "the stiff vibration has 3162 rad/s and is damped by 5 %; the motion has 1.2 rad/s",
         "the start excites the stiff spring: undamped methods keep a spurious acceleration",
     )
     # The start makes an acceleration of thousands of m/s^2 for milliseconds; errors are relative to

@@ -22,7 +22,7 @@ _LOOKS = {
     "unknown": ("reached, cost not measured", "#8fb3d9"),
     "far": ("not reached", "#80808030"),
     "failed": ("no run reaches the end", "#c0543c"),
-    "wrong": ("runs wrong without warning", "#8e2a6b"),
+    "wrong": ("runs silently wrong", "#8e2a6b"),
     "warned": ("runs wrong with a warning", "#ad7c9e"),
 }
 #: Colours of maps up to these radii, and above: green ones are stable, red ones grow.

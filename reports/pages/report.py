@@ -107,7 +107,7 @@ class Report:
         lost = lost_orders_table(self.series, stored.atlas, stored.scenes)
         sections = [
             Section("Runs that failed", [failures_table(runs) or Text(fine)]),
-            Section("Runs that are wrong without warning", [*lead, *silent]),
+            Section("Runs that are silently wrong", [*lead, *silent]),
             Section("Runs that reached the end with a warning", [notes_table(runs)]),
             Section("Runs that are not supported", [unsupported]),
             Section("Orders that were lost", [lost]),

@@ -39,7 +39,6 @@ from reports.questions import (
     Sentence,
     filters,
     kind_of,
-    listed,
     method_ref,
     tag_name,
 )
@@ -53,12 +52,6 @@ from reports.wrong import wrong_runs, wrong_sentences
 _LEAST = 1e-40
 #: Signs of an integrator that has no cost, before all letters.
 _SIGNS = {"unknown": "?", "far": "-", "failed": "!"}
-#: Ends of runs that failed, in words; others are called as records have them.
-_ENDS = {
-    "budget_exceeded": "exceeded the budget",
-    "newton_failed": "did not converge in Newton's method",
-    "step_too_small": "came to too small a step",
-}
 
 
 def site_data(report: Report) -> dict[str, Any] | None:
@@ -270,16 +263,18 @@ def _failed(scene: str, report: Report) -> list[Sentence]:
         ends.setdefault(r.status, Counter())[label_of(r)] += 1
     how: Sentence = []
     for end, whose in sorted(ends.items(), key=lambda item: -item[1].total()):
-        who = ([method_ref(label, report.names)] for label, _ in whose.most_common())
-        words = _ENDS.get(end) or end.replace("_", " ")
-        how += ["; " if how else "", *listed(who, len(whose)), f" {words}"]
-    hard = map(" Hard here: {}.".format, report.stored.scenes.get(scene, NO_SCENE).difficulties[:1])
+        for label, _ in whose.most_common():
+            how += [", " if how else "", method_ref(label, report.names)]
+        how.append(f" ({end.replace('_', ' ')})")
+    hard = map(
+        " Difficulty: {}.".format, report.stored.scenes.get(scene, NO_SCENE).difficulties[:1]
+    )
     count = f"Reasons of {len(failed)} of {counted(len(runs), 'run')}"
     return [["Failed: ", *how, ".", *hard, " ", Ref("failed", scene, count), "."]]
 
 
 def _wrong(report: Report, group: str, chosen: Filters, methods: Sequence[Ref]) -> dict[str, Any]:
-    """Sentences on runs that are wrong without warning: per filter, scene and method."""
+    """Sentences on runs that are silently wrong: per filter, scene and method."""
     stored, ids = report.stored, report.run_ids
     wrong = wrong_runs(stored, group)
     scenes = {r.key: k for k, own in report.measured.items() for s in own for r in s.records}

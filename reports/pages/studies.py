@@ -172,7 +172,7 @@ def _sampled(stored: StoredRuns) -> Iterator[Section]:
         verdict = (
             f"The samples are ignored by {counted(len(ignored), 'run')}: error in "
             f"{quantity(_JUDGED)} of {size}, however fine the steps; they give the motion of the "
-            f"continuous controller. Wrong without warning (above {WRONG:g}): {len(silent)}."
+            f"continuous controller. Silently wrong (above {WRONG:g}): {len(silent)}."
         )
         parts = [
             Text("A controller sees the motion at samples and holds its values between them."),

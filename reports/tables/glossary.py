@@ -72,6 +72,8 @@ _DEFINITIONS = {
     "nothing, 0 all that steps cannot resolve.",
     "Settled, last quarter": "The norm that takes the largest error in the last quarter of the "
     "time, when the transient of the start is over.",
+    "Silently wrong": "A run that reaches the end with an error above 0.1 (largest over time) and "
+    "no warning.",
     "Spectral radius": "The factor by which a step multiplies the slowest decaying part of an "
     "error or a vibration; above 1 the solution grows.",
     "Start transient, transient": "Errors of lower order in the first steps, made by starting "

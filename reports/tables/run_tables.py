@@ -122,10 +122,10 @@ def held_table(series: Sequence[Series], names: Mapping[str, str]) -> Table | No
         usual, odd = ([m for m in own if (m[0] > most) == far] for far in (False, True))
         but = f" but {named(name for *_, name in odd)}" * bool(odd)
         rows.append((max(usual)[0], min(best for _, best, _ in usual), form + but))
-        rows += [(worst, best, f"{name} ({form})") for worst, best, name in odd]
+        rows += odd
     cells = [[name, number(worst), number(best)] for worst, best, name in sorted(rows)]
-    note = "Largest over time, of runs that reached the end; 1e-15 stands for less, too."
-    head = ["formulation", "worst run", "best run"]
+    note = "1e-15 stands for less, too. Largest over time, of runs that reached the end."
+    head = ["formulation", "worst", "best"]
     return Table("Violation of Φ, relative", head, cells, code=(), note=note) if cells else None
 
 

@@ -37,7 +37,7 @@
     const beside = data.both.filter((cost) => data.both.includes(question.cost) && cost !== question.cost), rows = stepbench.standings(question);
     const nowhere = rows.filter(([, , , reached]) => !reached).map(([m]) => [stepbench.methodRef(m)]), all = question.scenes === "all";
     const avoid = nowhere.length && nowhere.length < rows.length ? [line(all ? null : "also", "Reached on none of these scenes by ", ...stepbench.listed(nowhere), ".")] : [];
-    card.replaceChildren(line("headline", ...stepbench.headline(question)),
+    card.replaceChildren(line("headline", html("small", {}, `${data.least[question.cost]}: `), ...stepbench.headline(question)),
       ...beside.map((cost) => line("also", `${data.least[cost]}: `, ...stepbench.headline({ ...question, cost }, question))),
       ...(all ? [] : avoid), ...(own.length ? own : wrong ? [wrong] : []),
       html("details", { open: open && "" }, html("summary", {}, "costs, rivals, constraints, and where it fails"), ...which, ...(all ? avoid : []),
@@ -84,12 +84,13 @@
   panels.append(...cards.map(({ card }) => card));
 
   // The legend of all methods hides and shows them in all charts.
-  const families = Map.groupBy(data.methods.keys(), (m) => data.methods[m].family);
+  const alike = Map.groupBy(data.methods, (method) => method.family), alone = ({ family }) => alike.get(family).length < 2;
+  const families = Map.groupBy(data.methods.keys(), (m) => alone(data.methods[m]) ? "others" : data.methods[m].family);
   const entry = (places, title, ...content) => button({ class: "switch", "aria-pressed": "true", "data-method": places.join(" "), title }, ...content);
   panels.after(html("div", { class: "chooser", role: "group", "aria-label": "Methods in the charts" }, entry([...data.methods.keys()], null, "all methods"),
-    ...[...families].sort(([, one], [, two]) => two.length - one.length).map(([family, own]) => html("span", {},
+    ...[...families].sort(([name, one], [other, two]) => (name === "others") - (other === "others") || two.length - one.length).map(([family, own]) => html("span", {},
       ...(own.length > 1 ? [entry(own, null, `${family}:`)] : []),
-      ...own.map((m) => entry([m], family, stepbench.badge(data.methods[m]), data.methods[m].short))))));
+      ...own.map((m) => entry([m], data.methods[m].family, stepbench.badge(data.methods[m]), data.methods[m].short))))));
   stepbench.onChange(choose);
   for (const own of cards) stepbench.onChange(() => draw(own));
 
