@@ -92,7 +92,8 @@ def differing_costs(found: Mapping[Question, Answer], runs: Iterable[Record], na
         if label_of(run) in each and run.seconds and (count := run.cost("operations")):
             each[label_of(run)].append(1e9 * run.seconds / count)
     said = [f"{number(median(own))} ns in {names[k]}" for k, own in each.items() if own]
-    words = "Times rank unlike operations: they depend on machine and language; an operation takes "
+    words = "Leaders in time and operations differ, as times depend on machine and language: an "
+    words += "operation takes "
     words = f"{words}{named(said)} (medians). " if len(said) > 1 else ""
     return f"{words}Operations of libraries are estimates."
 
@@ -205,7 +206,7 @@ def stored_card(label: str, found: Answer, stored: StoredRuns) -> list[Sentence]
 _WHEN = {
     "every": "always: ",
     "some": "sometimes: ",
-    "coarsest": "in the coarsest run alone ({}): ",
+    "coarsest": "coarsest run alone ({}): ",
 }
 
 

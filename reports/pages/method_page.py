@@ -86,7 +86,7 @@ def method_page(label: str, stored: StoredRuns, answer: Answer, over: Sequence[A
     parts = [*silent_tables(found, asked, stored), failed, notes_table(runs), unsupported]
     sections = [
         Section("Orders", [orders]),
-        Section("Failures of the atlas", [atlas]),
+        Section("In the failure atlas", [atlas]),
         Section("Where it fails", parts),
     ]
     title, file = stored.names[label], page_file("method", label)
@@ -131,4 +131,4 @@ def atlas_table(name: str, experiments: Sequence[ExperimentResult]) -> Table | N
             rows.append([f"{found.number}. {found.title}", spared(cases)])
     note = "Parts of an experiment that spare the method (no failure), of all that apply to it."
     head = ["failure", "spared"]
-    return Table("Failures of the atlas", head, rows, code=(), note=note) if rows else None
+    return Table("In the failure atlas", head, rows, code=(), note=note) if rows else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bench.results.quantities import TRUST, quantity
+from bench.results.quantities import quantity
 from bench.results.records import NOT_TRIED
 from bench.results.store import Store
 from bench.results.studies import LongRun
@@ -129,20 +129,18 @@ class Report:
         again = [c for c in cases if c.expected and c.expected.basis == "measurement"]
         told = [c for c in cases if c not in again]
         held = [f"{sum(bool(c.as_expected) for c in own)} of {len(own)}" for own in (told, again)]
-        atlas = f"The failure atlas: {held[0]} numbers came as theory or a publication predicts, "
-        atlas += f"and {held[1]} as they were measured earlier."
+        atlas = f"{held[0]} numbers of the failure atlas came as theory or a publication predicts, "
+        atlas += f"{held[1]} as measured earlier."
         least = f"The largest error of a reference is {number(errors.get(worst))} in "
-        least += f"{quantity(group)} ({scene_name(worst)}); accuracies within {TRUST:g} times that "
-        least += "of a scene get no answer."
+        least += f"{quantity(group)} ({scene_name(worst)})."
         reasons = [
             *[least] * bool(errors),
             *[atlas] * bool(cases),
             "A winner by time is named alone if the difference is significant; else methods tie.",
             f"A limit: {self.times[0].lower()}{self.times[1:]}",
-            "The page of a scene has the command that repeats a run, and published digits if any.",
-            "A reference is a closed form, with the error that one rounding of time and values "
-            "makes; or Gauss collocation of order 24, at steps as short as round-off allows, whose "
-            "error is the distance from Radau IIA of order 23 with other steps.",
+            "The page of a scene has the command that repeats a run.",
+            "A reference is a closed form, or Gauss collocation of order 24, whose error is the "
+            "distance from Radau IIA of order 23.",
         ]
         machines = [
             {

@@ -43,8 +43,9 @@ def times_sentence(times: Repeatability) -> str:
     if times.machines > 1:
         of = f"{times.machines} different machines, clocks or versions"
         return f"Times were taken on {of} and cannot be compared, {first}."
-    of = f"median of {counted(times.runs, 'run')}; {100 * REPEATABLE:g} % is allowed"
-    return f"Repeated times scatter by {100 * times.width:.2g} % ({of}), {first}."
+    of = f"median of {counted(times.runs, 'run')}"
+    limit = f"{'less' if times.cost == 'seconds' else 'more'} than {100 * REPEATABLE:g} %"
+    return f"Repeated times scatter by {100 * times.width:.2g} % ({of}), {limit}, {first}."
 
 
 def method_of_measurement(plan: Plan) -> list[str]:

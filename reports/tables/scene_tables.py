@@ -56,7 +56,9 @@ def references_table(scenes: Mapping[str, SceneRecord]) -> Table | None:
         for name, s in scenes.items()
         if s.reference_method
     ]
-    note = f"Own errors are relative; an accuracy within {TRUST:g} times them is not judged."
+    note = f"Own errors are relative; an accuracy within {TRUST:g} times them is not judged. That "
+    note += "of a closed form is made by one rounding of time and values; collocation takes steps "
+    note += "as short as round-off allows, and is compared with Radau IIA at others."
     head = ["scene", "reference", *(f"own error in {g}" for g in TABLE_GROUPS)]
     return Table("References", head, rows, note=note) if rows else None
 

@@ -24,7 +24,7 @@
     heads.firstChild.after(html("td"));
     const scenes = `${of} ${of === 1 ? "scene" : "scenes"}${of < stepbench.chosen().length ? " that can be judged" : ""}`;
     const none = stepbench.chosen().map((k) => stepbench.answer()[k]).filter((own) => own && !own.reached).length;
-    fill(table, `Cheapest alone or tied, and reached, of ${scenes}${none ? `, ${none} of them reached by none` : ""}`, [heads], lines);
+    fill(table, `Cheapest by ${data.cost_words[stepbench.question.cost]}, alone or tied, and reached, of ${scenes}${none ? `, ${none} of them reached by none` : ""}`, [heads], lines);
   };
   stepbench.onChange((question) => {
     document.querySelector("main h1").replaceChildren(`Which integrator, for an error in the ${data.group_names[question.group].replace(/ \S+$/, "")} of at most `,

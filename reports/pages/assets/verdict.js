@@ -70,7 +70,7 @@
     const mine = reaching(scene, m), first = best(scene), near = nearest([runs], question), next = near && data.targets.findLast((target) => Number(target) >= near.error);
     if (mine) return [[stepbench.methodRef(m), `: ${stepbench.costWithUnit(own.states[m][2], question.cost)} at ${runs.resolutions[mine.k]}, `,
       `${compared(scene, question, m, first.index)}, beside `, stepbench.methodRef(first.index), "; ",
-      button({ class: "more", click: () => document.querySelector("[data-methods]").closest("section").scrollIntoView() }, "compare with all"), "."].map(part)];
+      button({ class: "more", click: () => document.querySelector("[data-methods]").closest("[data-tabs]").scrollIntoView() }, "compare with all"), "."].map(part)];
     return [[part(stepbench.methodRef(m)), " does not reach it", ...(near ? [`: its least error is ${number(near.error)}`] : []), ...(next ? ["; ", button({ class: "more", click: () => stepbench.ask({ target: next }) }, `ask for ${next}`)] : []), "."]];
   };
   for (const place of document.querySelectorAll("[data-verdict]")) stepbench.onChange((question) => {
