@@ -135,12 +135,12 @@ class Report:
         least += f"{quantity(group)} ({scene_name(worst)})."
         reasons = [
             *[least] * bool(errors),
+            "A reference is a closed form, or Gauss collocation of order 24, whose error is the "
+            "distance from Radau IIA of order 23.",
             *[atlas] * bool(cases),
             "A winner by time is named alone if the difference is significant; else methods tie.",
             f"A limit: {self.times[0].lower()}{self.times[1:]}",
             "The page of a scene has the command that repeats a run.",
-            "A reference is a closed form, or Gauss collocation of order 24, whose error is the "
-            "distance from Radau IIA of order 23.",
         ]
         machines = [
             {
