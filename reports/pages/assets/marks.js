@@ -24,7 +24,7 @@
   const head = (method) => html("th", { scope: "row" }, badge(method), to(method.page, { title: method.label }, method.short));
   // A part of a sentence is text, whose numbers such as 1e-4 stay in one line, or the place of a reference to something in the report.
   const part = (item) => {
-    if (/\de-/.test(item)) return html("span", {}, ...item.split(/([\d.]+e-\d+)/).map((text, k) => k % 2 ? html("span", { class: "whole" }, text) : text));
+    if (typeof item === "string" && /\de-/.test(item)) return html("span", {}, ...item.split(/([\d.]+e-\d+)/).map((text, k) => k % 2 ? html("span", { class: "whole" }, text) : text));
     if (typeof item === "string" || item instanceof Node) return item;
     const method = item.kind === "method" && data.methods.find((m) => m.label === item.key);
     const style = method ? `color: color-mix(in oklab, ${colour(method)} 70%, var(--ink))` : null;
