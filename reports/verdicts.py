@@ -92,7 +92,7 @@ def differing_costs(found: Mapping[Question, Answer], runs: Iterable[Record], na
         if label_of(run) in each and run.seconds and (count := run.cost("operations")):
             each[label_of(run)].append(1e9 * run.seconds / count)
     said = [f"{number(median(own))} ns in {names[k]}" for k, own in each.items() if own]
-    words = "Leaders in time and operations differ, as times depend on machine and language: an "
+    words = "Leaders in time and operations may differ: times depend on machine and language, an "
     words += "operation takes "
     words = f"{words}{named(said)} (medians). " if len(said) > 1 else ""
     return f"{words}Operations of libraries are estimates."
@@ -215,7 +215,7 @@ def failings(label: str, group: str, stored: StoredRuns, known: Iterable[Wrong])
     series = [s for each in stored.series.values() for s in each if s.label == label]
     runs = [r for s in series for r in s.records if r.status not in NOT_TRIED]
     failed = sum(r.status != "ok" for r in runs)
-    found = [w for w in known if w.label == label]
+    found = [w._replace(kind="some" if w.warned else w.kind) for w in known if w.label == label]
     wrong: Sentence = []
     for kind, word in _WHEN.items():
         if where := [[scene_ref(w.scene)] for w in found if w.kind == kind and w.silent]:

@@ -153,7 +153,7 @@ def wrong_sentences(
             own = where.setdefault(w.label, [])
             own.append([*place, Ref("run", run.key, number(error))])
     who = ([method_ref(k, names), " (", *listed(each), ")"] for k, each in where.items())
-    lead = "Silently wrong at every step and tolerance (smallest error): "
+    lead = "Wrong at every step and tolerance (smallest error): "
     return said + ([[lead, *listed(who), "."]] if where else [])
 
 
@@ -165,7 +165,7 @@ def silent_tables(found: Sequence[Wrong], group: str, stored: StoredRuns) -> lis
         for w in found:
             if w.kind == kind and w.silent and w.best:
                 hard = stored.scenes.get(w.scene, NO_SCENE).difficulties
-                why = next((f"hard here: {x}" for x in hard), "not explained")
+                why = next((f"difficulty: {x}" for x in hard), "not explained")
                 if w.cause:
                     links[len(rows), 4] = [f"atlas-{w.cause}"]
                     why = stored.atlas[w.cause].short_title

@@ -311,6 +311,8 @@ def test_each_is_compared_with_the_highlighted_method_or_else_with_the_best(brow
         ("won", "residuals", "2.5 x"),
         ("near", "operations", "1.05 x, a tie"),
         ("near", "residuals", "1.05 x"),
+        ("lucky", "operations", "3 x, a tie from a later start"),
+        ("lucky", "seconds", "3 x, a tie from a later start"),
     ):
         for highlight in ("one", ""):
             fragment = f"#group=a&target=1e-4&cost={cost}&highlight={highlight}"

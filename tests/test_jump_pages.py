@@ -105,7 +105,7 @@ def test_ignored_samples_are_the_cause_of_an_error_even_in_positions(stored):
     wrong = [wrong_on("pd", s, "q", own, atlas)]
     count, who = map(plain, wrong_sentences(wrong, "q", {}, "pd"))
     assert count.startswith("Silently wrong: 2 of 2 runs that reached the end")
-    assert who == "Silently wrong at every step and tolerance (smallest error): m (1)."
+    assert who == "Wrong at every step and tolerance (smallest error): m (1)."
     assert [w.cause for w in wrong] == [IGNORED]
 
 

@@ -188,7 +188,7 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
         "Silently wrong: {} of 4 runs that reached the end "
         "(error in acceleration above 0.1, largest over time){}."
     )
-    never = "Silently wrong at every step and tolerance (smallest error): wrong ({}0.2)."
+    never = "Wrong at every step and tolerance (smallest error): wrong ({}0.2)."
     assert said() == [head.format(3, ""), never.format("s: ")]
     assert plain(wrong_sentences(found(), "a", {}, "s")[-1]) == never.format("")
     assert said("lam") == []
@@ -197,13 +197,13 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
         assert first == f"Silently wrong, {when}: s."
         assert count.startswith("These are ")
     seldom = [w._replace(label="m", scene=w.kind or "t") for w in found()]
-    seldom.append(seldom[1]._replace(kind="some"))
+    seldom.append(seldom[0]._replace(scene="t", warned=1))  # not always silently
     assert plain(failings("m", "a", stored, seldom)[0]) == (
-        "Silently wrong, always: every; sometimes: coarsest; coarsest run alone (1): coarsest."
+        "Silently wrong, always: every; sometimes: t; coarsest run alone (1): coarsest."
     )
     every, coarsest = silent_tables(found(), "a", stored)
     assert every.caption == "Wrong at every resolution, in acceleration: 2 runs"
-    assert every.rows == [["wrong", "s", "2 of 2", "0.2 at h=0.05", "hard here: It is stiff."]]
+    assert every.rows == [["wrong", "s", "2 of 2", "0.2 at h=0.05", "difficulty: It is stiff."]]
     told = [w._replace(cause=UNDAMPED) for w in found()]
     assert silent_tables(told, "a", stored)[0].rows[0][-1] == "1. About undamped_index3"
     assert coarsest.rows[0][:3] == ["late", "s", "1 of 2"]
@@ -266,7 +266,7 @@ def test_pages_and_terminal_say_the_same(store):
     assert operations.endswith("cheapest on 1 of 2 scenes.")
     assert time.startswith("Least time to 1e-4 in acceleration: good 0.8 is cheapest on both ")
     assert count.startswith("Silently wrong: ")
-    lead = "Silently wrong at every step and tolerance (smallest error)"
+    lead = "Wrong at every step and tolerance (smallest error)"
     assert silent == f"{lead}: ringing 1 (pendulum: 9)."
     write_html_report(store)
     write_markdown_report(store)

@@ -401,9 +401,9 @@ def test_all_questions_have_answers_for_the_groups_of_the_scenes():
 def test_other_winners_by_time_are_explained_by_the_time_of_an_operation():
     few = costing("s", "few", 100, run_s=[4e-3] * 3, operations={"method": 1e6})
     quick = costing("s", "quick", 300, run_s=[1e-3] * 3, operations={"method": 2e6})
-    otherwise = "Leaders in time and operations differ, as times depend on machine and language"
+    otherwise = "Leaders in time and operations may differ: times depend on machine and language"
     for runs, said in (
-        ([few, quick], f"{otherwise}: an operation takes 4 ns in few and 0.5 ns in quick "),
+        ([few, quick], f"{otherwise}, an operation takes 4 ns in few and 0.5 ns in quick "),
         ([few], "Operations of libraries are estimates."),
     ):
         found = by_cost(scenes_of(runs), Question("a", 1e-4, "operations"))

@@ -60,7 +60,7 @@ def method_of_measurement(plan: Plan) -> list[str]:
         "median of a run's samples.",
         "Two runs differ in time if the 95 % interval of the median of their quotients within "
         f"rounds lies on one side of 1 and the median is beyond {LEAST_QUOTIENT:g}; with fewer "
-        f"than {FEWEST} common rounds the quotients must be beyond {LEAST_OF_FEW:g}.",
+        f"than {FEWEST} common rounds the median must be beyond {LEAST_OF_FEW:g}.",
         f"Operations count as different beyond a factor of {COSTS[COST].tie:g}: the cost model is "
         "no more exact. Other counts tie where they are equal. A method that is among the "
         f"cheapest from a later start of the motion ties, too, at {LUCK:g} times the cost at most; "

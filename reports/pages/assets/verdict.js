@@ -58,7 +58,7 @@
     const tied = asked && two.every((m) => first.includes(m)) && `a tie${two.some((m) => later.includes(m)) ? " from a later start" : ""}`;
     const found = cost === "seconds" ? quotient(other.samples[j], runs.samples[k]) : null, value = found?.value ?? columnOf(runs, cost)[k] / columnOf(other, cost)[j];
     const sizes = `${asked ? "" : `at ${target}: ${stepbench.costWithUnit(columnOf(runs, cost)[k], cost)}, `}${stepbench.multiple(value)} ×`, differs = Math.max(value, 1 / value) > (found?.few ? data.few : data.apart[cost]);
-    if (cost !== "seconds") return sizes + (tied ? ", a tie" : differs ? "" : ", not significant");
+    if (cost !== "seconds") return sizes + (tied ? `, ${tied}` : differs ? "" : ", not significant");
     const ends = found ? [...new Set([found.low, found.high].map(number))] : [], word = found && differs && (found.low > 1 || found.high < 1) ? "significant" : "not significant";
     return `${sizes}${ends.length > 1 ? ` (${ends.join(" to ")})` : ""}, ${tied || word}${found?.few === false ? "" : " (few samples)"}`;
   };
