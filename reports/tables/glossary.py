@@ -81,8 +81,8 @@ _DEFINITIONS = {
     "Stiff, stiffness": "A system is stiff if it has parts that decay or oscillate much faster "
     "than the motion that is of interest.",
     "Tie, tied, significant": "Two methods tie if their costs do not differ "
-    "significantly: times by their quotients in each round of samples (of few samples, fewer than "
-    "six, beyond a factor of 2), operations by 10 %; a "
+    "significantly: times by the median of their quotients in rounds of samples (with fewer than "
+    "six beyond a factor of 2), operations by 10 %; a "
     "method that is among the cheapest from a later start of the runs ties, too.",
     "Tolerance, rtol": "The local error that a method with steps of its own choice allows itself "
     "in a step: rtol, relative to the value, and atol, which is rtol/100 unless another is named.",
