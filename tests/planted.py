@@ -128,6 +128,7 @@ def plant(folder: Path, records: list[Record], samples: int = 3, plan: bool = Tr
                     title=f"The {problem} scene.",
                     description="A first paragraph\nover two lines.\n\nA second paragraph.",
                     source="A book, p. 11",
+                    difficulties=["lam oscillates"],
                     parameters=[{"name": "m", "value": 1.25, "unit": "kg", "doc": "mass & load"}],
                     components={
                         group: [f"{name} [{unit}]" for name in "XY"[: names[problem]["q"]]]

@@ -272,6 +272,8 @@ def test_pages_and_terminal_say_the_same(store):
     write_markdown_report(store)
     data = page_data(store)
     assert data["wrong"]["a"]["filters"]["all"][0] == [count]
+    (failed, *_) = [s for (s, *_) in data["wrong"]["a"]["scenes"] if s[0] == "Failed: "]
+    assert " Difficulty: λ oscillates." in failed
     for page in ("report.md", "report/failures.html"):
         assert count.partition(": ")[2].partition("(")[0] in (store / page).read_text(
             encoding="utf-8"

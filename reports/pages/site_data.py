@@ -23,7 +23,7 @@ from bench.results.records import (
 from bench.results.table import short_exponent
 from bench.results.timings import FEWEST, LEAST_OF_FEW, by_round, median_interval
 from reports.charts.mechanism import little_picture
-from reports.formatting import tie_text
+from reports.formatting import symbols, tie_text
 from reports.names import FAMILIES, form_name, scene_name
 from reports.pages.method_page import plugin_option
 from reports.pages.page import page_file
@@ -266,9 +266,8 @@ def _failed(scene: str, report: Report) -> list[Sentence]:
         for label, _ in whose.most_common():
             how += [", " if how else "", method_ref(label, report.names)]
         how.append(f" ({end.replace('_', ' ')})")
-    hard = map(
-        " Difficulty: {}.".format, report.stored.scenes.get(scene, NO_SCENE).difficulties[:1]
-    )
+    known = report.stored.scenes.get(scene, NO_SCENE).difficulties[:1]
+    hard = [symbols(f" Difficulty: {text}.") for text in known]
     count = f"Reasons of {len(failed)} of {counted(len(runs), 'run')}"
     return [["Failed: ", *how, ".", *hard, " ", Ref("failed", scene, count), "."]]
 
