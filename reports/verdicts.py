@@ -220,7 +220,7 @@ def failings(label: str, group: str, stored: StoredRuns, known: Iterable[Wrong])
     for kind, word in _WHEN.items():
         if where := [[scene_ref(w.scene)] for w in found if w.kind == kind and w.silent]:
             lead = "; " if wrong else "Silently wrong, "
-            wrong += [lead + word.format(len(where)), *listed(where, 9)]
+            wrong += [lead + word.format(counted(len(where), "scene")), *listed(where, 9)]
     sentences = [[*wrong, "."]] if wrong else []
     for (said,) in wrong_sentences(found, group, stored.names)[:1]:
         sentences.append([f"These are {str(said).partition(': ')[2]}" if sentences else said])

@@ -192,14 +192,14 @@ def test_an_integrator_is_told_whose_every_run_that_ended_is_wrong():
     assert said() == [head.format(3, ""), never.format("s: ")]
     assert plain(wrong_sentences(found(), "a", {}, "s")[-1]) == never.format("")
     assert said("lam") == []
-    for label, when in {"wrong": "always", "late": "coarsest run alone (1)"}.items():
+    for label, when in {"wrong": "always", "late": "coarsest run alone (1 scene)"}.items():
         first, count, *_ = map(plain, failings(label, "a", stored, found()))
         assert first == f"Silently wrong, {when}: s."
         assert count.startswith("These are ")
     seldom = [w._replace(label="m", scene=w.kind or "t") for w in found()]
     seldom.append(seldom[0]._replace(scene="t", warned=1))  # not always silently
     assert plain(failings("m", "a", stored, seldom)[0]) == (
-        "Silently wrong, always: every; sometimes: t; coarsest run alone (1): coarsest."
+        "Silently wrong, always: every; sometimes: t; coarsest run alone (1 scene): coarsest."
     )
     every, coarsest = silent_tables(found(), "a", stored)
     assert every.caption == "Wrong at every resolution, in acceleration: 2 runs"
